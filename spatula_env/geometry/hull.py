@@ -1,0 +1,145 @@
+"""Convex hulls of points in space.
+
+The hull grows from a tetrahedron by the point that stands out farthest, as in Quickhull (C. B. Barber, D. P.
+Dobkin and H. Huhdanpaa, The Quickhull algorithm for convex hulls, ACM Transactions on Mathematical Software
+22(4), 1996). Points that stand out less than a tolerance are left out. Taking the farthest first keeps the
+triangles well shaped, which is what makes a tolerance safe; the result is checked all the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spatula_env.geometry.arrays import FloatArray, IntArray
+from spatula_env.geometry.surface import canonical_order, triangle_normals
+
+FACTORS = (1.0, 0.1, 10.0, 0.01, 100.0, 0.001)
+"""Factors on the tolerance, tried in turn: where points stand out by just about one, another decides."""
+
+
+def convex_hull(points: ArrayLike, tolerance: float = 1e-10) -> IntArray:
+    """Triangles of the convex hull of a set of points.
+
+    Points that stand out of the hull of the others by no more than the tolerance, such as points in the
+    middle of a face or an edge, may be left out. A flat face of more than three corners is divided into
+    triangles, in a way that is not specified.
+
+    Args:
+        points: Positions, shape (n, 3) with n >= 4 [u].
+        tolerance: How far a point may stand out and be left out, as a fraction of the points' extent. Where
+            distances between points are of just that size, up to a hundred times as much.
+
+    Returns:
+        Indices into ``points`` of shape (T, 3), int32, counter-clockwise seen from outside, in the order of
+        :func:`~spatula_env.geometry.surface.canonical_order`.
+
+    Raises:
+        ValueError: If there are fewer than four points, or they are not finite, or lie in a plane.
+    """
+    positions = np.array(points, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1] != 3 or len(positions) < 4:
+        raise ValueError(f"points must have shape (n, 3) with n >= 4, got {positions.shape}")
+    if not np.isfinite(positions).all():
+        raise ValueError("points must be finite")
+    largest = float(np.abs(positions).max())
+    positions -= 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    extent = float(np.abs(positions).max())
+    # Points far from the origin carry rounding errors of their distance, not of their extent.
+    distance = max(tolerance * extent, 16.0 * float(np.finfo(np.float64).eps) * largest)
+    start = _largest_tetrahedron(positions, distance)
+    for factor in FACTORS:
+        triangles = _grow(positions, start, factor * distance)
+        if _is_hull(positions, triangles, factor * distance):
+            return canonical_order(triangles)
+    raise ValueError(
+        f"no hull of the {len(positions)} points was found within {max(FACTORS) * distance:g} u: "
+        "leave out points that all but coincide with the hull of the others"
+    )
+
+
+def _largest_tetrahedron(points: FloatArray, tolerance: float) -> NDArray[np.int64]:
+    """Four points far apart, shape (4,), the last one above the others; ValueError if the points are flat."""
+    first = int(np.argmin(points[:, np.argmax(np.ptp(points, axis=0))]))
+    offset = points - points[first]
+    second = int(np.argmax(np.linalg.norm(offset, axis=1)))
+    along = offset[second] / max(float(np.linalg.norm(offset[second])), np.finfo(np.float64).tiny)
+    across = offset - np.outer(offset @ along, along)
+    third = int(np.argmax(np.linalg.norm(across, axis=1)))
+    sideways = across[third] / max(float(np.linalg.norm(across[third])), np.finfo(np.float64).tiny)
+    height = offset @ np.cross(along, sideways)
+    fourth = int(np.argmax(np.abs(height)))
+    if abs(height[fourth]) <= tolerance:
+        raise ValueError(
+            f"points must span a volume, got {len(points)} that lie in a plane within {tolerance:.3g} u"
+        )
+    if height[fourth] < 0.0:
+        second, third = third, second
+    return np.array([first, second, third, fourth])
+
+
+def _grow(points: FloatArray, start: NDArray[np.int64], tolerance: float) -> NDArray[np.int64]:
+    """Grow the tetrahedron ``start`` until no point stands out above the tolerance; triangles (T, 3)."""
+    a, b, c, apex = start.tolist()
+    triangles = np.array([[a, c, b], [a, b, apex], [b, c, apex], [c, a, apex]])
+    normals, offsets = _planes(points, triangles)
+    # Every waiting point is assigned to the triangle it stands above the most. Only the points of triangles
+    # that are removed need to look again, and only at the triangles that replace them.
+    waiting = np.setdiff1d(np.arange(len(points)), start)
+    heights = points[waiting] @ normals.T - offsets
+    owner, height = heights.argmax(axis=1), heights.max(axis=1)
+    while True:
+        outside = height > tolerance
+        waiting, owner, height = waiting[outside], owner[outside], height[outside]
+        if not waiting.size:
+            return triangles
+        slot = int(np.argmax(height))
+        apex = int(waiting[slot])
+        visible = normals @ points[apex] - offsets > tolerance
+        visible[owner[slot]] = True  # even if this product rounds otherwise than the one before
+        rim = _rim(triangles[visible], len(points))
+        fresh = np.column_stack([rim, np.full(len(rim), apex)])
+        fresh_normals, fresh_offsets = _planes(points, fresh)
+
+        orphan = np.flatnonzero(visible[owner])
+        kept = ~visible
+        owner = (np.cumsum(kept) - 1)[owner]
+        heights = points[waiting[orphan]] @ fresh_normals.T - fresh_offsets
+        owner[orphan] = kept.sum() + heights.argmax(axis=1)
+        height[orphan] = heights.max(axis=1)
+        height[slot] = -np.inf  # it is a corner now, whatever rounding says
+        triangles = np.concatenate([triangles[kept], fresh])
+        normals = np.concatenate([normals[kept], fresh_normals])
+        offsets = np.concatenate([offsets[kept], fresh_offsets])
+
+
+def _rim(triangles: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Directed edges (k, 2) of the triangles that no other of the triangles runs along backwards."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    outer = ~np.isin(start * count + end, end * count + start)
+    return np.column_stack([start[outer], end[outer]])
+
+
+def _planes(points: FloatArray, triangles: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Outward unit normals (T, 3) and offsets (T,) of the planes of the triangles."""
+    normals = triangle_normals(points, triangles)
+    return normals, np.einsum("ij,ij->i", normals, points[triangles].mean(axis=1))
+
+
+def _is_hull(points: FloatArray, triangles: NDArray[np.int64], tolerance: float) -> bool:
+    """Whether the triangles close like a sphere, with every point inside within ten tolerances."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    forward = np.unique(start * len(points) + end)
+    backward = np.unique(end * len(points) + start)
+    if len(forward) != len(start) or not np.array_equal(forward, backward):
+        return False
+    # Euler's formula V - E + F = 2, where a closed surface has E = 3 F / 2.
+    if len(np.unique(triangles)) - len(triangles) // 2 != 2:
+        return False
+    normals, offsets = _planes(points, triangles)
+    if not normals.any(axis=1).all():
+        return False
+    return all(
+        (points @ normal <= offset + 10.0 * tolerance).all()
+        for normal, offset in zip(normals, offsets, strict=True)
+    )

@@ -1,0 +1,437 @@
+"""Ready-made meshes: spheres, boxes, arrows, discs and rings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spatula_env.render.camera import to_vector
+from spatula_env.render.palette import FORCE, GOAL, STEEL, Color
+from spatula_env.render.primitives import BRUSHED_STEEL, MATTE, Material, Mesh, perpendicular_axes
+
+
+def sphere_mesh(
+    centers: ArrayLike,
+    radius: float,
+    *,
+    color: Color = GOAL,
+    colors: ArrayLike | None = None,
+    subdivisions: int = 2,
+    opacity: float = 1.0,
+    material: Material = MATTE,
+    casts_shadow: bool = True,
+) -> Mesh:
+    """One sphere or many equal ones, such as markers of contact nodes.
+
+    Args:
+        centers: u (3,) or (N, 3).
+        radius: u, above zero.
+        color: of all spheres.
+        colors: (N, 3), one for each sphere, instead of `color`.
+        subdivisions: 0..4 splits of an icosahedron, 20 * 4**subdivisions triangles each.
+        opacity: 0..1.
+        material: of the surface.
+        casts_shadow: onto the ground and other meshes.
+
+    Returns:
+        One mesh.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    _check_length(radius, "radius")
+    if not 0 <= subdivisions <= 4:
+        raise ValueError(f"subdivisions must be in 0..4, got {subdivisions}")
+    middles = np.atleast_2d(np.asarray(centers, dtype=np.float64))
+    if middles.shape[-1:] != (3,) or middles.ndim != 2:
+        raise ValueError(f"centers must have the shape (3,) or (N, 3), got {np.shape(centers)}")
+    unit, faces = _icosphere(subdivisions)
+    vertices = (middles[:, None, :] + radius * unit).reshape(-1, 3)
+    triangles = (faces + len(unit) * np.arange(len(middles))[:, None, None]).reshape(-1, 3)
+    vertex_colors = None
+    if colors is not None:
+        shades = np.asarray(colors, dtype=np.float64)
+        if shades.shape != middles.shape:
+            raise ValueError(f"colors must have the shape {middles.shape}, got {shades.shape}")
+        vertex_colors = np.repeat(shades, len(unit), axis=0)
+    return Mesh(
+        vertices,
+        triangles.astype(np.int32),
+        color=color,
+        vertex_colors=vertex_colors,
+        opacity=opacity,
+        material=material,
+        casts_shadow=casts_shadow,
+    )
+
+
+def box_mesh(
+    size: ArrayLike,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    *,
+    bevel: float = 0.0,
+    color: Color = STEEL,
+    opacity: float = 1.0,
+    material: Material = BRUSHED_STEEL,
+    casts_shadow: bool = True,
+) -> Mesh:
+    """A box, such as the spatula.
+
+    Args:
+        size: edge lengths, u (3,), above zero.
+        position: of its centre, u (3,).
+        orientation: quaternion (x, y, z, w), any length but zero.
+        bevel: width by which edges and corners are cut at 45 degrees, u; at most half the shortest edge.
+        color: of the surface.
+        opacity: 0..1.
+        material: of the surface; brush marks run along the box's x axis.
+        casts_shadow: onto the ground and other meshes.
+
+    Returns:
+        A flat-shaded mesh of 12 triangles, or of 44 with a bevel.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    half = 0.5 * np.asarray(to_vector(size, "size"))
+    if not bool(np.all(half > 0.0)):
+        raise ValueError(f"size must be above zero, got {size!r}")
+    if not 0.0 <= bevel <= float(half.min()):
+        raise ValueError(f"bevel must be in 0..{half.min()} (half the shortest edge), got {bevel}")
+    if bevel > 0.0:
+        corners, triangles = _bevelled_box()
+        # A corner's vertex on the face of axis k keeps its whole length along k and loses the bevel elsewhere.
+        on_face = np.tile(np.eye(3), (8, 1))
+        local = corners * (half - bevel * (1.0 - on_face))
+    else:
+        corners, triangles = _plain_box()
+        local = corners * half
+    rotation = quaternion_matrix(orientation)
+    vertices = np.asarray(to_vector(position, "position")) + local @ rotation.T
+    return Mesh(
+        vertices,
+        triangles,
+        color=color,
+        opacity=opacity,
+        smooth=False,
+        material=material,
+        texture=local,
+        casts_shadow=casts_shadow,
+    )
+
+
+def arrow_mesh(
+    start: ArrayLike,
+    vector: ArrayLike,
+    *,
+    width: float = 0.12,
+    color: Color = FORCE,
+    opacity: float = 1.0,
+    sides: int = 24,
+    material: Material = MATTE,
+    casts_shadow: bool = True,
+) -> Mesh:
+    """An arrow, such as a force.
+
+    Args:
+        start: of the shaft, u (3,).
+        vector: from the start to the tip, u (3,). A zero vector gives a mesh without triangles.
+        width: of the shaft, u, above zero. The head is 2.4 times as wide; a short arrow is all head.
+        color: of the surface.
+        opacity: 0..1.
+        sides: around the shaft, 3 or more.
+        material: of the surface.
+        casts_shadow: onto the ground and other meshes.
+
+    Returns:
+        A closed mesh.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    _check_length(width, "width")
+    _check_sides(sides)
+    foot = np.asarray(to_vector(start, "start"))
+    along = np.asarray(to_vector(vector, "vector"))
+    length = float(np.linalg.norm(along))
+    if length < 1e-9:
+        empty = np.zeros((0, 3), dtype=np.int32)
+        return Mesh(foot[None], empty, color=color, opacity=opacity, material=material)
+    head = 1.2 * width
+    tip = min(3.2 * width, length)
+    # A head that does not fit is made smaller as a whole, so that a small force is a small arrow.
+    scale = tip / (3.2 * width)
+    shaft, head = 0.5 * width * scale, head * scale
+    profile = [(0.0, 0.0), (shaft, 0.0), (shaft, length - tip), (head, length - tip), (0.0, length)]
+    vertices, triangles = _revolve(profile, sides)
+    frame = np.stack(perpendicular_axes(along))
+    return Mesh(
+        foot + vertices @ frame,
+        triangles,
+        color=color,
+        opacity=opacity,
+        material=material,
+        casts_shadow=casts_shadow,
+    )
+
+
+def disc_mesh(
+    center: ArrayLike,
+    radius: float,
+    normal: ArrayLike = (0.0, 0.0, 1.0),
+    *,
+    inner_radius: float = 0.0,
+    color: Color = GOAL,
+    opacity: float = 1.0,
+    sides: int = 48,
+    material: Material = MATTE,
+) -> Mesh:
+    """A flat disc, or a flat ring if `inner_radius` is above zero. It is two-sided and casts no shadow.
+
+    Args:
+        center: u (3,).
+        radius: outer radius, u, above zero.
+        normal: of its plane (3,), any length but zero.
+        inner_radius: u, in 0..radius, below `radius`.
+        color: of the surface.
+        opacity: 0..1.
+        sides: around it, 3 or more.
+        material: of the surface.
+
+    Returns:
+        An open mesh.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    _check_length(radius, "radius")
+    _check_sides(sides)
+    if not 0.0 <= inner_radius < radius:
+        raise ValueError(f"inner_radius must be in 0..{radius} and below it, got {inner_radius}")
+    vertices, triangles = _revolve([(radius, 0.0), (inner_radius, 0.0)], sides)
+    frame = np.stack(perpendicular_axes(normal))
+    return Mesh(
+        np.asarray(to_vector(center, "center")) + vertices @ frame,
+        triangles,
+        color=color,
+        opacity=opacity,
+        two_sided=True,
+        material=material,
+        casts_shadow=False,
+    )
+
+
+def ring_mesh(
+    center: ArrayLike,
+    radius: float,
+    normal: ArrayLike = (0.0, 0.0, 1.0),
+    *,
+    width: float = 0.08,
+    color: Color = GOAL,
+    opacity: float = 1.0,
+    sides: int = 48,
+    material: Material = MATTE,
+    casts_shadow: bool = True,
+) -> Mesh:
+    """A torus, such as the ring around a goal.
+
+    Args:
+        center: u (3,).
+        radius: of the tube's middle line, u, above zero.
+        normal: of its plane (3,), any length but zero.
+        width: of the tube, u, above zero and below twice the radius.
+        color: of the surface.
+        opacity: 0..1.
+        sides: around the ring, 3 or more.
+        material: of the surface.
+        casts_shadow: onto the ground and other meshes.
+
+    Returns:
+        A closed mesh.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    _check_length(radius, "radius")
+    _check_sides(sides)
+    if not 0.0 < width < 2.0 * radius:
+        raise ValueError(f"width must be above zero and below twice the radius, got {width}")
+    around = 10
+    turn = 2.0 * np.pi * np.arange(sides)[:, None] / sides
+    roll = 2.0 * np.pi * np.arange(around)[None, :] / around
+    reach = radius + 0.5 * width * np.cos(roll)
+    vertices = np.stack(
+        [reach * np.cos(turn), reach * np.sin(turn), 0.5 * width * np.sin(roll) + 0.0 * turn], axis=-1
+    ).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(sides), np.arange(around), indexing="ij")
+    i_next, j_next = (i + 1) % sides, (j + 1) % around
+    a, b = i * around + j, i_next * around + j
+    c, d = i_next * around + j_next, i * around + j_next
+    triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
+    frame = np.stack(perpendicular_axes(normal))
+    return Mesh(
+        np.asarray(to_vector(center, "center")) + vertices @ frame,
+        triangles.astype(np.int32),
+        color=color,
+        opacity=opacity,
+        material=material,
+        casts_shadow=casts_shadow,
+    )
+
+
+def quaternion_matrix(orientation: ArrayLike) -> NDArray[np.float64]:
+    """The rotation matrix (3, 3) of a quaternion (x, y, z, w) of any length but zero."""
+    quaternion = np.asarray(orientation, dtype=np.float64)
+    if quaternion.shape != (4,) or not bool(np.all(np.isfinite(quaternion))):
+        raise ValueError(f"orientation must be four finite numbers (x, y, z, w), got {orientation!r}")
+    length = float(np.linalg.norm(quaternion))
+    if length < 1e-12:
+        raise ValueError("orientation must not be zero")
+    x, y, z, w = quaternion / length
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+@cache
+def _icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Unit icosphere: vertices (V, 3) and triangles (T, 3), read-only."""
+    if subdivisions == 0:
+        golden = (1.0 + math.sqrt(5.0)) / 2.0
+        corners = [(a, b * golden, 0.0) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
+        vertices = np.array([np.roll(corner, shift) for shift in range(3) for corner in corners])
+        vertices /= np.linalg.norm(vertices[0])
+        triangles = _hull_of_equal_edges(vertices)
+    else:
+        coarse, faces = _icosphere(subdivisions - 1)
+        points = list(coarse)
+        middles: dict[tuple[int, int], int] = {}
+
+        def middle(a: int, b: int) -> int:
+            key = (min(a, b), max(a, b))
+            if key not in middles:
+                middles[key] = len(points)
+                point = points[a] + points[b]
+                points.append(point / np.linalg.norm(point))
+            return middles[key]
+
+        rows = []
+        for a, b, c in faces.tolist():
+            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+            rows += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        vertices, triangles = np.array(points), np.array(rows, dtype=np.int32)
+    vertices.flags.writeable = False
+    triangles.flags.writeable = False
+    return vertices, triangles
+
+
+def _hull_of_equal_edges(vertices: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Faces of a convex body around the origin whose faces are triangles of one shortest edge length."""
+    distance = np.linalg.norm(vertices[:, None] - vertices[None], axis=-1)
+    near = np.abs(distance - distance[distance > 1e-9].min()) < 1e-6
+    rows = []
+    for a in range(len(vertices)):
+        for b in range(a + 1, len(vertices)):
+            for c in range(b + 1, len(vertices)):
+                if near[a, b] and near[b, c] and near[a, c]:
+                    outward = np.dot(np.cross(vertices[a], vertices[b]), vertices[c]) > 0.0
+                    rows.append((a, b, c) if outward else (a, c, b))
+    return np.array(rows, dtype=np.int32)
+
+
+@cache
+def _plain_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Corner signs (8, 3) and outward triangles (12, 3) of a box."""
+    corners = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    return corners, _wind_outwards(corners, _box_faces(corners))
+
+
+@cache
+def _bevelled_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Corner signs (24, 3), three vertices per corner, and outward triangles (44, 3) of a bevelled box.
+
+    Vertex 3 c + k is that of corner c on the face across axis k.
+    """
+    corners, _ = _plain_box()
+    signs = np.repeat(corners, 3, axis=0)
+    rows = [(3 * c, 3 * c + 1, 3 * c + 2) for c in range(8)]
+    # The faces themselves: what the plain box has, on the vertices of that face.
+    for a, b, c in _box_faces(corners).tolist():
+        same = (corners[a] == corners[b]) & (corners[b] == corners[c])
+        k = int(np.argmax(same))
+        rows.append((3 * a + k, 3 * b + k, 3 * c + k))
+    # One strip along each edge, between its two faces.
+    for a in range(8):
+        for b in range(a + 1, 8):
+            differs = corners[a] != corners[b]
+            if differs.sum() == 1:
+                k, m = (int(axis) for axis in np.flatnonzero(~differs))
+                rows += [(3 * a + k, 3 * b + k, 3 * b + m), (3 * a + k, 3 * b + m, 3 * a + m)]
+    # Winding is decided on a box with a real bevel.
+    inset = signs * (1.0 - 0.25 * (1.0 - np.tile(np.eye(3), (8, 1))))
+    return signs, _wind_outwards(inset, np.array(rows, dtype=np.int32))
+
+
+def _box_faces(corners: NDArray[np.float64]) -> NDArray[np.int32]:
+    rows = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            a, b, c, d = np.flatnonzero(corners[:, axis] == side).tolist()
+            # In this order a and d lie opposite each other.
+            rows += [(a, b, d), (a, d, c)]
+    return np.array(rows, dtype=np.int32)
+
+
+def _wind_outwards(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Turn the triangles of a body that is star-shaped about the origin counter-clockwise from outside."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
+    result = triangles.copy()
+    result[inwards] = result[inwards][:, ::-1]
+    return result
+
+
+def _revolve(
+    profile: Sequence[tuple[float, float]], sides: int
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Turn a profile of (radius, height) about the z axis.
+
+    Each piece has vertices of its own, so its ends stay sharp under smooth shading. Going up the profile, the outside
+    is away from the axis.
+    """
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    here = np.arange(sides)
+    after = (here + 1) % sides
+    vertices, triangles, start = [], [], 0
+    for (r0, z0), (r1, z1) in zip(profile[:-1], profile[1:], strict=True):
+        for radius, height in ((r0, z0), (r1, z1)):
+            vertices.append(np.column_stack([radius * circle, np.full(sides, height)]))
+        low, high = start + here, start + sides + here
+        low_next, high_next = start + after, start + sides + after
+        # At the axis one of the two triangles of a side has no area.
+        if r0 > 0.0:
+            triangles.append(np.stack([low, low_next, high_next if r1 > 0.0 else high], axis=1))
+        if r1 > 0.0:
+            triangles.append(np.stack([low, high_next, high], axis=1))
+        start += 2 * sides
+    return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
+
+
+def _check_length(value: float, name: str) -> None:
+    if not 0.0 < value < math.inf:
+        raise ValueError(f"{name} must be above zero and finite, got {value}")
+
+
+def _check_sides(sides: int) -> None:
+    if sides < 3:
+        raise ValueError(f"sides must be 3 or more, got {sides}")

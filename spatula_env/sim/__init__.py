@@ -1,0 +1,7 @@
+"""Time stepping: engines that integrate the organs, and the simulation that couples them with tools."""
+
+from __future__ import annotations
+
+from spatula_env.sim.simulation import Report, Simulation, SimulationDiverged, SimulationState
+
+__all__ = ["Report", "Simulation", "SimulationDiverged", "SimulationState"]

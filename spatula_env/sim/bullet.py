@@ -1,0 +1,273 @@
+"""PyBullet's classic soft world, as an engine.
+
+Facts about PyBullet 3.2.7 that shape this file. In the classic world (`resetSimulation(0)`) an external force on a
+node acts on it alone, in the next step; `resetMeshData` sets positions and leaves velocities; there is no call that
+reads or sets a velocity, but after a step a node's velocity is exactly its displacement over the time step. Meshes
+are read from a file in single precision, so positions are set again after loading. `saveState` ignores soft bodies.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import tempfile
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spatula_env.geometry.surface import vertex_areas
+from spatula_env.geometry.transforms import rotate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from spatula_env.geometry.meshes import Organ
+    from spatula_env.scenes import PlacedTool, Scene
+
+    FloatArray = NDArray[np.float64]
+
+SCRUB_SHIFT = float(2**20)
+"""Distance at which the product of a rounding error of a velocity and a time step vanishes beside a position [u]."""
+
+TOOL_TO_ORGAN_MASS = 1e6
+"""Mass of a tool that Bullet itself collides with, in organ masses: its velocity then changes only by rounding."""
+
+
+class BulletWorld:
+    """Soft bodies in PyBullet's classic soft world; see `world.SoftWorld`.
+
+    Bullet integrates the organs: gravity, links, bending. Ground and, except in `contact="bullet"`, tools are absent
+    from Bullet's world: contact with them is resolved by `spatula_env.contact`.
+    """
+
+    def __init__(self, scene: Scene, *, with_tools: bool = False) -> None:
+        """Load the scene's organs, at rest in their initial shape.
+
+        Args:
+            scene: What to load.
+            with_tools: Whether the tools are in Bullet's world, to be collided with by Bullet's own algorithm.
+
+        Raises:
+            RuntimeError: If PyBullet offers no further physics server.
+        """
+        import pybullet
+
+        self._bullet: Any = pybullet
+        self._client: int = pybullet.connect(pybullet.DIRECT)
+        if self._client < 0:
+            raise RuntimeError("PyBullet could not start another physics server; close() simulations no longer needed")
+        self._dt = scene.dt
+        self._gravity = scene.gravity
+        bullet, client = pybullet, self._client
+        bullet.resetSimulation(0, physicsClientId=client)
+        bullet.setTimeStep(scene.dt, physicsClientId=client)
+        bullet.setGravity(0.0, 0.0, -scene.gravity, physicsClientId=client)
+        self._bodies: list[int] = []
+        self._slices: list[slice] = []
+        masses: list[FloatArray] = []
+        positions: list[FloatArray] = []
+        start = 0
+        for placed in scene.organs:
+            self._bodies.append(self._load(placed.organ, placed.mass))
+            count = len(placed.organ.vertices)
+            self._slices.append(slice(start, start + count))
+            start += count
+            positions.append(placed.vertices)
+            masses.append(_node_masses(placed.organ, placed.mass))
+        self._masses: FloatArray = np.concatenate(masses)
+        self._inverse_masses: FloatArray = 1.0 / self._masses
+        for placed, body, part in zip(scene.organs, self._bodies, self._slices, strict=True):
+            for node in placed.fixed_nodes:
+                bullet.createSoftBodyAnchor(body, int(node), -1, -1, physicsClientId=client)
+                self._inverse_masses[part.start + node] = 0.0
+        self._count = start
+        self._unpack = [struct.Struct(f"{3 * (part.stop - part.start)}d") for part in self._slices]
+        self._positions: FloatArray = np.concatenate(positions)
+        self._velocities: FloatArray = np.zeros_like(self._positions)
+        self._rows: list[list[Any]] = [[] for _ in self._bodies]
+        self._force_scale = self._masses / self._dt
+        self._initial = self._positions.copy()
+        self._everything = np.arange(self._count)
+        self._wanted: FloatArray | None = None
+        self.tools = BulletTools(bullet, client, scene) if with_tools else None
+        self.set_state(self._positions, self._velocities)
+
+    def _load(self, organ: Organ, mass: float) -> int:
+        """Hand a surface to PyBullet through a file, the only way it takes one."""
+        handle, name = tempfile.mkstemp(suffix=".obj", prefix="spatula_env-")
+        try:
+            with os.fdopen(handle, "w", encoding="ascii") as file:
+                file.writelines(f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in organ.vertices)
+                file.writelines(f"f {a} {b} {c}\n" for a, b, c in organ.triangles + 1)
+            body: int = self._bullet.loadSoftBody(
+                name, mass=mass, useMassSpring=1, useBendingSprings=1, physicsClientId=self._client
+            )
+        finally:
+            Path(name).unlink()
+        count, _ = self._bullet.getMeshData(
+            body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=self._client
+        )
+        if count != len(organ.vertices):
+            raise RuntimeError(f"PyBullet made {count} nodes of the {len(organ.vertices)} of organ {organ.name!r}")
+        return body
+
+    @property
+    def inverse_masses(self) -> FloatArray:
+        """(V,) of the nodes [1/kg]; zero for a node that is held fixed."""
+        return self._inverse_masses
+
+    def step(self, velocity_changes: FloatArray, changed: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """See `world.SoftWorld.step`."""
+        bullet, client = self._bullet, self._client
+        if self._wanted is not None:
+            self._push(self._wanted - self._velocities + velocity_changes, self._everything)
+            self._wanted = None
+        elif len(changed):
+            self._push(velocity_changes, changed)
+        bullet.stepSimulation(client)
+        before = self._positions
+        positions = np.empty_like(before)
+        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
+            rows = bullet.getMeshData(body, -1, flags=bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=client)[1]
+            self._rows[index] = rows
+            # struct is the fastest way from nested tuples to an array: a third of the time of numpy.array.
+            self._unpack[index].pack_into(positions[part], 0, *chain.from_iterable(rows))
+        self._positions = positions
+        self._velocities = (positions - before) / self._dt
+        return positions.copy(), self._velocities.copy()
+
+    def _push(self, velocity_changes: FloatArray, changed: NDArray[np.intp]) -> None:
+        """Apply forces that change velocities by so much within one step."""
+        push, client, frame = self._bullet.applyExternalForce, self._client, self._bullet.WORLD_FRAME
+        forces = (velocity_changes[changed] * self._force_scale[changed, None]).tolist()
+        nodes = changed.tolist()
+        if len(self._bodies) == 1:
+            body = self._bodies[0]
+            for node, force in zip(nodes, forces, strict=True):
+                push(body, node, force, (0.0, 0.0, 0.0), frame, client)
+            return
+        for node, force in zip(nodes, forces, strict=True):
+            index = next(k for k, part in enumerate(self._slices) if node < part.stop)
+            push(self._bodies[index], node - self._slices[index].start, force, (0.0, 0.0, 0.0), frame, client)
+
+    def move_nodes(self, positions: FloatArray, changed: NDArray[np.intp]) -> None:
+        """See `world.SoftWorld.move_nodes`."""
+        if not len(changed):
+            return
+        self._positions[changed] = positions[changed]
+        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
+            inside = changed[(changed >= part.start) & (changed < part.stop)]
+            if len(inside):
+                # Only the moved rows are converted; the others are the tuples that Bullet gave.
+                rows = list(self._rows[index])
+                for node, row in zip((inside - part.start).tolist(), positions[inside].tolist(), strict=True):
+                    rows[node] = row
+                self._write(body, rows)
+
+    def _write(self, body: int, rows: Sequence[Any]) -> None:
+        self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
+
+    def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:
+        """See `world.SoftWorld.set_state`.
+
+        Bullet's velocities cannot be set, only changed by forces, and a velocity that is changed to the wanted one
+        keeps a rounding error that depends on what it was. So the bodies first make one step far away, without
+        gravity and with their velocities cancelled: there the leftover times the time step is too small to change a
+        position, the step's outcome is the same whatever was before, and so is the velocity that it leaves.
+        """
+        bullet, client = self._bullet, self._client
+        far = self._initial + SCRUB_SHIFT
+        self._push(-self._velocities, self._everything)
+        for body, part in zip(self._bodies, self._slices, strict=True):
+            self._write(body, far[part].tolist())
+        bullet.setGravity(0.0, 0.0, 0.0, physicsClientId=client)
+        bullet.stepSimulation(client)
+        bullet.setGravity(0.0, 0.0, -self._gravity, physicsClientId=client)
+        velocities_left = np.empty_like(far)
+        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
+            rows = bullet.getMeshData(body, -1, flags=bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=client)[1]
+            velocities_left[part] = (np.array(rows) - far[part]) / self._dt
+        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
+            self._rows[index] = positions[part].tolist()
+            self._write(body, self._rows[index])
+        self._positions = np.array(positions)
+        self._velocities = velocities_left
+        self._wanted = np.array(velocities)
+
+    def close(self) -> None:
+        """See `world.SoftWorld.close`."""
+        if self._client >= 0:
+            self._bullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+
+def _node_masses(organ: Organ, mass: float) -> FloatArray:
+    """Bullet's distribution of a soft body's mass: by the area of the triangles around each node."""
+    areas = vertex_areas(organ.vertices, organ.triangles)
+    return areas * (mass / areas.sum())
+
+
+class BulletTools:
+    """The scene's tools as rigid bodies in Bullet's world, for `contact="bullet"`.
+
+    A tool is a free body far heavier than the organs, put in place with its velocity before each step. Bullet's
+    contacts then move it as they would move a kinematic body, and what little they change its velocity tells the
+    impulse, which Bullet reports nowhere.
+    """
+
+    def __init__(self, bullet: Any, client: int, scene: Scene) -> None:
+        """Create the scene's tools."""
+        self._bullet, self._client = bullet, client
+        self._dt, self._gravity = scene.dt, np.array([0.0, 0.0, -scene.gravity])
+        self._mass = TOOL_TO_ORGAN_MASS * sum(placed.mass for placed in scene.organs)
+        self._bodies = [self._create(placed) for placed in scene.tools]
+        self._inertia = [np.array(bullet.getDynamicsInfo(body, -1, client)[2]) for body in self._bodies]
+
+    def _create(self, placed: PlacedTool) -> int:
+        bullet, client, tool = self._bullet, self._client, placed.tool
+        half = 0.5 * tool.size
+        if len(tool.vertices) == 8 and np.allclose(np.abs(tool.vertices), half, rtol=0.0, atol=1e-12):
+            shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=half.tolist(), physicsClientId=client)
+        else:
+            shape = bullet.createCollisionShape(
+                bullet.GEOM_MESH, vertices=tool.vertices.tolist(), physicsClientId=client
+            )
+        body: int = bullet.createMultiBody(self._mass, shape, useMaximalCoordinates=1, physicsClientId=client)
+        bullet.changeDynamics(
+            body, -1, linearDamping=0.0, angularDamping=0.0, lateralFriction=placed.friction, physicsClientId=client
+        )
+        return body
+
+    def place(self, index: int, position: FloatArray, orientation: FloatArray) -> None:
+        """Put a tool somewhere, at rest."""
+        self._bullet.resetBasePositionAndOrientation(
+            self._bodies[index], position.tolist(), orientation.tolist(), physicsClientId=self._client
+        )
+
+    def move(
+        self, index: int, position: FloatArray, orientation: FloatArray, linear: FloatArray, angular: FloatArray
+    ) -> None:
+        """Give a tool the pose that it has at the end of the coming step, and its velocity."""
+        self.place(index, position, orientation)
+        # Gravity acts on the tool too; what it will add is taken off beforehand.
+        self._bullet.resetBaseVelocity(
+            self._bodies[index],
+            (linear - self._gravity * self._dt).tolist(),
+            angular.tolist(),
+            physicsClientId=self._client,
+        )
+
+    def impulse(self, index: int, linear: FloatArray, angular: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Linear [kg u/s] and angular [kg u2/s] impulse that contacts gave a tool in the last step."""
+        after_linear, after_angular = self._bullet.getBaseVelocity(self._bodies[index], physicsClientId=self._client)
+        orientation = self._bullet.getBasePositionAndOrientation(self._bodies[index], physicsClientId=self._client)[1]
+        inverse = np.array([-1.0, -1.0, -1.0, 1.0])
+        turned = rotate(np.asarray(orientation) * inverse, np.subtract(after_angular, angular))
+        return (
+            self._mass * np.subtract(after_linear, linear),
+            rotate(np.asarray(orientation), self._inertia[index] * turned),
+        )

@@ -1,0 +1,414 @@
+"""One physics step: move the tools, step the organs, detect contacts, respond."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from spatula_env.contact.model import ContactModel, Motion, Wrench
+from spatula_env.geometry.transforms import as_quaternion, as_vector3, integrate_rotation
+from spatula_env.sim.bullet import BulletWorld
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from spatula_env.contact.flags import Contacts, FirstStep
+    from spatula_env.scenes import Scale, Scene
+
+    FloatArray = NDArray[np.float64]
+
+ContactName = Literal["flags", "second_step", "bullet"]
+"""What resolves contact between tools and organs; see `Simulation`."""
+
+ENGINES = ("bullet",)
+"""What can integrate the organs."""
+
+SETTLED_SPEED = 1e-3
+"""An organ none of whose nodes is faster is at rest [u/s]."""
+
+LONGEST_SETTLING = 4.0
+"""Settling ends after this time even if something still moves [s]."""
+
+
+class SimulationDiverged(RuntimeError):
+    """Positions are no longer finite; reset() or restore() makes the simulation usable again."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What happened in one step, in scene units.
+
+    Attributes:
+        wrenches: What the organs do to each tool, averaged over the step.
+        nodal_impulses: (V, 3) what the tools gave the organs' nodes [kg u/s]; NaN with `contact="bullet"`, where
+            Bullet does not tell.
+        ground_force: (3,) what the ground does to the organs, averaged over the step [kg u/s2].
+        contacts: What the detector of the first tool and the first organ found, before correction.
+        all_contacts: The same for each tool (outer) and organ (inner).
+        penetration: Greatest depth of a contact node before correction [u].
+        residual: Greatest violation of a contact constraint after correction [u].
+        path_parts: Into how many parts the tools' paths were divided so that nothing was jumped over.
+        scale: From scene units to SI.
+    """
+
+    wrenches: tuple[Wrench, ...]
+    nodal_impulses: FloatArray
+    ground_force: FloatArray
+    contacts: Contacts
+    all_contacts: tuple[tuple[Contacts, ...], ...]
+    penetration: float
+    residual: float
+    path_parts: int
+    scale: Scale
+
+    @property
+    def force(self) -> FloatArray:
+        """(3,) what the organs do to the first tool, averaged over the step [kg u/s2]."""
+        return self.wrenches[0].force
+
+    @property
+    def torque(self) -> FloatArray:
+        """(3,) about the first tool's origin, world frame [kg u2/s2]."""
+        return self.wrenches[0].torque
+
+    @property
+    def force_newtons(self) -> FloatArray:
+        """(3,) `force` in newtons."""
+        return self.force * self.scale.force
+
+    @property
+    def torque_newton_metres(self) -> FloatArray:
+        """(3,) `torque` in newton-metres."""
+        return self.torque * self.scale.torque
+
+
+@dataclass(frozen=True)
+class SimulationState:
+    """All that decides how a simulation goes on; made by `Simulation.save`.
+
+    Attributes:
+        nodes: (V, 3) [u].
+        node_velocities: (V, 3) [u/s].
+        tool_positions: (N, 3) of the N tools [u].
+        tool_orientations: (N, 4).
+        flags: Of each tool (outer) and organ (inner).
+        time: [s].
+    """
+
+    nodes: FloatArray
+    node_velocities: FloatArray
+    tool_positions: FloatArray
+    tool_orientations: FloatArray
+    flags: tuple[tuple[NDArray[np.bool_], ...], ...]
+    time: float
+
+
+class Simulation:
+    """Soft organs, rigid tools that move as they are told, and contact between them.
+
+    Everything is in scene units: lengths in u, masses in kg, seconds; `scene.scale` leads to SI.
+
+    Example:
+        >>> from spatula_env import Simulation, scenes
+        >>> simulation = Simulation(scenes.seed())
+        >>> simulation.reset(seed=0)
+        >>> report = simulation.step(linear_velocity=(0.0, 0.0, -5.0))
+        >>> simulation.close()
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        engine: str = "bullet",
+        contact: ContactName = "flags",
+        first_step: FirstStep = "inside",
+    ) -> None:
+        """Load a scene and let its organs come to rest.
+
+        Args:
+            scene: What is in it.
+            engine: What integrates the organs: "bullet".
+            contact: "flags": the flags method with both its steps. "second_step": without the first step, so that
+                both faces of a thin tool push. "bullet": PyBullet's own collision algorithm; the detector only
+                watches.
+            first_step: What the flags method's first step looks for, "inside" or "any_hit"; see `FlaggedDetector`.
+
+        Raises:
+            ValueError: If `engine`, `contact` or `first_step` is not one of those.
+        """
+        if engine not in ENGINES:
+            raise ValueError(f"engine must be one of {list(ENGINES)}, got {engine!r}")
+        if contact not in get_args(ContactName):
+            raise ValueError(f"contact must be one of {list(get_args(ContactName))}, got {contact!r}")
+        self.scene = scene
+        self.contact: ContactName = contact
+        self._closed = False
+        self._world = BulletWorld(scene, with_tools=contact == "bullet")
+        self._model = ContactModel(
+            scene, self._world.inverse_masses, "off" if contact == "second_step" else first_step
+        )
+        starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
+        self._triangles = np.concatenate(
+            [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
+        ).astype(np.int32)
+        self._nodes: FloatArray = np.concatenate([placed.vertices for placed in scene.organs])
+        self._velocities: FloatArray = np.zeros_like(self._nodes)
+        self._velocity_changes: FloatArray = np.zeros_like(self._nodes)
+        self._changed: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        self._tool_positions: FloatArray = np.zeros((len(scene.tools), 3))
+        self._tool_orientations: FloatArray = np.zeros((len(scene.tools), 4))
+        self._time = 0.0
+        self._rest: FloatArray | None = None
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> None:
+        """Start again: organs at rest, tools where the scene has them, no contact, time zero.
+
+        Args:
+            seed: Accepted so that callers can pass theirs on. Nothing in a simulation is random: two resets, and
+                two simulations of one scene, go on identically to the last bit.
+        """
+        self._check_open()
+        if self._rest is None:
+            self._rest = self._settle()
+        self._set_nodes(self._rest, np.zeros_like(self._rest))
+        for index, placed in enumerate(self.scene.tools):
+            self.place_tool(placed.position, placed.orientation, index=index)
+        self._model.reset()
+        self._time = 0.0
+
+    def place_tool(
+        self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0
+    ) -> None:
+        """Put a tool somewhere at once. Its flags are cleared and the organs feel nothing of the way.
+
+        Args:
+            position: (3,) [u].
+            orientation: (4,) unit quaternion xyzw.
+            index: Which tool.
+
+        Raises:
+            ValueError: If an argument is malformed or not finite; the tool then stays where it was.
+        """
+        self._check_open()
+        new_position, new_orientation = as_vector3(position, "position"), as_quaternion(orientation, "orientation")
+        self._tool_positions[index] = new_position
+        self._tool_orientations[index] = new_orientation
+        self._model.forget(index)
+        if self._world.tools is not None:
+            self._world.tools.place(index, new_position, new_orientation)
+
+    def step(
+        self, linear_velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> Report:
+        """Advance by one physics step of `dt`, the tools moving with constant velocity.
+
+        Args:
+            linear_velocity: (3,) for all tools, or (N, 3) for each [u/s].
+            angular_velocity: (3,) or (N, 3), world frame [rad/s].
+
+        Returns:
+            What happened.
+
+        Raises:
+            ValueError: If a velocity is malformed or not finite; nothing has then changed.
+            SimulationDiverged: If positions are no longer finite.
+        """
+        self._check_open()
+        shape = self._tool_positions.shape
+        linear = _as_velocities(linear_velocity, "linear_velocity", shape)
+        angular = _as_velocities(angular_velocity, "angular_velocity", shape)
+        motions = [self._move_tool(index, linear[index], angular[index]) for index in range(shape[0])]
+        tools = self._world.tools
+        if tools is not None:
+            for index, motion in enumerate(motions):
+                tools.move(index, motion.position, motion.orientation, linear[index], angular[index])
+        wrenches = self._advance(motions, respond=tools is None)
+        if tools is not None:
+            wrenches = []
+            for index, placed in enumerate(self.scene.tools):
+                impulse, moment = tools.impulse(index, linear[index], angular[index])
+                unknown = np.full((len(placed.tool.nodes), 3), np.nan)
+                wrenches.append(Wrench(impulse / self.dt, moment / self.dt, unknown))
+            self._model.nodal_impulses[:] = np.nan
+        for index, motion in enumerate(motions):
+            self._tool_positions[index] = motion.position
+            self._tool_orientations[index] = motion.orientation
+        self._time += self.dt
+        all_contacts = tuple(
+            tuple(detector.contacts for detector in row) for row in self._model.detectors
+        )
+        return Report(
+            wrenches=tuple(wrenches),
+            nodal_impulses=self._model.nodal_impulses.copy(),
+            ground_force=self._model.ground_force.copy(),
+            contacts=all_contacts[0][0],
+            all_contacts=all_contacts,
+            penetration=self._model.penetration,
+            residual=self._model.residual,
+            path_parts=self._model.path_parts,
+            scale=self.scene.scale,
+        )
+
+    def save(self) -> SimulationState:
+        """Everything needed to go on from here later, as arrays of its own."""
+        self._check_open()
+        return SimulationState(
+            nodes=self._nodes.copy(),
+            node_velocities=self._velocities.copy(),
+            tool_positions=self._tool_positions.copy(),
+            tool_orientations=self._tool_orientations.copy(),
+            flags=tuple(tuple(detector.flags for detector in row) for row in self._model.detectors),
+            time=self._time,
+        )
+
+    def restore(self, state: SimulationState) -> None:
+        """Go back to a saved state, of this simulation or another of the same scene.
+
+        Args:
+            state: What `save` returned.
+
+        Raises:
+            ValueError: If the state is of a scene with other nodes or tools.
+        """
+        self._check_open()
+        for name, mine in (("nodes", self._nodes), ("tool_positions", self._tool_positions)):
+            theirs = getattr(state, name).shape
+            if theirs != mine.shape:
+                raise ValueError(f"state must have {name} of shape {mine.shape}, got {theirs}")
+        self._model.reset()
+        for index in range(len(self._tool_positions)):
+            self.place_tool(state.tool_positions[index], state.tool_orientations[index], index=index)
+        for row, saved in zip(self._model.detectors, state.flags, strict=True):
+            for detector, flags in zip(row, saved, strict=True):
+                detector.flags = flags
+        self._set_nodes(state.nodes, state.node_velocities)
+        self._time = state.time
+
+    def close(self) -> None:
+        """Free the engine. Closing twice is allowed; anything else afterwards is a RuntimeError."""
+        self._world.close()
+        self._closed = True
+
+    @property
+    def nodes(self) -> FloatArray:
+        """(V, 3) positions of all organs' nodes (a copy) [u]."""
+        return self._nodes.copy()
+
+    @property
+    def node_velocities(self) -> FloatArray:
+        """(V, 3) velocities of all organs' nodes, contact impulses included (a copy) [u/s]."""
+        return self._velocities.copy()
+
+    @property
+    def node_masses(self) -> FloatArray:
+        """(V,) masses of all organs' nodes [kg]; infinite for a fixed node."""
+        with np.errstate(divide="ignore"):
+            return 1.0 / self._world.inverse_masses
+
+    @property
+    def triangles(self) -> NDArray[np.int32]:
+        """(T, 3) of all organs, counter-clockwise from outside (a copy)."""
+        return self._triangles.copy()
+
+    @property
+    def tool_position(self) -> FloatArray:
+        """(3,) of the first tool (a copy) [u]."""
+        return self._tool_positions[0].copy()
+
+    @property
+    def tool_orientation(self) -> FloatArray:
+        """(4,) of the first tool, quaternion xyzw (a copy)."""
+        return self._tool_orientations[0].copy()
+
+    @property
+    def tool_positions(self) -> FloatArray:
+        """(N, 3) of all tools (a copy) [u]."""
+        return self._tool_positions.copy()
+
+    @property
+    def tool_orientations(self) -> FloatArray:
+        """(N, 4) of all tools (a copy)."""
+        return self._tool_orientations.copy()
+
+    @property
+    def dt(self) -> float:
+        """Length of a step [s]."""
+        return self.scene.dt
+
+    @property
+    def time(self) -> float:
+        """Since the reset [s]."""
+        return self._time
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise RuntimeError("this simulation is closed; make a new one")
+
+    def _move_tool(self, index: int, linear: FloatArray, angular: FloatArray) -> Motion:
+        position, orientation = self._tool_positions[index].copy(), self._tool_orientations[index].copy()
+        return Motion(
+            position=position + linear * self.dt,
+            orientation=integrate_rotation(orientation, angular, self.dt) if angular.any() else orientation,
+            start_position=position,
+            start_orientation=orientation,
+            linear_velocity=linear,
+            angular_velocity=angular,
+        )
+
+    def _advance(self, motions: list[Motion], *, respond: bool) -> list[Wrench]:
+        """Step the organs and resolve contact with the ground and, if `respond`, with the tools."""
+        start = self._nodes
+        nodes, free_velocities = self._world.step(self._velocity_changes, self._changed)
+        if not np.isfinite(nodes).all():
+            raise SimulationDiverged(f"positions are not finite after {self._time + self.dt:.4f} s")
+        corrected, velocities = nodes.copy(), free_velocities.copy()
+        wrenches = self._model.resolve(start, corrected, velocities, motions if respond else [])
+        if not respond:
+            self._model.observe(start, corrected, motions)
+        self._world.move_nodes(corrected, np.flatnonzero((corrected != nodes).any(axis=1)))
+        self._velocity_changes = velocities - free_velocities
+        self._changed = np.flatnonzero(self._velocity_changes.any(axis=1))
+        self._nodes, self._velocities = corrected, velocities
+        return wrenches
+
+    def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
+        self._nodes, self._velocities = nodes.copy(), velocities.copy()
+        self._velocity_changes = np.zeros_like(nodes)
+        self._changed = np.zeros(0, dtype=np.intp)
+        self._world.set_state(nodes, velocities)
+
+    def _settle(self) -> FloatArray:
+        """Let the organs come to rest on the ground, and return where their nodes are then.
+
+        Kinetic damping: whenever the kinetic energy has passed a maximum, all velocities are set to zero. That takes
+        the energy out of every mode of motion near its passage through equilibrium, slow ones and fast ones alike.
+        """
+        masses = np.where(np.isfinite(self.node_masses), self.node_masses, 0.0)
+        energy_before = 0.0
+        for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
+            self._advance([], respond=True)
+            energy = float(masses @ (self._velocities**2).sum(axis=1))
+            if energy < energy_before:
+                if np.abs(self._velocities).max() < SETTLED_SPEED:
+                    break
+                self._set_nodes(self._nodes, np.zeros_like(self._nodes))
+                energy = 0.0
+            energy_before = energy
+        return self._nodes
+
+
+def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> FloatArray:
+    """A velocity for each tool (N, 3), from one for all (3,) or one for each."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be numbers, got {value!r}") from error
+    if array.shape not in ((3,), shape):
+        raise ValueError(f"{name} must have shape (3,) or {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array.tolist()}")
+    return np.broadcast_to(array, shape).copy()

@@ -1,0 +1,46 @@
+"""What an engine must offer to be stepped by `Simulation`."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class SoftWorld(Protocol):
+    """Soft bodies that fall, stretch and swing, on their own: contact with tools and ground is not its business.
+
+    The bodies' nodes are counted through, body after body, V in all. Positions are in scene units [u].
+    """
+
+    @property
+    def inverse_masses(self) -> FloatArray:
+        """(V,) of the nodes [1/kg]; zero for a node that is held fixed."""
+
+    def step(self, velocity_changes: FloatArray, changed: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Advance by one time step.
+
+        Args:
+            velocity_changes: (V, 3) added to the nodes' velocities before the step [u/s].
+            changed: Indices of the nodes whose entry is not zero.
+
+        Returns:
+            Positions (V, 3) [u] and velocities (V, 3) [u/s] at the end of the step; arrays of the caller's own.
+        """
+
+    def move_nodes(self, positions: FloatArray, changed: NDArray[np.intp]) -> None:
+        """Put nodes elsewhere, velocities as they are.
+
+        Args:
+            positions: (V, 3) of all nodes [u].
+            changed: Indices of those that differ from what `step` returned.
+        """
+
+    def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:
+        """Replace the state of all nodes; what follows depends on nothing that was before."""
+
+    def close(self) -> None:
+        """Free what the engine holds. Closing twice is allowed."""
