@@ -1,0 +1,55 @@
+"""Gymnasium environments for learning tool-tissue manipulation with a thin rigid spatula.
+
+Importing this package registers the environments; it loads no physics engine, no compiler and no learning
+library.
+
+Example:
+    >>> import gymnasium as gym
+    >>> import spatula_env
+    >>> env = gym.make("Spatula/Press-v0")
+    >>> observation, info = env.reset(seed=0)
+    >>> env.close()
+
+`Simulation` and `scenes` are the layer below: the physics, without Gymnasium.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from spatula_env import scenes
+    from spatula_env.sim.simulation import Simulation
+
+__version__ = "0.1.0"
+
+__all__ = ["Simulation", "__version__", "scenes"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the physics when it is first asked for."""
+    if name == "scenes":
+        return import_module("spatula_env.scenes")
+    if name == "Simulation":
+        return import_module("spatula_env.sim.simulation").Simulation
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def _register() -> None:
+    """Tell Gymnasium what there is. It finds nothing in packages that are not imported."""
+    if "Spatula/Press-v0" not in gymnasium.registry:
+        gymnasium.register(
+            id="Spatula/Press-v0",
+            entry_point="spatula_env.envs.press:PressEnv",
+            max_episode_steps=200,
+        )
+
+
+_register()

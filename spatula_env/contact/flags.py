@@ -169,7 +169,9 @@ def detect_contacts(
     if status != 0:
         return status
     node_count = nodes.shape[0]
-    flags, unfeasible, leading, remembered, decided = states[0], states[1], states[2], states[3], states[4]
+    flags, unfeasible, leading, remembered, decided, inside = (
+        states[0], states[1], states[2], states[3], states[4], states[5],
+    )  # fmt: skip
     for i in range(node_count):
         unfeasible[i] = False
         rx, ry, rz = turn(rotation, nodes[i])
@@ -185,6 +187,7 @@ def detect_contacts(
     limited = least_opposition > 0.0 or reach < np.inf
     for i in range(node_count):
         remembered[i] = flags[i]
+        inside[i] = hits[i, 0, 1] > 0
     for attempt in range(2 if limited else 1):
         refused, accepted = False, False
         for i in range(node_count):
@@ -292,7 +295,7 @@ class FlaggedDetector:
             columns.node_height,
         )
         # Rows: flags, unfeasible; and leading, remembered and decided, which serve one query.
-        self._states = np.zeros((5, count), dtype=np.bool_)
+        self._states = np.zeros((6, count), dtype=np.bool_)
         self._triangle = np.full(count, NO_HIT, dtype=np.int32)
         # Columns: barycentric 0-2, depth 3, normal 4-6, point 7-9.
         self._record = np.zeros((count, 10))

@@ -41,6 +41,7 @@ SUBSTEP_LENGTH = 0.5
 """Greatest relative motion of tool and organ between two queries, in thicknesses of the tool."""
 
 LO=0.25
+OP=0.35
 RS=1.0
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
@@ -183,9 +184,17 @@ class ContactModel:
         parts = self.path_parts = self._count_parts(start, vertices, motions)
         self.penetration = 0.0
         # With a divided path the organs' own motion is resolved first, against the tools where they were.
-        fractions = [1.0] if parts == 1 else [k / parts for k in range(parts + 1)]
-        reference, begin = start, 0.0
-        for end in fractions:
+        shift = vertices - start
+        near = 0.0
+        if motions: near=float(np.sqrt((shift**2).sum(axis=1).max()))
+        op = max(1, math.ceil(near / OP)) if motions else 1
+        schedule = [(k/op, 0.0, 0.0) for k in range(1, op)]
+        schedule += [(1.0, 0.0, 1.0)] if parts == 1 else [(1.0, 0.0, 0.0)] + [(1.0, k / parts, (k+1)/parts) for k in range(parts)]
+        if op > 1: vertices[:] = start
+        done=0.0
+        reference = start
+        for n_,(organ, begin, end) in enumerate(schedule):
+            if op > 1 and organ>done: vertices += (organ-done)*shift; done=organ
             self._detect(reference, vertices, motions, begin, end)
             self.penetration = max(self.penetration, self._deepest())
             self._constrain(vertices, motions, begin, end)
@@ -205,8 +214,8 @@ class ContactModel:
                 POSITION_SWEEPS,
                 POSITION_TOLERANCE,
             )
-            if end < 1.0:
-                reference, begin = vertices.copy(), end
+            if n_+1<len(schedule):
+                reference = vertices.copy()
         solve_velocities(
             constraints.count,
             constraints.corners,
@@ -349,15 +358,27 @@ def _local_shift(shift: FloatArray, vertices: FloatArray, position: FloatArray, 
 
 
 def _face_arrays(tool: Tool) -> tuple[NDArray[Any], ...]:
-    """A tool's faces as `add_surface_constraints` takes them: face, frames, bounds, heights, planes, offsets."""
-    frames, bounds, heights = [], [], []
-    for normal in tool.face_normals:
+    """A tool's faces as `add_surface_constraints` takes them, from `face` to `plane_offsets`."""
+    frames, bounds, heights, rims, slack = [], [], [], [], []
+    for face, normal in enumerate(tool.face_normals):
         frame = frame_along(normal)
         corners = tool.vertices @ frame.T
         height = corners[:, 2].max()
-        rim = corners[corners[:, 2] > height - 1e-9 * np.max(tool.size)]
+        rim = corners[corners[:, 2] > height - 1e-6 * np.max(tool.size)][:, :2]
         frames.append(frame)
         heights.append(height)
         bounds.append([rim[:, 0].min(), rim[:, 0].max(), rim[:, 1].min(), rim[:, 1].max()])
+        rims.append(rim)
+        slack.append(float(np.sqrt(tool.areas[tool.face == face].max())))
     normals, offsets = tool.planes
-    return (np.array(tool.face), np.array(frames), np.array(bounds), np.array(heights), np.array(normals), np.array(offsets))
+    return (
+        np.array(tool.face),
+        np.array(frames),
+        np.array(bounds),
+        np.array(heights),
+        np.array(slack),
+        np.concatenate(rims),
+        np.cumsum([0, *(len(rim) for rim in rims)]).astype(np.int32),
+        np.array(normals),
+        np.array(offsets),
+    )

@@ -19,6 +19,7 @@ from __future__ import annotations
 import numpy as np
 
 from spatula_env._kernels import inline_kernel, kernel
+from spatula_env.contact.raycast import line_meets_triangle
 from spatula_env.contact.rigid import dot, turn
 
 GROUND = -1
@@ -383,7 +384,8 @@ def _clip_to_face(
 
 
 @kernel(
-    "i8(i8, b1[:,::1], f8[:,::1], i4[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], i4[:,::1],"
+    "i8(i8, b1[:,::1], f8[:,::1], i4[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], i4[::1], f8[:,::1],"
+    " f8[::1], i4[:,::1],"
     " f8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i4, f8[:,::1], u1[::1], i4[:,::1],"
     " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i4[::1], i4[::1])"
 )
@@ -395,6 +397,9 @@ def add_surface_constraints(
     face_frames: np.ndarray,
     face_bounds: np.ndarray,
     face_heights: np.ndarray,
+    face_slack: np.ndarray,
+    face_corners: np.ndarray,
+    first_corner: np.ndarray,
     plane_normals: np.ndarray,
     plane_offsets: np.ndarray,
     triangles: np.ndarray,
@@ -423,10 +428,9 @@ def add_surface_constraints(
     """Append constraints where the organ's surface between the contact nodes has come through a face in contact.
 
     Over a flat face the organ's surface is a piecewise linear height; it is greatest at a corner of the face, at a
-    vertex of the organ over the face, or where an edge of the organ crosses the rim of the face. The corners of the
-    seed's faces have contact nodes. Each vertex and crossing that is behind the face's plane, but no deeper than the
-    face's deepest node, gets a constraint, so that nothing of the organ is left in the tool, however coarse the
-    contact nodes.
+    vertex of the organ over the face, or where an edge of the organ crosses the rim of the face. Each of these that
+    is behind the face's plane, but no deeper than the face's deepest node, gets a constraint, so that nothing of the
+    organ is left in the tool, however coarse the contact nodes.
 
     Args:
         count: Constraints already there.
@@ -436,6 +440,9 @@ def add_surface_constraints(
         face_frames: (F, 3, 3) rows u, v, w of the faces with nodes, w their outward normal, tool frame.
         face_bounds: (F, 4) least u, greatest u, least v, greatest v of each face [u].
         face_heights: (F,) w of each face [u].
+        face_slack: (F,) how much deeper than its deepest node a face may be in the organ [u].
+        face_corners: (K, 2) u and v of the corners of all faces, face after face [u].
+        first_corner: (F + 1,) index of each face's first corner, and their number.
         plane_normals: (P, 3) of all the tool's planes, tool frame.
         plane_offsets: (P,) normal . x on each plane [u].
         triangles: (T, 3) of the organ.
@@ -467,13 +474,17 @@ def add_surface_constraints(
     place = np.empty((3, 3))
     contact = np.empty(3)
     world_frame = np.empty((3, 3))
+    touching = False
+    for i in range(face.shape[0]):
+        touching = touching or states[5, i]
+    if not touching:
+        return count
     for f in range(face_frames.shape[0]):
         deepest = 0.0
         for i in range(face.shape[0]):
             if states[0, i] and face[i] == f:
                 deepest = max(deepest, record[i, 3])
-        if deepest <= 0.0:
-            continue
+        deepest += face_slack[f]
         first_of_face = count
         frame, height = face_frames[f], face_heights[f]
         for row in range(3):
@@ -507,6 +518,34 @@ def add_surface_constraints(
             if area >= 0.0 or area * area < 0.0625 * (px * px + py * py + area * area):
                 # This side of the organ faces away from the face.
                 continue
+            for corner in range(first_corner[f], first_corner[f + 1]):
+                facing, wa, wb, wc = line_meets_triangle(
+                    face_corners[corner, 0], face_corners[corner, 1],
+                    local[0, i], local[1, i], local[0, j], local[1, j], local[0, k], local[1, k],
+                )  # fmt: skip
+                depth = height - (wa * local[2, i] + wb * local[2, j] + wc * local[2, k])
+                if facing >= 0 or depth <= 0.0 or depth > deepest:
+                    continue
+                if count == friction.shape[0]:
+                    return -1
+                corners[count, 0], corners[count, 1], corners[count, 2] = (
+                    i + first_vertex,
+                    j + first_vertex,
+                    k + first_vertex,
+                )
+                weights[count, 0], weights[count, 1], weights[count, 2] = wa, wb, wc
+                for axis in range(3):
+                    contact[axis] = (
+                        frame[0, axis] * face_corners[corner, 0]
+                        + frame[1, axis] * face_corners[corner, 1]
+                        + frame[2, axis] * height
+                    )
+                _fill_plane(
+                    count, contact, frame[2], position, rotation, start_position, start_rotation,
+                    linear_velocity, angular_velocity, normal, point, carry, velocity,
+                )  # fmt: skip
+                friction[count], owner[count], node[count] = coefficient, tool, -1
+                count += 1
             for corner in range(3):
                 for axis in range(3):
                     place[corner, axis] = (

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 Color = tuple[float, float, float]
 """Red, green and blue in 0..1, sRGB-encoded."""
 
-TISSUE: Color = (0.82, 0.49, 0.47)
+TISSUE: Color = (0.83, 0.545, 0.53)
 """Outside of the organ."""
 TISSUE_INSIDE: Color = (0.66, 0.24, 0.25)
 """Inside of the organ, seen where it is cut away."""

@@ -23,11 +23,11 @@ Nothing here is compiled with fast-math, and no loop runs in parallel: equal inp
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from spatula_env._kernels import inline_kernel, kernel
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -117,16 +117,7 @@ def _noise_table() -> Floats:
 _NOISE = _noise_table()
 
 
-def _kernel(signature: str) -> Any:
-    """Compile at once for one signature, cached; NumPy's rules for division keep checks out of the loops."""
-    return njit(signature, cache=True, error_model="numpy")
-
-
-_helper = njit(error_model="numpy")
-"""Compile with the kernel that calls it."""
-
-
-@_kernel("void(f8[:,::1], i8, i8, f8[:,::1], f8[:,::1])")
+@kernel("void(f8[:,::1], i8, i8, f8[:,::1], f8[:,::1])")
 def place(points: Floats, first: int, last: int, matrix: Floats, out: Floats) -> None:
     """Apply an affine map (3, 4) to the points first..last."""
     for i in range(first, last):
@@ -135,7 +126,7 @@ def place(points: Floats, first: int, last: int, matrix: Floats, out: Floats) ->
             out[i, k] = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z + matrix[k, 3]
 
 
-@_helper
+@inline_kernel
 def _triangle_normal(points: Floats, triangles: Indices, t: int) -> tuple[float, float, float]:
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
@@ -143,7 +134,7 @@ def _triangle_normal(points: Floats, triangles: Indices, t: int) -> tuple[float,
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@_kernel("void(f8[:,::1], i4[:,::1], i8, i8, i8, i8, f8[:,::1])")
+@kernel("void(f8[:,::1], i4[:,::1], i8, i8, i8, i8, f8[:,::1])")
 def vertex_normals(
     points: Floats,
     triangles: Indices,
@@ -165,7 +156,7 @@ def vertex_normals(
             normals[i, 2] += nz
 
 
-@_helper
+@inline_kernel
 def _before(points: Floats, a: int, b: int) -> bool:
     """An order of two points that does not depend on which is named first."""
     for k in range(3):
@@ -174,7 +165,7 @@ def _before(points: Floats, a: int, b: int) -> bool:
     return a < b
 
 
-@_kernel("i8(i4[:,::1], i8, i8, i4[:,::1], i8, i8, f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel("i8(i4[:,::1], i8, i8, i4[:,::1], i8, i8, f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
 def refine(
     triangles: Indices,
     first: int,
@@ -244,7 +235,7 @@ def refine(
     return vertex
 
 
-@_kernel("void(f8[:,::1], i8, i8, f8[:,::1])")
+@kernel("void(f8[:,::1], i8, i8, f8[:,::1])")
 def to_linear(colors: Floats, first: int, last: int, out: Floats) -> None:
     """Decode sRGB (IEC 61966-2-1) into out[first..last]."""
     for i in range(first, last):
@@ -256,7 +247,7 @@ def to_linear(colors: Floats, first: int, last: int, out: Floats) -> None:
                 out[i, k] = ((value + 0.055) / 1.055) ** 2.4
 
 
-@_kernel("i8(f8[:,::1], f8[:,::1], f8, b1, f8, f8[:,::1], i8)")
+@kernel("i8(f8[:,::1], f8[:,::1], f8, b1, f8, f8[:,::1], i8)")
 def widen_lines(
     starts: Floats, ends: Floats, width: float, in_pixels: bool, focal: float, out: Floats, first: int
 ) -> int:
@@ -325,7 +316,7 @@ def widen_lines(
 # --------------------------------------------------------------------------------------------- one triangle
 
 
-@_helper
+@inline_kernel
 def _edges(p: Floats, a: int, b: int, c: int, edge: Floats) -> float:
     """Edge functions (3, 3) of a triangle, edge[i] . (x, y, 1), each opposite to its vertex; returns det.
 
@@ -340,13 +331,13 @@ def _edges(p: Floats, a: int, b: int, c: int, edge: Floats) -> float:
     return p[a, 0] * edge[0, 0] + p[a, 1] * edge[0, 1] + p[a, 2] * edge[0, 2]
 
 
-@_helper
+@inline_kernel
 def _is_thin(p: Floats, a: int, b: int, c: int, det: float) -> bool:
     """Whether a triangle covers so little (1e-5 of a sample) that its functions are rounding errors."""
     return not abs(det) > 2e-5 * abs(p[a, 2] * p[b, 2] * p[c, 2])
 
 
-@_helper
+@inline_kernel
 def _bounds(
     p: Floats, a: int, b: int, c: int, near: float, width: int, height: int
 ) -> tuple[int, int, int, int]:
@@ -377,7 +368,7 @@ def _bounds(
     return x0, x1, y0, y1
 
 
-@_helper
+@inline_kernel
 def _limit(a: float, b: float, c: float, limits: Floats, k: int) -> int:
     """Write a x + b y + c >= 0 as a limit of each row's samples; returns the number of limits."""
     if a == 0.0:
@@ -391,7 +382,7 @@ def _limit(a: float, b: float, c: float, limits: Floats, k: int) -> int:
     return k + 1
 
 
-@_helper
+@inline_kernel
 def _span(y: int, x0: int, x1: int, limits: Floats, count: int) -> tuple[int, int]:
     """Samples of row y inside all limits. A sample right on a limit is inside on the left and the upper side only."""
     middle = y + 0.5
@@ -410,7 +401,7 @@ def _span(y: int, x0: int, x1: int, limits: Floats, count: int) -> tuple[int, in
     return int(math.ceil(low - 0.5)), int(math.ceil(high - 0.5))
 
 
-@_helper
+@inline_kernel
 def _limits(
     edge: Floats,
     det: float,
@@ -446,7 +437,7 @@ def _limits(
     return count
 
 
-@_helper
+@inline_kernel
 def _plane_distance(points: Floats, i: int, parameters: Floats, m: int) -> float:
     """How far vertex i is on the side of mesh m's plane that is cut away."""
     return (
@@ -457,7 +448,7 @@ def _plane_distance(points: Floats, i: int, parameters: Floats, m: int) -> float
     )
 
 
-@_helper
+@inline_kernel
 def _begin(
     t: int,
     points: Floats,
@@ -502,7 +493,7 @@ def _begin(
 # ---------------------------------------------------------------------------------------------- visibility
 
 
-@_kernel("void(i4[:,::1], i8, f4[::1], f4[::1], i4[::1], f4[::1], i4[::1], b1)")
+@kernel("void(i4[:,::1], i8, f4[::1], f4[::1], i4[::1], f4[::1], i4[::1], b1)")
 def clear(
     rows: Indices,
     width: int,
@@ -526,7 +517,7 @@ def clear(
         rows[y, 1] = 0
 
 
-@_kernel(
+@kernel(
     "void(f8[:,::1], f8[:,::1], i4[:,::1], i4[::1], i8, i4[::1], f8[:,::1], f8[::1], i8, i8,"
     " f4[::1], i4[::1], i4[:,::1], f8[:,::1])"
 )
@@ -599,7 +590,7 @@ def draw_opaque(
                     shown[row + x] = t
 
 
-@_kernel(
+@kernel(
     "void(f8[:,::1], f8[:,::1], i4[:,::1], i8, i8, i8, f8[:,::1], f8[::1], i8, i8,"
     " f4[::1], i4[::1], i4[:,::1], i4[::1])"
 )
@@ -673,7 +664,7 @@ def draw_cap(
 # ------------------------------------------------------------------------------------------------- shadows
 
 
-@_helper
+@inline_kernel
 def _draw_flat(
     points: Floats,
     p: Floats,
@@ -726,7 +717,7 @@ def _draw_flat(
                     shown[y, x] = m
 
 
-@_helper
+@inline_kernel
 def _blur(texture: Singles, line: Floats, radius: int) -> None:
     """Two box filters of 2 radius + 1 texels in each direction, in place: nearly a Gaussian."""
     size = texture.shape[0]
@@ -760,7 +751,7 @@ def _blur(texture: Singles, line: Floats, radius: int) -> None:
                     texture[y - radius, x] = line[x] * norm
 
 
-@_kernel(
+@kernel(
     "void(f8[:,::1], f8[:,::1], i4[:,::1], i4[::1], i8, i8, i4[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1],"
     " f4[:,::1], i4[:,::1], f4[:,::1], f4[:,::1], i4[:,::1], f4[:,::1], f8[:,::1])"
 )
@@ -895,7 +886,7 @@ def cast_shadows(
     _blur(under, line, radius)
 
 
-@_helper
+@inline_kernel
 def _sample(texture: Singles, x: float, y: float) -> float:
     """Bilinear look-up at texel coordinates; zero outside."""
     size = texture.shape[0]
@@ -910,7 +901,7 @@ def _sample(texture: Singles, x: float, y: float) -> float:
     return top + fy * (low - top)
 
 
-@_helper
+@inline_kernel
 def _mesh_shadow(
     px: float,
     py: float,
@@ -946,7 +937,7 @@ def _mesh_shadow(
 # ------------------------------------------------------------------------------------------------- shading
 
 
-@_helper
+@inline_kernel
 def _streaks(coordinate: float, footprint: float) -> float:
     """Brush marks, in -1..1: three octaves of value noise, each left out where a pixel is wider than its waves."""
     total = 0.0
@@ -963,12 +954,12 @@ def _streaks(coordinate: float, footprint: float) -> float:
     return total
 
 
-@_helper
+@inline_kernel
 def _lattice(x: int, y: int, z: int) -> float:
     return _NOISE[(x * 73 + y * 179 + z * 283 + (x ^ (y * 7) ^ (z * 13)) * 31) & 255]
 
 
-@_helper
+@inline_kernel
 def _value_noise(x: float, y: float, z: float) -> float:
     """Smooth noise in -1..1: random numbers at whole coordinates, joined by cubics."""
     i, j, k = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))
@@ -984,18 +975,22 @@ def _value_noise(x: float, y: float, z: float) -> float:
     return total
 
 
-@_helper
+@inline_kernel
 def _mottle(x: float, y: float, z: float, footprint: float) -> tuple[float, float]:
     """Patches of paler and redder tissue (-1..1), and vessels (0..1), along which a noise crosses zero."""
     broad = _value_noise(0.55 * x + 7.3, 0.55 * y + 1.7, 0.55 * z + 4.1)
     fine = _value_noise(2.3 * x + 0.35 * broad, 2.3 * y + 9.2, 2.3 * z)
-    ridge = abs(0.72 * broad + 0.28 * fine)
-    width = 0.035 + 1.2 * footprint
-    vessel = max(1.0 - ridge / width, 0.0)
-    return 0.6 * broad + 0.4 * fine, vessel * min(0.05 / width, 1.0)
+    ridge = abs(0.5 * broad + 0.5 * fine)
+    width = 0.03 + 1.2 * footprint
+    vessel = max(1.0 - ridge / width, 0.0) * min(0.04 / width, 1.0)
+    if vessel > 0.0:
+        # A zero of a noise is a closed line; a second noise breaks it into branches that taper.
+        gate = _value_noise(1.1 * x + 3.9, 1.1 * y + 5.3, 1.1 * z + 8.8)
+        vessel *= min(max(3.0 * gate, 0.0), 1.0)
+    return 0.6 * broad + 0.4 * fine, vessel
 
 
-@_helper
+@inline_kernel
 def _light_up(
     px: float,
     py: float,
@@ -1097,7 +1092,7 @@ def _light_up(
     )
 
 
-@_helper
+@inline_kernel
 def _shade(
     t: int,
     x: float,
@@ -1208,7 +1203,7 @@ _SCENE = (
 """What `_shade` reads, from `points` to `others`."""
 
 
-@_kernel("i8(f8[:,::1], i4[:,::1], i4[::1], i8, i4[::1], f8[::1], i8[::1])")
+@kernel("i8(f8[:,::1], i4[:,::1], i4[::1], i8, i4[::1], f8[::1], i8[::1])")
 def sort_translucent(
     p: Floats, triangles: Indices, owner: Indices, count: int, flags: Indices, keys: Floats, order: NDArray[np.int64]
 ) -> int:
@@ -1223,7 +1218,7 @@ def sort_translucent(
     return n
 
 
-@_kernel(
+@kernel(
     "void(i8[::1], i8, f8[:,::1], i8, i8, i8, f4[::1], f4[::1], i4[::1], i4[:,::1], f4[:,:,::1]," + _SCENE + ")"
 )
 def draw_translucent(
@@ -1349,12 +1344,12 @@ def draw_translucent(
 # ------------------------------------------------------------------------------------- background and result
 
 
-@_helper
+@inline_kernel
 def _encode(value: float, tones: Bytes) -> int:
     return tones[int(min(max(value, 0.0), 1.0) * (TONES - 1) + 0.5)]
 
 
-@_helper
+@inline_kernel
 def _stripes(position: float, footprint: float, tile: float, line: float) -> float:
     """Part of the interval of length `footprint` around `position` that lines at the multiples of `tile` cover."""
     low = (position - 0.5 * footprint + 0.5 * line) / tile
@@ -1365,7 +1360,7 @@ def _stripes(position: float, footprint: float, tile: float, line: float) -> flo
     return covered * tile / footprint
 
 
-@_kernel("void(f8[::1], f8[::1], i8, i8, i8, u1[::1], f4[:,:,::1], f4[:,::1], u1[:,:,::1], f4[::1])")
+@kernel("void(f8[::1], f8[::1], i8, i8, i8, u1[::1], f4[:,:,::1], f4[:,::1], u1[:,:,::1], f4[::1])")
 def draw_background(
     view: Floats,
     ground: Floats,
@@ -1452,7 +1447,7 @@ def draw_background(
             depth[y * width * supersample + x] = value
 
 
-@_helper
+@inline_kernel
 def _shadow_rows(
     view: Floats, light: Floats, matrix: Floats, size: int, under_size: int, supersample: int, width: int, height: int
 ) -> tuple[int, int, int, int]:
@@ -1488,7 +1483,7 @@ def _shadow_rows(
     )
 
 
-@_kernel(
+@kernel(
     "void(i8, i8, i8, f8[:,::1], u1[::1], i4[::1], f4[::1], i4[:,::1], f4[:,:,::1], b1, f4[:,:,::1], f4[:,::1],"
     " f4[:,::1], f4[:,::1], u1[:,:,::1]," + _SCENE + ")"
 )
@@ -1661,7 +1656,7 @@ def resolve(
             picture[py, px, 2] = _encode(blue, tones)
 
 
-@_kernel("void(i8, i8, i8, f4[::1], i4[::1], i4[::1], f4[:,::1])")
+@kernel("void(i8, i8, i8, f4[::1], i4[::1], i4[::1], f4[:,::1])")
 def resolve_depth(
     width: int, height: int, supersample: int, depth: Singles, shown: Indices, owner: Indices, out: Singles
 ) -> None:

@@ -1,0 +1,174 @@
+"""Spatula/Press-v0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from spatula_env import scenes
+from spatula_env.envs.spatula_env import SpatulaEnv
+from spatula_env.tasks.base import Setting, config_from_mapping
+from spatula_env.tasks.press import PressConfig, PressTask
+
+WORKSPACE_HEIGHT = 0.025
+"""Of the workspace's middle above the organ's top [m]: the cube reaches 76 mm above it and 26 mm below it."""
+
+
+class PressEnv(SpatulaEnv):
+    r"""Press the organ to a depth at a place, and hold it there.
+
+    ## Description
+    A thin steel spatula, 20 x 20 x 2.5 mm, hovers flat over a soft organ of 60 mm radius and the density of
+    brain tissue, which rests on the ground. The agent moves the spatula. It has to push the organ's surface
+    down to a given depth (5 to 18 mm) at a given place (within 15 mm of the organ's axis), and to keep it
+    there for half a second.
+
+    Depth is measured on the organ: it is the height of the surface at rest, at the spatula's place, minus its
+    height now. The organ sinks, sways and gives way around the spatula: in the middle, its surface goes up to
+    3 mm deeper than the spatula does, and how much depends on the place. The depth has to be regulated.
+
+    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+
+    ## Action Space
+    The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It
+    moves with constant velocity for a whole step and is stopped at the faces of its workspace. The spatula
+    does not turn. Numbers beyond the bounds are clipped; an action of the wrong shape or that is not finite
+    is a `ValueError`.
+
+    | Num | Action                           | Min | Max | Name       | Falcon | Unit                  |
+    | --- | -------------------------------- | --- | --- | ---------- | ------ | --------------------- |
+    | 0   | velocity to the operator's right | -1  | 1   | velocity_x | x      | `max_speed` (0.1 m/s) |
+    | 1   | velocity away from the operator  | -1  | 1   | velocity_y | -z     | `max_speed` (0.1 m/s) |
+    | 2   | velocity upwards                 | -1  | 1   | velocity_z | y      | `max_speed` (0.1 m/s) |
+
+    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the
+    organ's top at rest, on the organ's axis. All positions are relative to that middle. The axes are x to the
+    operator's right, y away from the operator and z up; a Falcon's are x to the right, y up and z towards the
+    operator.
+
+    ## Observation Space
+    With `obs_mode="state"` the observation is a `Box((66,), float32)` of the following parts; with
+    `obs_mode="dict"` a `Dict` of the same parts by name. Everything is in SI units, and is clipped to the
+    bounds.
+
+    | Num   | Observation                                     | Min     | Max    | Name          | Unit |
+    | ----- | ----------------------------------------------- | ------- | ------ | ------------- | ---- |
+    | 0-2   | position of the spatula's middle (x, y, z)      | -0.0508 | 0.0508 | tool_position | m    |
+    | 3-5   | velocity of the spatula in the last step        | -0.1    | 0.1    | tool_velocity | m/s  |
+    | 6-8   | mean force on the spatula in the last step      | -50     | 50     | contact_force | N    |
+    | 9     | share of the lower face's nodes in contact      | 0       | 1      | contact_share | 1    |
+    | 10    | the same of the upper face                      | 0       | 1      | contact_share | 1    |
+    | 11    | deepest contact, before the organ gives way     | 0       | 0.05   | contact_depth | m    |
+    | 12-59 | displacement of 16 nodes of the organ (x, y, z) | -0.1    | 0.1    | landmarks     | m    |
+    | 60-61 | place asked for (x, y)                          | -0.0508 | 0.0508 | goal          | m    |
+    | 62    | depth asked for                                 | -0.03   | 0.06   | goal          | m    |
+    | 63-64 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error         | m    |
+    | 65    | depth asked for minus depth there               | -0.09   | 0.09   | error         | m    |
+
+    The 16 nodes are spread by farthest-point sampling and always the same. The bounds of the velocity follow
+    `max_speed`. SI units make small numbers: normalise them for learning, for instance with
+    `gymnasium.wrappers.RescaleObservation`.
+
+    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and
+    "desired_goal" are (x, y, depth) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`,
+    the parts by name) is what is left without "goal" and "error".
+
+    ## Rewards
+    A step is *within tolerance* if the spatula's middle is within 2 mm of the place, horizontally, and the
+    depth is within 1 mm of the goal's.
+
+    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
+      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+
+      | Name   | Weight | Term                                                               |
+      | ------ | ------ | ------------------------------------------------------------------ |
+      | reach  | 0.25   | $t(d, 20\,mm)$, d from the spatula's underside to the target point |
+      | depth  | 0.25   | $t(d, 3\,mm) \, t(p, 3\,mm)$, d the depth's error, p the place's   |
+      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                    |
+      | force  | -0.002 | magnitude of the contact force [N]                                 |
+      | action | -0.01  | squared length of the action                                       |
+
+    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
+      gives it for any goals, one or many, as hindsight replay needs.
+
+    ## Starting State
+    The organ is at rest. The place is uniform in a disc of 15 mm radius around the organ's axis, the depth
+    uniform in 5 to 18 mm. The spatula is at rest at a place uniform in a disc of 20 mm radius, its underside
+    uniform in 10 to 30 mm above the organ's top.
+
+    `reset(options={"goal": (x, y, depth), "tool_position": (x, y, z)})` replaces either of them [m].
+
+    ## Episode End
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and
+    stays true until the next reset.
+
+    ### Termination
+    Never, unless `terminate_on_success` is set: then by success.
+
+    ### Truncation
+    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+
+    ## Info
+    The same keys after `reset` and `step`: `is_success`; `within_tolerance`; `hold_time`, for how long it has
+    been so [s]; `time` [s]; `force`, the magnitude of the contact force averaged over the step, and
+    `peak_force`, the greatest in it [N]; `depth`, `depth_error` and `place_error` [m]; and `reward/<name>`
+    for each term.
+
+    ## Arguments
+    | Parameter              | Type            | Default      | Description                               |
+    | ---------------------- | --------------- | ------------ | ----------------------------------------- |
+    | `engine`               | **str**         | `"bullet"`   | What integrates the organ: `"bullet"`     |
+    | `contact`              | **str**         | `"flags"`    | `"flags"`, `"second_step"` or `"bullet"`  |
+    | `obs_mode`             | **str**         | `"state"`    | `"state"` or `"dict"`                     |
+    | `control`              | **str**         | `"velocity"` | What an action means: `"velocity"`        |
+    | `reward`               | **str**         | `"dense"`    | `"dense"` or `"sparse"`                   |
+    | `task`                 | **dict**        | `None`       | Fields of `PressConfig` to change         |
+    | `max_speed`            | **float**       | `0.1`        | Greatest speed along each axis [m/s]      |
+    | `control_frequency`    | **float**       | `20.0`       | Control steps in a second, divides 240 Hz |
+    | `terminate_on_success` | **bool**        | `False`      | Whether success ends the episode          |
+    | `render_mode`          | **str \| None** | `None`       | `None` or `"rgb_array"`                   |
+    | `width`                | **int**         | `480`        | Of pictures [pixels]                      |
+    | `height`               | **int**         | `480`        | Of pictures [pixels]                      |
+
+    ## Version History
+    * v0: first version.
+    """
+
+    def __init__(
+        self,
+        *,
+        engine: str = "bullet",
+        contact: str = "flags",
+        obs_mode: str = "state",
+        control: str = "velocity",
+        reward: str = "dense",
+        task: Mapping[str, Any] | PressConfig | None = None,
+        max_speed: float = 0.1,
+        control_frequency: float = 20.0,
+        terminate_on_success: bool = False,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+    ) -> None:
+        """Load the scene; the class says what the arguments mean."""
+        config = config_from_mapping(PressConfig, task, "task")
+
+        def make_task(setting: Setting) -> PressTask:
+            return PressTask(config, setting)
+
+        super().__init__(
+            scenes.seed(),
+            make_task,
+            workspace_height=WORKSPACE_HEIGHT,
+            engine=engine,
+            contact=contact,
+            obs_mode=obs_mode,
+            control=control,
+            reward=reward,
+            max_speed=max_speed,
+            control_frequency=control_frequency,
+            terminate_on_success=terminate_on_success,
+            render_mode=render_mode,
+            width=width,
+            height=height,
+        )

@@ -1,0 +1,69 @@
+"""Measurements on an organ's surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spatula_env._kernels import kernel
+from spatula_env.contact.raycast import NO_HIT, cast_ray
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    FloatArray = NDArray[np.float64]
+
+
+@kernel("f8[::1](f8[:,:,::1], i4[:,::1], f8[:,::1], f8)")
+def surface_heights(
+    nodes: np.ndarray, triangles: np.ndarray, places: np.ndarray, ground_height: float
+) -> np.ndarray:
+    """The height of surfaces, seen from straight above.
+
+    Args:
+        nodes: (W, V, 3) of the surfaces, or (1, V, 3): the same one for all places.
+        triangles: (T, 3) of all of them.
+        places: (W, 2) x and y of the place asked about on each surface.
+        ground_height: What to return where nothing is below the sky.
+
+    Returns:
+        (W,) the greatest z of the surface at each place, in the unit of `nodes`.
+    """
+    heights = np.full(places.shape[0], ground_height)
+    origin, down = np.empty(3), np.array([0.0, 0.0, -1.0])
+    top = nodes[:, :, 2].max() + 1.0
+    for w in range(places.shape[0]):
+        origin[0], origin[1], origin[2] = places[w, 0], places[w, 1], top
+        hit, distance, _, _, _ = cast_ray(origin, down, nodes[w if nodes.shape[0] > 1 else 0], triangles)
+        if hit != NO_HIT:
+            heights[w] = top - distance
+    return heights
+
+
+def farthest_points(points: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Choose points that are spread out: first the highest, then always the one farthest from those chosen.
+
+    After Y. Eldar et al., The farthest point strategy for progressive image sampling, IEEE Transactions on
+    Image Processing 6(9), 1997.
+
+    Args:
+        points: (V, 3); nothing in the choice is random, and of equals the first is taken.
+        count: How many to choose.
+
+    Returns:
+        (count,) indices, in the order of the choice.
+
+    Raises:
+        ValueError: If there are fewer points than that.
+    """
+    positions = np.asarray(points, dtype=np.float64)
+    if not 1 <= count <= len(positions):
+        raise ValueError(f"count must be from 1 to {len(positions)}, the number of points, got {count!r}")
+    chosen = np.empty(count, dtype=np.int64)
+    chosen[0] = np.argmax(positions[:, 2])
+    distance = np.full(len(positions), np.inf)
+    for k in range(1, count):
+        distance = np.minimum(distance, np.linalg.norm(positions - positions[chosen[k - 1]], axis=1))
+        chosen[k] = np.argmax(distance)
+    return chosen
