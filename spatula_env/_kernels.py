@@ -8,14 +8,14 @@ IEEE arithmetic (see `spatula_env.contact.raycast`) and results must not depend 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-def kernel(*signatures: str) -> Callable[[Function], Function]:
+def kernel(*signatures: str) -> Callable[[Callable[..., object]], Callable[..., Any]]:
     """Compile a function ahead of time for the given Numba signatures.
 
     Args:

@@ -114,7 +114,8 @@ class PlacedOrgan:
     @property
     def vertices(self) -> NDArray[np.float64]:
         """(V, 3) of the organ in the scene, undeformed [u]."""
-        return rotate(np.array(self.orientation), self.organ.vertices) + np.array(self.position)
+        vertices: NDArray[np.float64] = rotate(np.array(self.orientation), self.organ.vertices) + self.position
+        return vertices
 
 
 @dataclass(frozen=True)

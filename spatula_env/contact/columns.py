@@ -50,7 +50,7 @@ class RayColumns:
         node_height = np.zeros(len(tool.nodes))
         tolerance = SAME_LINE_TOLERANCE * float(np.max(tool.size))
         node_directions = tool.face_normals[tool.face]
-        for group, direction in enumerate(directions):
+        for direction in directions:
             frame = frame_along(direction)
             members = np.flatnonzero(np.linalg.norm(np.cross(node_directions, direction), axis=1) < PARALLEL_TOLERANCE)
             local = tool.nodes[members] @ frame.T
@@ -64,7 +64,10 @@ class RayColumns:
                     plus, minus = members[here & is_plus], members[here & ~is_plus]
                     # More than two nodes share a line where faces of one direction lie behind one another.
                     for k in range(max(len(plus), len(minus))):
-                        pair = (int(plus[k]) if k < len(plus) else -1, int(minus[k]) if k < len(minus) else -1)
+                        pair = (
+                            int(plus[k]) if k < len(plus) else -1,
+                            int(minus[k]) if k < len(minus) else -1,
+                        )
                         column_v.append(float(v_value))
                         column_nodes.append(pair)
                 row_u.append(float(u_value))

@@ -47,9 +47,7 @@ class Contacts:
 
     __slots__ = ("_record", "flags", "triangle", "unfeasible")
 
-    def __init__(
-        self, states: NDArray[np.bool_], triangle: NDArray[np.int32], record: NDArray[np.float64]
-    ) -> None:
+    def __init__(self, states: NDArray[np.bool_], triangle: NDArray[np.int32], record: NDArray[np.float64]) -> None:
         """Copy a detector's buffers: states (2, n), triangle (n,), record (n, 10)."""
         states = states.copy()
         self.flags: NDArray[np.bool_] = states[0]
@@ -91,8 +89,16 @@ def _fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) -
 def _fill_triangle_normal(vertices: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> None:
     """Write the unit outward normal of a triangle."""
     a, b, c = corners[0], corners[1], corners[2]
-    ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-    vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+    ux, uy, uz = (
+        vertices[b, 0] - vertices[a, 0],
+        vertices[b, 1] - vertices[a, 1],
+        vertices[b, 2] - vertices[a, 2],
+    )
+    vx, vy, vz = (
+        vertices[c, 0] - vertices[a, 0],
+        vertices[c, 1] - vertices[a, 1],
+        vertices[c, 2] - vertices[a, 2],
+    )
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     scale = 1.0 / np.sqrt(x * x + y * y + z * z)
     normal[0], normal[1], normal[2] = x * scale, y * scale, z * scale
@@ -162,7 +168,7 @@ def detect_contacts(
         return _MOTION_NOT_VALID
     rotation = np.empty(9)
     _fill_rotation(orientation, 1.0 / np.sqrt(length_squared), rotation)
-    status = cast_columns(
+    status: int = cast_columns(
         position, rotation, vertices, triangles, frames, bounds, group_rows, row_u, row_columns, column_v,
         column_nodes, node_height, local, codes, hits, distances,
     )  # fmt: skip
@@ -214,9 +220,7 @@ def detect_contacts(
                 if limited and attempt == 0:
                     nx, ny, nz = turn(rotation, normals[i])
                     opposition = -(normal[i, 0] * nx + normal[i, 1] * ny + normal[i, 2] * nz)
-                    if opposition < least_opposition or (
-                        not remembered[i] and distances[i, 0] * opposition > reach
-                    ):
+                    if opposition < least_opposition or (not remembered[i] and distances[i, 0] * opposition > reach):
                         flags[i] = False
                         refused = True
                 accepted = accepted or flags[i]
@@ -307,7 +311,8 @@ class FlaggedDetector:
     @property
     def flags(self) -> NDArray[np.bool_]:
         """(n,) bool, the remembered flags (a copy)."""
-        return self._states[0].copy()
+        flags: NDArray[np.bool_] = self._states[0].copy()
+        return flags
 
     @flags.setter
     def flags(self, value: ArrayLike) -> None:
@@ -399,9 +404,7 @@ class FlaggedDetector:
             self._record,
         )
         if status != 0:
-            _raise_for_status(
-                status, position, orientation, vertices, triangles, linear_velocity, angular_velocity
-            )
+            _raise_for_status(status, position, orientation, vertices, triangles, linear_velocity, angular_velocity)
 
     @property
     def buffers(self) -> tuple[NDArray[np.bool_], NDArray[np.int32], NDArray[np.float64]]:

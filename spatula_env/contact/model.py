@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spatula_env.contact.columns import frame_along
-from spatula_env.contact.flags import Contacts, FirstStep, FlaggedDetector
+from spatula_env.contact.flags import FlaggedDetector
+from spatula_env.contact.motion import largest_shift, local_shift, tool_passes
 from spatula_env.contact.response import (
     GROUND,
     Constraints,
@@ -18,6 +20,7 @@ from spatula_env.contact.response import (
     add_surface_constraints,
     solve_positions,
     solve_velocities,
+    sum_tool_impulses,
 )
 from spatula_env.geometry.transforms import rotation_matrix, slerp
 
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from spatula_env.contact.flags import FirstStep
     from spatula_env.geometry.tools import Tool
     from spatula_env.scenes import Scene
 
@@ -37,19 +41,24 @@ POSITION_TOLERANCE = 1e-6
 VELOCITY_TOLERANCE = 1e-6
 """The velocity solve ends when a sweep changes no constrained point's velocity by more than this [u/s]."""
 
-SUBSTEP_LENGTH = 0.5
-"""Greatest relative motion of tool and organ between two queries, in thicknesses of the tool."""
+MOST_SWEEPS = 200
+"""Most sweeps in one solve; a press takes about twenty."""
 
-LO=0.25
-OP=0.35
-RS=1.0
+PATH_PART = 0.5
+"""Greatest motion of a tool between two queries, in its thicknesses."""
+
+ORGAN_PART = 0.5
+"""Greatest motion of an organ's node between two queries, in mean edges of the organ."""
+
+LEAST_OPPOSITION = 0.25
+"""A face is not in contact with a surface that runs along it: -N . N_r must be at least this (75.5 degrees)."""
+
+REACH_SLACK = 0.01
+"""How much deeper than things have moved since the last query a new contact may be [u]."""
+
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
-
-POSITION_SWEEPS = 200
-VELOCITY_SWEEPS = 200
-"""Most sweeps in one solve; a press takes about twenty."""
 
 
 @dataclass
@@ -105,7 +114,7 @@ class ContactModel:
         detectors: One for each tool (outer) and organ (inner): flags are remembered per pair.
         penetration: Greatest depth of a contact node in the last step, before correction [u].
         residual: Greatest violation of a contact constraint after correction [u].
-        path_parts: Into how many parts the tools' paths were divided in the last step.
+        queries: How many times each detector was asked in the last step.
         nodal_impulses: (V, 3) what the tools gave the organs' nodes in the last step [kg u/s].
         ground_force: (3,) what the ground does to the organs, averaged over the last step [kg u/s2].
     """
@@ -118,29 +127,32 @@ class ContactModel:
             inverse_masses: (V,) of the organs' nodes [1/kg].
             first_step: Of the detectors.
         """
+        # The published method decides between two opposite faces. With nodes on more faces it must also be decided
+        # which pair of faces a surface has come through; the seed's tool is left to the published method.
+        self._selective = [first_step != "off" and len(placed.tool.face_normals) > 2 for placed in scene.tools]
         self.detectors = [
-            [FlaggedDetector(placed.tool, first_step=first_step, least_opposition=LO) for _ in scene.organs] for placed in scene.tools
+            [FlaggedDetector(placed.tool, first_step, LEAST_OPPOSITION * selective) for _ in scene.organs]
+            for placed, selective in zip(scene.tools, self._selective, strict=True)
         ]
         self._dt = scene.dt
         self._ground = scene.ground
         self._tools = [placed.tool for placed in scene.tools]
         self._friction = [placed.friction for placed in scene.tools]
-        counts = [len(placed.organ.vertices) for placed in scene.organs]
-        starts = np.cumsum([0, *counts])
-        self._parts = [slice(int(a), int(b)) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
+        self._parts = [slice(int(a), int(b)) for a, b in pairwise(starts)]
         self._triangles = [np.array(placed.organ.triangles) for placed in scene.organs]
         # Kernels take writeable arrays; a tool's are read-only.
         self._nodes = [(np.array(tool.nodes), np.array(tool.normals)) for tool in self._tools]
         self._faces = [_face_arrays(tool) for tool in self._tools]
-        self._longest_edge = max(float(placed.organ.edge_lengths.max()) for placed in scene.organs)
-        mean_edge = min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
-        self._greatest_speed = COURANT_LIMIT * mean_edge / scene.dt
+        edges = [placed.organ.edge_lengths for placed in scene.organs]
+        self._longest_edge = max(float(lengths.max()) for lengths in edges)
+        self._mean_edge = min(float(lengths.mean()) for lengths in edges)
         self._inverse_masses = inverse_masses
         nodes = sum(len(tool.nodes) for tool in self._tools) * len(scene.organs)
         self._constraints = Constraints(2 * nodes + int(starts[-1]))
         self.penetration = 0.0
         self.residual = 0.0
-        self.path_parts = 1
+        self.queries = 0
         self.nodal_impulses: FloatArray = np.zeros((int(starts[-1]), 3))
         self.ground_force: FloatArray = np.zeros(3)
 
@@ -157,13 +169,10 @@ class ContactModel:
         for detector in self.detectors[tool]:
             detector.reset()
 
-    def contacts(self, tool: int, organ: int) -> Contacts:
-        """What the last query of a pair found."""
-        return self.detectors[tool][organ].contacts
-
     def observe(self, start: FloatArray, vertices: FloatArray, motions: Sequence[Motion]) -> None:
         """Detect the tools' contacts without resolving them."""
         self._detect(start, vertices, motions, 0.0, 1.0)
+        self.queries = 1
         self.residual = self.penetration = self._deepest()
 
     def resolve(
@@ -181,41 +190,41 @@ class ContactModel:
             The wrench on each tool.
         """
         constraints = self._constraints
-        parts = self.path_parts = self._count_parts(start, vertices, motions)
-        self.penetration = 0.0
-        # With a divided path the organs' own motion is resolved first, against the tools where they were.
-        shift = vertices - start
-        near = 0.0
-        if motions: near=float(np.sqrt((shift**2).sum(axis=1).max()))
-        op = max(1, math.ceil(near / OP)) if motions else 1
-        schedule = [(k/op, 0.0, 0.0) for k in range(1, op)]
-        schedule += [(1.0, 0.0, 1.0)] if parts == 1 else [(1.0, 0.0, 0.0)] + [(1.0, k / parts, (k+1)/parts) for k in range(parts)]
-        if op > 1: vertices[:] = start
-        done=0.0
+        self.penetration = self.residual = 0.0
+        schedule = self._schedule(start, vertices, motions)
+        self.queries = len(schedule)
         reference = start
-        for n_,(organ, begin, end) in enumerate(schedule):
-            if op > 1 and organ>done: vertices += (organ-done)*shift; done=organ
+        if len(schedule) > 1:
+            shift = vertices - start
+            vertices[:] = start
+            organ_before = 0.0
+        for organ, begin, end in schedule:
+            if len(schedule) > 1:
+                reference = vertices.copy()
+                vertices += (organ - organ_before) * shift
+                organ_before = organ
             self._detect(reference, vertices, motions, begin, end)
             self.penetration = max(self.penetration, self._deepest())
-            self._constrain(vertices, motions, begin, end)
-            self.residual = solve_positions(
-                constraints.count,
-                constraints.corners,
-                constraints.weights,
-                constraints.normal,
-                constraints.point,
-                constraints.carry,
-                constraints.friction,
-                self._inverse_masses,
-                reference,
-                vertices,
-                constraints.displacement,
-                constraints.gap,
-                POSITION_SWEEPS,
-                POSITION_TOLERANCE,
-            )
-            if n_+1<len(schedule):
-                reference = vertices.copy()
+            # Friction moves the surface along a face, and with it the points where it crosses the rim: a second pass
+            # finds them again.
+            for _ in range(2):
+                constraints = self._constrain(vertices, motions, begin, end)
+                self.residual = solve_positions(
+                    constraints.count,
+                    constraints.corners,
+                    constraints.weights,
+                    constraints.normal,
+                    constraints.point,
+                    constraints.carry,
+                    constraints.friction,
+                    self._inverse_masses,
+                    reference,
+                    vertices,
+                    constraints.displacement,
+                    constraints.gap,
+                    MOST_SWEEPS,
+                    POSITION_TOLERANCE,
+                )
         solve_velocities(
             constraints.count,
             constraints.corners,
@@ -228,79 +237,78 @@ class ContactModel:
             velocities,
             constraints.impulse,
             self._dt,
-            VELOCITY_SWEEPS,
+            MOST_SWEEPS,
             VELOCITY_TOLERANCE,
         )
         return self._account(vertices, motions)
 
-    def _count_parts(self, start: FloatArray, vertices: FloatArray, motions: Sequence[Motion]) -> int:
-        """Into how many parts the tools' paths must be divided so that nothing is jumped over."""
-        parts = 1
-        low = np.minimum(start.min(axis=0), vertices.min(axis=0))
-        high = np.maximum(start.max(axis=0), vertices.max(axis=0))
-        for tool, motion in zip(self._tools, motions, strict=False):
-            radius = tool.bounding_radius
-            if (np.minimum(motion.position, motion.start_position) - radius > high).any():
-                continue
-            if (np.maximum(motion.position, motion.start_position) + radius < low).any():
-                continue
-            travel = float(np.linalg.norm(motion.position - motion.start_position))
-            travel += float(np.linalg.norm(motion.angular_velocity)) * self._dt * radius
-            parts = max(parts, math.ceil(travel / (SUBSTEP_LENGTH * tool.thickness)))
-        return parts
+    def _schedule(
+        self, start: FloatArray, vertices: FloatArray, motions: Sequence[Motion]
+    ) -> list[tuple[float, float, float]]:
+        """How a step is divided so that no query moves anything too far for the flags to follow.
 
-    def _detect(self, reference: FloatArray, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float) -> None:
-        """Query all pairs at the poses at fraction `end` of the step."""
-        for tool, motion, row in zip(self._tools, motions, self.detectors, strict=False):
+        Returns:
+            A query each: the fraction of the organs' motion done by then, and the fractions of the tools' paths
+            between which the query looks. The organs move first, against the tools where they were.
+        """
+        parts = 1
+        for tool, motion in zip(self._tools, motions, strict=False):
+            if tool_passes(motion.start_position, motion.position, tool.bounding_radius, start, vertices):
+                turn = float(np.linalg.norm(motion.angular_velocity)) * self._dt * tool.bounding_radius
+                travel = float(np.linalg.norm(motion.position - motion.start_position)) + turn
+                parts = max(parts, math.ceil(travel / (PATH_PART * tool.thickness)))
+        organ_parts = 1
+        if motions:
+            organ_parts = max(1, math.ceil(largest_shift(start, vertices) / (ORGAN_PART * self._mean_edge) - 1e-9))
+        schedule = [(k / organ_parts, 0.0, 0.0) for k in range(1, organ_parts)]
+        if parts > 1:
+            schedule.append((1.0, 0.0, 0.0))
+        return schedule + [(1.0, k / parts, (k + 1) / parts) for k in range(parts)]
+
+    def _detect(
+        self, reference: FloatArray, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float
+    ) -> None:
+        """Query all pairs at fraction `end` of the tools' paths, the last query having been at `begin`."""
+        for index, (tool, motion, row) in enumerate(zip(self._tools, motions, self.detectors, strict=False)):
             position, orientation = motion.at(end)
+            angular_speed = float(np.linalg.norm(motion.angular_velocity))
+            travel = float(np.linalg.norm(motion.linear_velocity)) + angular_speed * tool.bounding_radius
             for part, triangles, detector in zip(self._parts, self._triangles, row, strict=True):
-                organ_velocity = _local_shift(
-                    vertices[part] - reference[part],
-                    vertices[part],
-                    position,
-                    tool.bounding_radius + self._longest_edge,
-                ) / self._dt
+                before, now = reference[part], vertices[part]
+                organ_shift = np.zeros(3)
+                local_shift(before, now, position, tool.bounding_radius + self._longest_edge, organ_shift)
+                reach = (end - begin) * travel * self._dt + largest_shift(before, now) + REACH_SLACK
                 detector.update(
                     position,
                     orientation,
-                    vertices[part],
+                    now,
                     triangles,
-                    motion.linear_velocity - organ_velocity,
+                    motion.linear_velocity - organ_shift / self._dt,
                     motion.angular_velocity,
-                    RS*((end-begin)*(np.linalg.norm(motion.position-motion.start_position)+np.linalg.norm(motion.angular_velocity)*self._dt*tool.bounding_radius)+np.sqrt(((vertices[part] - reference[part])**2).sum(1).max())+.01),
+                    reach if self._selective[index] else np.inf,
                 )
 
     def _deepest(self) -> float:
         return max((detector.deepest for row in self.detectors for detector in row), default=0.0)
 
-    def _constrain(self, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float) -> None:
+    def _constrain(self, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float) -> Constraints:
         """Write the constraints of the contacts just detected, between the poses at two fractions of the step."""
         while not self._try_to_constrain(vertices, motions, begin, end):
             self._constraints = Constraints(2 * self._constraints.capacity)
+        return self._constraints
 
-    def _try_to_constrain(
-        self, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float
-    ) -> bool:
+    def _try_to_constrain(self, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float) -> bool:
         """As `_constrain`; False if the constraints are too many for their arrays."""
         constraints = self._constraints
-        into = (
-            constraints.corners,
-            constraints.weights,
-            constraints.normal,
-            constraints.point,
-            constraints.carry,
-            constraints.velocity,
-            constraints.friction,
-            constraints.owner,
-            constraints.node,
-        )
+        into = constraints.planes
         count = 0
         for index, (tool, motion, row) in enumerate(zip(self._tools, motions, self.detectors, strict=False)):
             position, orientation = motion.at(end)
             start_position, start_orientation = motion.at(begin)
             speed = float(np.linalg.norm(motion.linear_velocity))
             speed += float(np.linalg.norm(motion.angular_velocity)) * tool.bounding_radius
-            limit = min(1.0, self._greatest_speed / speed) if speed > 0.0 else 1.0
+            greatest = COURANT_LIMIT * self._mean_edge / self._dt
+            limit = greatest / speed if speed > greatest else 1.0
             pose = (
                 position,
                 rotation_matrix(orientation).ravel(),
@@ -312,13 +320,13 @@ class ContactModel:
                 index,
             )
             for part, triangles, detector in zip(self._parts, self._triangles, row, strict=True):
+                states, triangle, record = detector.buffers
                 count = add_node_constraints(
-                    count, *detector.buffers, *self._nodes[index], triangles, part.start, *pose, *into
+                    count, states, triangle, record, *self._nodes[index], triangles, part.start, *pose, *into
                 )
-                states, _, record = detector.buffers
                 count = add_surface_constraints(
-                    count, states, record, *self._faces[index], triangles, vertices, part.start, *pose,
-                    *detector.workspace, *into,
+                    count, states, record, *self._faces[index], LEAST_OPPOSITION, triangles, vertices, part.start,
+                    *pose, *detector.workspace, *into,
                 )  # fmt: skip
                 if count < 0:
                     return False
@@ -331,34 +339,40 @@ class ContactModel:
 
     def _account(self, vertices: FloatArray, motions: Sequence[Motion]) -> list[Wrench]:
         """Sum the impulses of the last solve, per node and per tool."""
-        c, n = self._constraints, self._constraints.count
-        impulse, owner, node, corners = c.impulse[:n], c.owner[:n], c.node[:n], c.corners[:n]
-        by_tool = owner != GROUND
-        self.nodal_impulses[:] = 0.0
-        np.add.at(self.nodal_impulses, corners[by_tool], (c.weights[:n, :, None] * impulse[:, None, :])[by_tool])
-        self.ground_force = impulse[~by_tool].sum(axis=0) / self._dt
-        points = np.einsum("ck,ckx->cx", c.weights[:n], vertices[corners])
+        constraints = self._constraints
         wrenches = []
+        self.nodal_impulses[:] = 0.0
         for index, (tool, motion) in enumerate(zip(self._tools, motions, strict=False)):
-            mine = owner == index
-            forces = -impulse[mine] / self._dt
-            torque = np.cross(points[mine] - motion.position, forces).sum(axis=0)
-            node_forces = np.zeros((len(tool.nodes), 3))
-            on_node = node[mine] >= 0
-            np.add.at(node_forces, node[mine][on_node], forces[on_node])
-            wrenches.append(Wrench(forces.sum(axis=0), torque, node_forces))
+            impulse, moment, node_impulses = np.zeros(3), np.zeros(3), np.zeros((len(tool.nodes), 3))
+            sum_tool_impulses(
+                constraints.count,
+                constraints.corners,
+                constraints.weights,
+                constraints.normal,
+                constraints.impulse,
+                constraints.owner,
+                constraints.node,
+                vertices,
+                index,
+                motion.position,
+                rotation_matrix(motion.orientation).ravel(),
+                *self._nodes[index],
+                self.nodal_impulses,
+                impulse,
+                moment,
+                node_impulses,
+            )
+            wrenches.append(Wrench(impulse / -self._dt, moment / -self._dt, node_impulses / -self._dt))
+        on_ground = constraints.owner[: constraints.count] == GROUND
+        self.ground_force = constraints.impulse[: constraints.count][on_ground].sum(axis=0) / self._dt
         return wrenches
 
 
-def _local_shift(shift: FloatArray, vertices: FloatArray, position: FloatArray, radius: float) -> FloatArray:
-    """Mean shift (3,) of the vertices near a tool, or of all if none is [u]."""
-    near = ((vertices - position) ** 2).sum(axis=1) < radius**2
-    mean: FloatArray = shift[near].mean(axis=0) if near.any() else shift.mean(axis=0)
-    return mean
-
-
 def _face_arrays(tool: Tool) -> tuple[NDArray[Any], ...]:
-    """A tool's faces as `add_surface_constraints` takes them, from `face` to `plane_offsets`."""
+    """A tool's faces as `add_surface_constraints` takes them, from `face` to `plane_offsets`.
+
+    A face may be deeper in the organ than its deepest node by the distance of its nodes.
+    """
     frames, bounds, heights, rims, slack = [], [], [], [], []
     for face, normal in enumerate(tool.face_normals):
         frame = frame_along(normal)

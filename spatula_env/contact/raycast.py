@@ -30,7 +30,15 @@ TIE_TOLERANCE = 1e-12
 
 @inline_kernel
 def intersect_triangle(
-    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, a: np.ndarray, b: np.ndarray, c: np.ndarray
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
 ) -> tuple[bool, float, float, float]:
     """Möller-Trumbore: where the line origin + t direction meets the triangle (a, b, c).
 
@@ -179,7 +187,14 @@ def line_meets_triangle(
 
 @inline_kernel
 def _record_hit(
-    hits: np.ndarray, distances: np.ndarray, node: int, side: int, distance: float, facing: int, triangle: int, tie: float
+    hits: np.ndarray,
+    distances: np.ndarray,
+    node: int,
+    side: int,
+    distance: float,
+    facing: int,
+    triangle: int,
+    tie: float,
 ) -> None:
     """Keep the nearest hit of one ray, and the sum of facings of all hits at that same distance.
 
@@ -307,9 +322,7 @@ def cast_columns(
         first_row, last_row = group_rows[group], group_rows[group + 1]
         for k in range(triangle_count):
             a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-            if group == 0 and (
-                a < 0 or b < 0 or c < 0 or a >= vertex_count or b >= vertex_count or c >= vertex_count
-            ):
+            if group == 0 and (a < 0 or b < 0 or c < 0 or a >= vertex_count or b >= vertex_count or c >= vertex_count):
                 return 2
             if codes[a] & codes[b] & codes[c]:
                 continue
@@ -330,9 +343,7 @@ def cast_columns(
                 while column < last_column and column_v[column] < low_v:
                     column += 1
                 while column < last_column and column_v[column] <= high_v:
-                    facing, wa, wb, wc = line_meets_triangle(
-                        row_u[row], column_v[column], au, av, bu, bv, cu, cv
-                    )
+                    facing, wa, wb, wc = line_meets_triangle(row_u[row], column_v[column], au, av, bu, bv, cu, cv)
                     if facing != 0:
                         w = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
                         plus, minus = column_nodes[column, 0], column_nodes[column, 1]
@@ -364,7 +375,15 @@ def cast_columns(
                             # slot 0 looks inwards along -w; slot 1 along +w; outwards is the reverse.
                             direction = (-1.0 if slot == 0 else 1.0) * (1.0 if side == 0 else -1.0)
                             _cast_past_grazes(
-                                node, side, direction, row_u[row], column_v[column], node_height[node],
-                                local, triangles, hits, distances,
+                                node,
+                                side,
+                                direction,
+                                row_u[row],
+                                column_v[column],
+                                node_height[node],
+                                local,
+                                triangles,
+                                hits,
+                                distances,
                             )
     return 0

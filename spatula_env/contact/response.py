@@ -22,6 +22,9 @@ from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.raycast import line_meets_triangle
 from spatula_env.contact.rigid import dot, turn
 
+CONTACT_MARGIN = 1e-4
+"""What is no farther from a plane than this touches it [u]."""
+
 GROUND = -1
 """Owner of a constraint that is not a tool's."""
 
@@ -60,6 +63,21 @@ class Constraints:
         self.displacement = np.zeros((capacity, 3))
         self.impulse = np.zeros((capacity, 3))
         self.gap = np.zeros(capacity)
+
+    @property
+    def planes(self) -> tuple[np.ndarray, ...]:
+        """The arrays that `add_*_constraints` write, from `corners` to `node`."""
+        return (
+            self.corners,
+            self.weights,
+            self.normal,
+            self.point,
+            self.carry,
+            self.velocity,
+            self.friction,
+            self.owner,
+            self.node,
+        )
 
     @property
     def capacity(self) -> int:
@@ -364,7 +382,11 @@ def add_node_constraints(
 
 @inline_kernel
 def _clip_to_face(
-    start: np.ndarray, end: np.ndarray, face_normal: np.ndarray, plane_normals: np.ndarray, plane_offsets: np.ndarray
+    start: np.ndarray,
+    end: np.ndarray,
+    face_normal: np.ndarray,
+    plane_normals: np.ndarray,
+    plane_offsets: np.ndarray,
 ) -> tuple[float, float]:
     """The part of a segment (tool frame) that lies over a face, as fractions (first, last); empty if first > last."""
     first, last = 0.0, 1.0
@@ -385,9 +407,8 @@ def _clip_to_face(
 
 @kernel(
     "i8(i8, b1[:,::1], f8[:,::1], i4[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], i4[::1], f8[:,::1],"
-    " f8[::1], i4[:,::1],"
-    " f8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i4, f8[:,::1], u1[::1], i4[:,::1],"
-    " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i4[::1], i4[::1])"
+    " f8[::1], f8, i4[:,::1], f8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i4,"
+    " f8[:,::1], u1[::1], i4[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i4[::1], i4[::1])"
 )
 def add_surface_constraints(
     count: int,
@@ -402,6 +423,7 @@ def add_surface_constraints(
     first_corner: np.ndarray,
     plane_normals: np.ndarray,
     plane_offsets: np.ndarray,
+    least_opposition: float,
     triangles: np.ndarray,
     vertices: np.ndarray,
     first_vertex: int,
@@ -445,6 +467,7 @@ def add_surface_constraints(
         first_corner: (F + 1,) index of each face's first corner, and their number.
         plane_normals: (P, 3) of all the tool's planes, tool frame.
         plane_offsets: (P,) normal . x on each plane [u].
+        least_opposition: Triangles with -N . N_r below this do not count.
         triangles: (T, 3) of the organ.
         vertices: (V, 3) of all organs [u].
         first_vertex: As in `add_node_constraints`, as the next eight.
@@ -502,7 +525,7 @@ def add_surface_constraints(
                 | ((u > face_bounds[f, 1]) << 1)
                 | ((v < face_bounds[f, 2]) << 2)
                 | ((v > face_bounds[f, 3]) << 3)
-                | ((w >= height) << 4)
+                | ((w > height + CONTACT_MARGIN) << 4)
                 | ((w < height - deepest) << 5)
             )
         for t in range(triangles.shape[0]):
@@ -515,8 +538,9 @@ def add_surface_constraints(
             ux, uy, uz = local[0, j] - local[0, i], local[1, j] - local[1, i], local[2, j] - local[2, i]
             vx, vy, vz = local[0, k] - local[0, i], local[1, k] - local[1, i], local[2, k] - local[2, i]
             px, py = uy * vz - uz * vy, uz * vx - ux * vz
-            if area >= 0.0 or area * area < 0.0625 * (px * px + py * py + area * area):
-                # This side of the organ faces away from the face.
+            least = least_opposition * least_opposition * (px * px + py * py + area * area)
+            if area >= 0.0 or area * area < least:
+                # This side of the organ faces away from the face, or runs along it.
                 continue
             for corner in range(first_corner[f], first_corner[f + 1]):
                 facing, wa, wb, wc = line_meets_triangle(
@@ -524,7 +548,7 @@ def add_surface_constraints(
                     local[0, i], local[1, i], local[0, j], local[1, j], local[0, k], local[1, k],
                 )  # fmt: skip
                 depth = height - (wa * local[2, i] + wb * local[2, j] + wc * local[2, k])
-                if facing >= 0 or depth <= 0.0 or depth > deepest:
+                if facing >= 0 or depth < -CONTACT_MARGIN or depth > deepest:
                     continue
                 if count == friction.shape[0]:
                     return -1
@@ -565,7 +589,7 @@ def add_surface_constraints(
                     for axis in range(3):
                         contact[axis] = start[axis] + fraction * (end[axis] - start[axis])
                     above = dot(frame[2], contact) - height
-                    if above >= 0.0 or above < -deepest:
+                    if above > CONTACT_MARGIN or above < -deepest:
                         continue
                     # An edge belongs to two triangles, a vertex to several.
                     known = False
@@ -616,7 +640,7 @@ def add_ground_constraints(
     owner: np.ndarray,
     node: np.ndarray,
 ) -> int:
-    """Append one constraint for each vertex below the ground.
+    """Append one constraint for each vertex that is below the ground or touches it.
 
     Args:
         count: Constraints already there.
@@ -638,7 +662,7 @@ def add_ground_constraints(
         The new count; -1 if there is no room for more.
     """
     for i in range(vertices.shape[0]):
-        if vertices[i, 2] >= height or inverse_mass[i] == 0.0:
+        if vertices[i, 2] > height + CONTACT_MARGIN or inverse_mass[i] == 0.0:
             continue
         if count == friction.shape[0]:
             return -1
@@ -652,3 +676,75 @@ def add_ground_constraints(
         friction[count], owner[count], node[count] = coefficient, GROUND, -1
         count += 1
     return count
+
+
+@kernel(
+    "void(i8, i4[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], i4[::1], i4[::1], f8[:,::1], i4, f8[::1], f8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1])"
+)
+def sum_tool_impulses(
+    count: int,
+    corners: np.ndarray,
+    weights: np.ndarray,
+    normal: np.ndarray,
+    impulse: np.ndarray,
+    owner: np.ndarray,
+    node: np.ndarray,
+    vertices: np.ndarray,
+    tool: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    nodes: np.ndarray,
+    normals: np.ndarray,
+    nodal_impulses: np.ndarray,
+    total: np.ndarray,
+    moment: np.ndarray,
+    node_impulses: np.ndarray,
+) -> None:
+    """Add up what one tool gave the organs.
+
+    Args:
+        count: How many constraints; the next six arrays are those of `Constraints`.
+        corners: See there.
+        weights: See there.
+        normal: See there.
+        impulse: See there.
+        owner: See there.
+        node: See there.
+        vertices: (V, 3) [u].
+        tool: Its index.
+        position: (3,) of the tool [u].
+        rotation: (9,) of the tool.
+        nodes: (n, 3) of the tool, tool frame [u].
+        normals: (n, 3) of the tool, tool frame.
+        nodal_impulses: (V, 3) added to, on the organs' vertices [kg u/s].
+        total: (3,) added to [kg u/s].
+        moment: (3,) added to, about the tool's origin [kg u2/s].
+        node_impulses: (n, 3) added to, by contact node; what acts between nodes goes to the nearest of the face.
+    """
+    contact = np.empty(3)
+    for c in range(count):
+        if owner[c] != tool:
+            continue
+        contact[:] = 0.0
+        for corner in range(3):
+            for axis in range(3):
+                contact[axis] += weights[c, corner] * vertices[corners[c, corner], axis]
+                nodal_impulses[corners[c, corner], axis] += weights[c, corner] * impulse[c, axis]
+        for axis in range(3):
+            total[axis] += impulse[c, axis]
+            contact[axis] -= position[axis]
+        moment[0] += contact[1] * impulse[c, 2] - contact[2] * impulse[c, 1]
+        moment[1] += contact[2] * impulse[c, 0] - contact[0] * impulse[c, 2]
+        moment[2] += contact[0] * impulse[c, 1] - contact[1] * impulse[c, 0]
+        nearest = node[c]
+        if nearest < 0:
+            least = np.inf
+            for i in range(nodes.shape[0]):
+                nx, ny, nz = turn(rotation, normals[i])
+                x, y, z = turn(rotation, nodes[i])
+                distance = (x - contact[0]) ** 2 + (y - contact[1]) ** 2 + (z - contact[2]) ** 2
+                if nx * normal[c, 0] + ny * normal[c, 1] + nz * normal[c, 2] > 0.999 and distance < least:
+                    nearest, least = i, distance
+        for axis in range(3):
+            node_impulses[nearest, axis] += impulse[c, axis]

@@ -10,7 +10,8 @@ from spatula_env._kernels import inline_kernel
 @inline_kernel
 def dot(a: np.ndarray, b: np.ndarray) -> float:
     """Scalar product of two vectors (3,)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
 
 
 @inline_kernel

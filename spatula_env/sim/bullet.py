@@ -135,7 +135,7 @@ class BulletWorld:
             rows = bullet.getMeshData(body, -1, flags=bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=client)[1]
             self._rows[index] = rows
             # struct is the fastest way from nested tuples to an array: a third of the time of numpy.array.
-            self._unpack[index].pack_into(positions[part], 0, *chain.from_iterable(rows))
+            self._unpack[index].pack_into(positions[part].data, 0, *chain.from_iterable(rows))
         self._positions = positions
         self._velocities = (positions - before) / self._dt
         return positions.copy(), self._velocities.copy()
@@ -188,7 +188,7 @@ class BulletWorld:
         bullet.stepSimulation(client)
         bullet.setGravity(0.0, 0.0, -self._gravity, physicsClientId=client)
         velocities_left = np.empty_like(far)
-        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
+        for body, part in zip(self._bodies, self._slices, strict=True):
             rows = bullet.getMeshData(body, -1, flags=bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=client)[1]
             velocities_left[part] = (np.array(rows) - far[part]) / self._dt
         for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
@@ -208,7 +208,8 @@ class BulletWorld:
 def _node_masses(organ: Organ, mass: float) -> FloatArray:
     """Bullet's distribution of a soft body's mass: by the area of the triangles around each node."""
     areas = vertex_areas(organ.vertices, organ.triangles)
-    return areas * (mass / areas.sum())
+    masses: FloatArray = areas * (mass / areas.sum())
+    return masses
 
 
 class BulletTools:
@@ -238,7 +239,12 @@ class BulletTools:
             )
         body: int = bullet.createMultiBody(self._mass, shape, useMaximalCoordinates=1, physicsClientId=client)
         bullet.changeDynamics(
-            body, -1, linearDamping=0.0, angularDamping=0.0, lateralFriction=placed.friction, physicsClientId=client
+            body,
+            -1,
+            linearDamping=0.0,
+            angularDamping=0.0,
+            lateralFriction=placed.friction,
+            physicsClientId=client,
         )
         return body
 
@@ -249,7 +255,12 @@ class BulletTools:
         )
 
     def move(
-        self, index: int, position: FloatArray, orientation: FloatArray, linear: FloatArray, angular: FloatArray
+        self,
+        index: int,
+        position: FloatArray,
+        orientation: FloatArray,
+        linear: FloatArray,
+        angular: FloatArray,
     ) -> None:
         """Give a tool the pose that it has at the end of the coming step, and its velocity."""
         self.place(index, position, orientation)

@@ -50,7 +50,7 @@ class Report:
         all_contacts: The same for each tool (outer) and organ (inner).
         penetration: Greatest depth of a contact node before correction [u].
         residual: Greatest violation of a contact constraint after correction [u].
-        path_parts: Into how many parts the tools' paths were divided so that nothing was jumped over.
+        queries: How many times each detector was asked: more than once where something moved too far at once.
         scale: From scene units to SI.
     """
 
@@ -61,7 +61,7 @@ class Report:
     all_contacts: tuple[tuple[Contacts, ...], ...]
     penetration: float
     residual: float
-    path_parts: int
+    queries: int
     scale: Scale
 
     @property
@@ -147,9 +147,7 @@ class Simulation:
         self.contact: ContactName = contact
         self._closed = False
         self._world = BulletWorld(scene, with_tools=contact == "bullet")
-        self._model = ContactModel(
-            scene, self._world.inverse_masses, "off" if contact == "second_step" else first_step
-        )
+        self._model = ContactModel(scene, self._world.inverse_masses, "off" if contact == "second_step" else first_step)
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self._triangles = np.concatenate(
             [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
@@ -180,9 +178,7 @@ class Simulation:
         self._model.reset()
         self._time = 0.0
 
-    def place_tool(
-        self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0
-    ) -> None:
+    def place_tool(self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0) -> None:
         """Put a tool somewhere at once. Its flags are cleared and the organs feel nothing of the way.
 
         Args:
@@ -194,7 +190,10 @@ class Simulation:
             ValueError: If an argument is malformed or not finite; the tool then stays where it was.
         """
         self._check_open()
-        new_position, new_orientation = as_vector3(position, "position"), as_quaternion(orientation, "orientation")
+        new_position, new_orientation = (
+            as_vector3(position, "position"),
+            as_quaternion(orientation, "orientation"),
+        )
         self._tool_positions[index] = new_position
         self._tool_orientations[index] = new_orientation
         self._model.forget(index)
@@ -238,9 +237,7 @@ class Simulation:
             self._tool_positions[index] = motion.position
             self._tool_orientations[index] = motion.orientation
         self._time += self.dt
-        all_contacts = tuple(
-            tuple(detector.contacts for detector in row) for row in self._model.detectors
-        )
+        all_contacts = tuple(tuple(detector.contacts for detector in row) for row in self._model.detectors)
         return Report(
             wrenches=tuple(wrenches),
             nodal_impulses=self._model.nodal_impulses.copy(),
@@ -249,7 +246,7 @@ class Simulation:
             all_contacts=all_contacts,
             penetration=self._model.penetration,
             residual=self._model.residual,
-            path_parts=self._model.path_parts,
+            queries=self._model.queries,
             scale=self.scene.scale,
         )
 
@@ -317,12 +314,14 @@ class Simulation:
     @property
     def tool_position(self) -> FloatArray:
         """(3,) of the first tool (a copy) [u]."""
-        return self._tool_positions[0].copy()
+        position: FloatArray = self._tool_positions[0].copy()
+        return position
 
     @property
     def tool_orientation(self) -> FloatArray:
         """(4,) of the first tool, quaternion xyzw (a copy)."""
-        return self._tool_orientations[0].copy()
+        orientation: FloatArray = self._tool_orientations[0].copy()
+        return orientation
 
     @property
     def tool_positions(self) -> FloatArray:
