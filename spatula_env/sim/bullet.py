@@ -3,7 +3,8 @@
 Facts about PyBullet 3.2.7 that shape this file. In the classic world (`resetSimulation(0)`) an external force on a
 node acts on it alone, in the next step; `resetMeshData` sets positions and leaves velocities; there is no call that
 reads or sets a velocity, but after a step a node's velocity is exactly its displacement over the time step. Meshes
-are read from a file in single precision, so positions are set again after loading. `saveState` ignores soft bodies.
+are read from a file in single precision, so positions are set again after loading. `saveState` ignores soft bodies;
+`resetMeshData` never lets go of the sequences it is given.
 """
 
 from __future__ import annotations
@@ -21,8 +22,6 @@ from spatula_env.geometry.surface import vertex_areas
 from spatula_env.geometry.transforms import rotate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from spatula_env.geometry.meshes import Organ
@@ -88,7 +87,10 @@ class BulletWorld:
         self._unpack = [struct.Struct(f"{3 * (part.stop - part.start)}d") for part in self._slices]
         self._positions: FloatArray = np.concatenate(positions)
         self._velocities: FloatArray = np.zeros_like(self._positions)
-        self._rows: list[list[Any]] = [[] for _ in self._bodies]
+        # What Bullet is given as positions. resetMeshData never releases the sequences it gets, neither the outer nor
+        # the inner ones (PyBullet 3.2.7), so it always gets the same lists, with new numbers in them.
+        self._rows = [[[0.0, 0.0, 0.0] for _ in placed.organ.vertices] for placed in scene.organs]
+        self._read: list[Any] = [()] * len(self._bodies)
         self._force_scale = self._masses / self._dt
         self._initial = self._positions.copy()
         self._everything = np.arange(self._count)
@@ -133,7 +135,7 @@ class BulletWorld:
         positions = np.empty_like(before)
         for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
             rows = bullet.getMeshData(body, -1, flags=bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=client)[1]
-            self._rows[index] = rows
+            self._read[index] = rows
             # struct is the fastest way from nested tuples to an array: a third of the time of numpy.array.
             self._unpack[index].pack_into(positions[part].data, 0, *chain.from_iterable(rows))
         self._positions = positions
@@ -163,13 +165,19 @@ class BulletWorld:
             inside = changed[(changed >= part.start) & (changed < part.stop)]
             if len(inside):
                 # Only the moved rows are converted; the others are the tuples that Bullet gave.
-                rows = list(self._rows[index])
-                for node, row in zip((inside - part.start).tolist(), positions[inside].tolist(), strict=True):
-                    rows[node] = row
-                self._write(body, rows)
+                rows = self._rows[index]
+                for row, read in zip(rows, self._read[index], strict=True):
+                    row[0], row[1], row[2] = read
+                for node, moved in zip((inside - part.start).tolist(), positions[inside].tolist(), strict=True):
+                    rows[node][:] = moved
+                self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
 
-    def _write(self, body: int, rows: Sequence[Any]) -> None:
-        self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
+    def _write(self, positions: FloatArray) -> None:
+        """Set the positions of all nodes."""
+        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
+            for row, position in zip(self._rows[index], positions[part].tolist(), strict=True):
+                row[:] = position
+            self._bullet.resetMeshData(body, self._rows[index], physicsClientId=self._client)
 
     def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:
         """See `world.SoftWorld.set_state`.
@@ -182,8 +190,7 @@ class BulletWorld:
         bullet, client = self._bullet, self._client
         far = self._initial + SCRUB_SHIFT
         self._push(-self._velocities, self._everything)
-        for body, part in zip(self._bodies, self._slices, strict=True):
-            self._write(body, far[part].tolist())
+        self._write(far)
         bullet.setGravity(0.0, 0.0, 0.0, physicsClientId=client)
         bullet.stepSimulation(client)
         bullet.setGravity(0.0, 0.0, -self._gravity, physicsClientId=client)
@@ -191,9 +198,7 @@ class BulletWorld:
         for body, part in zip(self._bodies, self._slices, strict=True):
             rows = bullet.getMeshData(body, -1, flags=bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=client)[1]
             velocities_left[part] = (np.array(rows) - far[part]) / self._dt
-        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
-            self._rows[index] = positions[part].tolist()
-            self._write(body, self._rows[index])
+        self._write(positions)
         self._positions = np.array(positions)
         self._velocities = velocities_left
         self._wanted = np.array(velocities)
