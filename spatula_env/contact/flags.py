@@ -28,6 +28,9 @@ FirstStep = Literal["inside", "any_hit", "off"]
 _FIRST_STEP_CODES: dict[str, int] = {"off": 0, "any_hit": 1, "inside": 2}
 
 _VERTEX_NOT_FINITE, _TRIANGLE_OUT_OF_RANGE, _MOTION_NOT_VALID = 1, 2, 3
+CROSSING_SLACK = 0.02
+"""How far behind a triangle's plane a node may have been and still count as having crossed it since [u]."""
+
 _UNIT_TOLERANCE = 2e-6
 """Allowed difference of a quaternion's squared length from one."""
 
@@ -124,8 +127,26 @@ def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray)
     record[2] = max(1.0 - record[0] - record[1], 0.0)
 
 
+@inline_kernel
+def _height_above(
+    position: np.ndarray, rotation: np.ndarray, node: np.ndarray, vertices: np.ndarray, corners: np.ndarray
+) -> float:
+    """How far a contact node is on the outer side of a triangle's plane [u]."""
+    normal = np.empty(3)
+    _fill_triangle_normal(vertices, corners, normal)
+    x, y, z = turn(rotation, node)
+    a = corners[0]
+    height: float = (
+        (position[0] + x - vertices[a, 0]) * normal[0]
+        + (position[1] + y - vertices[a, 1]) * normal[1]
+        + (position[2] + z - vertices[a, 2]) * normal[2]
+    )
+    return height
+
+
 @kernel(
-    "i4(f8[::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[:,::1], f8[:,::1], i4[::1], i4, f8, f8,"
+    "i4(f8[::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
+    " i4[::1], i4, f8, b1,"
     " f8[:,:,::1], f8[:,::1], i4[::1], f8[::1], i4[::1], f8[::1], i4[:,::1], f8[::1],"
     " f8[:,::1], u1[::1], i4[:,:,::1], f8[:,::1], b1[:,::1], i4[::1], f8[:,::1])"
 )
@@ -136,12 +157,15 @@ def detect_contacts(
     angular_velocity: np.ndarray,
     vertices: np.ndarray,
     triangles: np.ndarray,
+    last_position: np.ndarray,
+    last_orientation: np.ndarray,
+    last_vertices: np.ndarray,
     nodes: np.ndarray,
     normals: np.ndarray,
     opposite: np.ndarray,
     first_step: int,
     least_opposition: float,
-    reach: float,
+    crossed_only: bool,
     frames: np.ndarray,
     bounds: np.ndarray,
     group_rows: np.ndarray,
@@ -190,7 +214,10 @@ def detect_contacts(
             record[i, k] = 0.0
         record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
     normal = record[:, 4:7]
-    limited = least_opposition > 0.0 or reach < np.inf
+    limited = least_opposition > 0.0 or crossed_only
+    last_rotation = np.empty(9)
+    if crossed_only:
+        _fill_rotation(last_orientation, 1.0, last_rotation)
     for i in range(node_count):
         remembered[i] = flags[i]
         inside[i] = hits[i, 0, 1] > 0
@@ -220,7 +247,13 @@ def detect_contacts(
                 if limited and attempt == 0:
                     nx, ny, nz = turn(rotation, normals[i])
                     opposition = -(normal[i, 0] * nx + normal[i, 1] * ny + normal[i, 2] * nz)
-                    if opposition < least_opposition or (not remembered[i] and distances[i, 0] * opposition > reach):
+                    if opposition < least_opposition or (
+                        crossed_only
+                        and _height_above(
+                            last_position, last_rotation, nodes[i], last_vertices, triangles[hits[i, 0, 0]]
+                        )
+                        < -CROSSING_SLACK
+                    ):
                         flags[i] = False
                         refused = True
                 accepted = accepted or flags[i]
@@ -335,7 +368,6 @@ class FlaggedDetector:
         triangles: ArrayLike,
         linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        reach: float = np.inf,
     ) -> Contacts:
         """Query the contacts at a pose of the tool, and remember the flags.
 
@@ -346,10 +378,6 @@ class FlaggedDetector:
             triangles: (T, 3) vertex indices, counter-clockwise from outside.
             linear_velocity: (3,) of the tool's origin relative to the organ, world frame [u/s].
             angular_velocity: (3,) relative to the organ, world frame [rad/s].
-            reach: A node whose flag is clear is refused a contact deeper than this, measured perpendicular to the
-                triangle [u]. A caller that knows how far things have moved since the last query, and that no node was
-                left inside, passes that distance: what is deeper was not entered through this face. Without a limit
-                (default) this is the published method.
 
         Returns:
             The contacts; arrays of their own.
@@ -365,7 +393,6 @@ class FlaggedDetector:
             _index_array(triangles),
             _float_array(linear_velocity, "linear_velocity", (3,)),
             _float_array(angular_velocity, "angular_velocity", (3,)),
-            reach,
         )
         return Contacts(self._states, self._triangle, self._record)
 
@@ -377,9 +404,21 @@ class FlaggedDetector:
         triangles: NDArray[np.int32],
         linear_velocity: NDArray[np.float64],
         angular_velocity: NDArray[np.float64],
-        reach: float,
+        last: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
     ) -> None:
-        """As `detect`, for arrays of the right type and shape, leaving the result in the detector's buffers."""
+        """As `detect`, for arrays of the right type and shape, leaving the result in the detector's buffers.
+
+        Args:
+            position: As in `detect`, as the next five.
+            orientation: See there.
+            vertices: See there.
+            triangles: See there.
+            linear_velocity: See there.
+            angular_velocity: See there.
+            last: Position, orientation and vertices at the last query. If given, contact is refused to a node that
+                was already behind the plane of its triangle then: it has not come in through that triangle, so its
+                face does not own the contact. If nothing at all would be in contact then, nothing is refused.
+        """
         if self._codes.shape[0] != vertices.shape[0]:
             self._local = np.zeros((3, vertices.shape[0]))
             self._codes = np.zeros(vertices.shape[0], dtype=np.uint8)
@@ -390,10 +429,11 @@ class FlaggedDetector:
             angular_velocity,
             vertices,
             triangles,
+            *(last or (position, orientation, vertices)),
             *self._tool_arrays,
             self._first_step_code,
             self.least_opposition,
-            reach,
+            last is not None,
             *self._columns,
             self._local,
             self._codes,

@@ -53,9 +53,6 @@ ORGAN_PART = 0.5
 LEAST_OPPOSITION = 0.25
 """A face is not in contact with a surface that runs along it: -N . N_r must be at least this (75.5 degrees)."""
 
-REACH_SLACK = 0.01
-"""How much deeper than things have moved since the last query a new contact may be [u]."""
-
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
@@ -276,12 +273,11 @@ class ContactModel:
         """Query all pairs at fraction `end` of the tools' paths, the last query having been at `begin`."""
         for index, (tool, motion, row) in enumerate(zip(self._tools, motions, self.detectors, strict=False)):
             position, orientation = motion.at(end)
-            travel = (end - begin) * self._dt * motion.speed(tool.bounding_radius)
+            last_position, last_orientation = motion.at(begin)
             for part, triangles, detector in zip(self._parts, self._triangles, row, strict=True):
                 before, now = reference[part], vertices[part]
                 organ_shift = np.zeros(3)
                 local_shift(before, now, position, tool.bounding_radius + self._longest_edge, organ_shift)
-                reach = travel + largest_shift(before, now) + REACH_SLACK
                 detector.update(
                     position,
                     orientation,
@@ -289,7 +285,7 @@ class ContactModel:
                     triangles,
                     motion.linear_velocity - organ_shift / self._dt,
                     motion.angular_velocity,
-                    reach if self._selective[index] else np.inf,
+                    (last_position, last_orientation, before) if self._selective[index] else None,
                 )
 
     def _deepest(self) -> float:

@@ -497,16 +497,13 @@ def add_surface_constraints(
     place = np.empty((3, 3))
     contact = np.empty(3)
     world_frame = np.empty((3, 3))
-    touching = False
-    for i in range(face.shape[0]):
-        touching = touching or states[5, i]
-    if not touching:
-        return count
     for f in range(face_frames.shape[0]):
         deepest = 0.0
         for i in range(face.shape[0]):
             if states[0, i] and face[i] == f:
                 deepest = max(deepest, record[i, 3])
+        if deepest <= 0.0:
+            continue
         deepest += face_slack[f]
         first_of_face = count
         frame, height = face_frames[f], face_heights[f]

@@ -1,0 +1,61 @@
+"""What the benchmarks share: timing, and how a result is printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+
+def median_microseconds(call: Callable[[], object], repeats: int, before: Callable[[], object] | None = None) -> float:
+    """The median time of a call.
+
+    Args:
+        call: What is timed.
+        repeats: How often; some more calls come first and do not count.
+        before: Called before each, untimed.
+
+    Returns:
+        Median [us].
+    """
+    times = []
+    for index in range(repeats + max(repeats // 10, 3)):
+        if before is not None:
+            before()
+        start = time.perf_counter_ns()
+        call()
+        elapsed = time.perf_counter_ns() - start
+        if index >= max(repeats // 10, 3):
+            times.append(elapsed)
+    return float(np.median(times)) / 1e3
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on."""
+    return {
+        "processor": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "numba": version("numba"),
+        "numpy": version("numpy"),
+        "pybullet": version("pybullet"),
+    }
+
+
+def parser(description: str) -> argparse.ArgumentParser:
+    """A command line with the options that all benchmarks have."""
+    made = argparse.ArgumentParser(description=description)
+    made.add_argument("--json", action="store_true", help="print nothing but the JSON line")
+    return made
+
+
+def finish(result: dict[str, Any]) -> None:
+    """Print a result as the last line."""
+    print(json.dumps({**result, "machine": machine()}))
