@@ -31,8 +31,8 @@ _VERTEX_NOT_FINITE, _TRIANGLE_OUT_OF_RANGE, _MOTION_NOT_VALID = 1, 2, 3
 CROSSING_SLACK = 0.02
 """How far behind a triangle's plane a node may have been and still count as having crossed it since [u]."""
 
-_UNIT_TOLERANCE = 2e-6
-"""Allowed difference of a quaternion's squared length from one."""
+_UNIT_TOLERANCE = 1.0000001e-6
+"""Allowed difference of a quaternion's length from one; a rounding error more than `as_quaternion` allows."""
 
 
 class Contacts:
@@ -146,7 +146,7 @@ def _height_above(
 
 @kernel(
     "i4(f8[::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " i4[::1], i4, f8, b1,"
+    " i4[::1], i4, b1, f8, b1,"
     " f8[:,:,::1], f8[:,::1], i4[::1], f8[::1], i4[::1], f8[::1], i4[:,::1], f8[::1],"
     " f8[:,::1], u1[::1], i4[:,:,::1], f8[:,::1], b1[:,::1], i4[::1], f8[:,::1])"
 )
@@ -164,6 +164,7 @@ def detect_contacts(
     normals: np.ndarray,
     opposite: np.ndarray,
     first_step: int,
+    exclusive: bool,
     least_opposition: float,
     crossed_only: bool,
     frames: np.ndarray,
@@ -183,12 +184,13 @@ def detect_contacts(
     record: np.ndarray,
 ) -> int:
     """One query of the flags method; `FlaggedDetector` says what the arguments and results mean."""
-    length_squared, total = 0.0, 0.0
+    length_squared, finite = 0.0, True
     for k in range(4):
         length_squared += orientation[k] * orientation[k]
     for k in range(3):
-        total += abs(position[k]) + abs(linear_velocity[k]) + abs(angular_velocity[k])
-    if not (abs(length_squared - 1.0) <= _UNIT_TOLERANCE and total < np.inf):
+        finite = finite and abs(position[k]) < np.inf
+        finite = finite and abs(linear_velocity[k]) < np.inf and abs(angular_velocity[k]) < np.inf
+    if not (finite and abs(np.sqrt(length_squared) - 1.0) <= _UNIT_TOLERANCE):
         return _MOTION_NOT_VALID
     rotation = np.empty(9)
     _fill_rotation(orientation, 1.0 / np.sqrt(length_squared), rotation)
@@ -233,10 +235,14 @@ def detect_contacts(
                 unfeasible[i] = False
                 other = opposite[i]
                 if first_step != 0 and flags[other]:
-                    # The opposite node owns a contact. If it is inside the organ, this node's would be unfeasible;
-                    # and where the organ overlaps itself and rays contradict each other, the first to own one keeps it.
+                    # The opposite node owns a contact. If it is inside the organ, this node's would be unfeasible.
+                    # Where the organ overlaps itself rays may contradict that; if asked to, the first then keeps it.
                     outward = hits[other, 1, 1]
-                    if outward > 0 or (first_step == 1 and outward != 0) or (decided[other] and hits[i, 0, 1] > 0):
+                    if (
+                        outward > 0
+                        or (first_step == 1 and outward != 0)
+                        or (exclusive and decided[other] and hits[i, 0, 1] > 0)
+                    ):
                         flags[i] = False
                         unfeasible[i] = True
                         continue
@@ -292,15 +298,26 @@ class FlaggedDetector:
         first_step: What the outward ray must find. "inside": a triangle that it leaves the organ through, so that the
             opposite wall of a fissure does not make a good contact unfeasible. "any_hit": any triangle, which is the
             published method to the letter. "off": no first step.
+        exclusive: Whether a node is also refused a contact that its opposite owns since earlier in the same query. On
+            a closed surface that changes nothing. On one that overlaps itself rays can say of both nodes of a pair
+            that they are inside, and of neither that its outward ray leaves the organ; the published method then flags
+            both.
         least_opposition: Contacts with -N . N_r below this are refused; 0 is the published method.
     """
 
-    def __init__(self, tool: Tool, first_step: FirstStep = "inside", least_opposition: float = 0.0) -> None:
+    def __init__(
+        self,
+        tool: Tool,
+        first_step: FirstStep = "inside",
+        exclusive: bool = True,
+        least_opposition: float = 0.0,
+    ) -> None:
         """Make a detector with all flags clear.
 
         Args:
             tool: The tool whose nodes are watched.
             first_step: "inside", "any_hit" or "off"; see the class.
+            exclusive: See the class.
             least_opposition: In [0, 1); see the class.
 
         Raises:
@@ -312,6 +329,7 @@ class FlaggedDetector:
             raise ValueError(f"least_opposition must lie in [0, 1), got {least_opposition!r}")
         self.tool = tool
         self.first_step: FirstStep = first_step
+        self.exclusive = bool(exclusive)
         self.least_opposition = float(least_opposition)
         count = len(tool.nodes)
         columns = RayColumns(tool)
@@ -432,6 +450,7 @@ class FlaggedDetector:
             *(last or (position, orientation, vertices)),
             *self._tool_arrays,
             self._first_step_code,
+            self.exclusive,
             self.least_opposition,
             last is not None,
             *self._columns,
@@ -485,7 +504,10 @@ def _float_array(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> 
 
 def _index_array(value: ArrayLike) -> NDArray[np.int32]:
     """The argument `triangles` as a C-contiguous int32 array (T, 3); no copy if it is one."""
-    array = value if type(value) is np.ndarray else np.asarray(value)
+    try:
+        array = value if type(value) is np.ndarray else np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"triangles must be integers of shape (any, 3), got {value!r}") from error
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "iu":
         raise ValueError(f"triangles must be integers of shape (any, 3), got {array.dtype} {array.shape}")
     if array.dtype == np.int32 and array.flags.carray:
@@ -513,4 +535,10 @@ def _raise_for_status(
             f"triangles must hold indices from 0 to {len(vertices) - 1}; {bad} of {len(triangles)} triangles do not"
         )
     bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
+    if bad == 0:
+        name, largest = max(
+            (("position", np.abs(position).max()), ("vertices", np.abs(vertices).max(initial=0.0))),
+            key=lambda entry: entry[1],
+        )
+        raise ValueError(f"{name} must be small enough to compute with, got values up to {largest}")
     raise ValueError(f"vertices must be finite; {bad} of {len(vertices)} are not")

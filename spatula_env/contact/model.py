@@ -134,7 +134,10 @@ class ContactModel:
         # which pair of faces a surface has come through; the seed's tool is left to the published method.
         self._selective = [first_step != "off" and len(placed.tool.face_normals) > 2 for placed in scene.tools]
         self.detectors = [
-            [FlaggedDetector(placed.tool, first_step, LEAST_OPPOSITION * selective) for _ in scene.organs]
+            [
+                FlaggedDetector(placed.tool, first_step, least_opposition=LEAST_OPPOSITION * selective)
+                for _ in scene.organs
+            ]
             for placed, selective in zip(scene.tools, self._selective, strict=True)
         ]
         self._dt = scene.dt

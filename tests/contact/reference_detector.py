@@ -1,7 +1,11 @@
 """The flags method once more, as slow and plain as can be, for the tests to compare with.
 
-Written from the published description alone: every ray is tried on every triangle by Möller and Trumbore's test, and
-the nodes are visited one after the other in a Python loop. Nothing is shared with the package but the tool's arrays.
+Written from the published description: every ray is tried on every triangle by Möller and Trumbore's test, and the
+nodes are visited one after the other in a Python loop. Nothing is shared with the package but the tool's arrays.
+
+One rule is not in the description, and matters only where a surface overlaps itself or has holes, so that a node's
+inward ray says that it is inside and its outward ray that it is not: a node whose opposite has been given the contact
+in this very query, and which is itself inside, is refused.
 """
 
 from __future__ import annotations
@@ -113,21 +117,25 @@ class ReferenceDetector:
             normal=np.zeros((count, 3)),
             points=places.copy(),
         )
+        visited = set()
         for node in [*np.flatnonzero(leads), *np.flatnonzero(~leads)]:
+            visited.add(node)
+            index, distance, weights = surface.cast(places[node], -outwards[node])
+            is_inside = bool(index >= 0 and surface.normals[index] @ outwards[node] < 0.0)
             # First step: does the opposite node own a contact, and is it inside the organ?
             other = tool.opposite[node]
             if self.first_step != "off" and self.flags[other]:
-                index, _, _ = surface.cast(places[other], outwards[other])
-                if index >= 0 and (
-                    self.first_step == "any_hit" or surface.normals[index] @ outwards[other] > 0.0
-                ):
+                beyond, _, _ = surface.cast(places[other], outwards[other])
+                refused = beyond >= 0 and (
+                    self.first_step == "any_hit" or surface.normals[beyond] @ outwards[other] > 0.0
+                )
+                if refused or (other in visited and is_inside):
                     self.flags[node] = False
                     found.unfeasible[node] = True
                     continue
             # Second step: is this node inside the organ?
-            index, distance, weights = surface.cast(places[node], -outwards[node])
-            self.flags[node] = bool(index >= 0 and surface.normals[index] @ outwards[node] < 0.0)
-            if self.flags[node]:
+            self.flags[node] = is_inside
+            if is_inside:
                 found.triangle[node] = index
                 found.barycentric[node] = weights
                 found.depth[node] = distance

@@ -120,7 +120,32 @@ def test_triangles_in_the_air(seed, count, tool_name, first_step):
     detector, reference = FlaggedDetector(probe, first_step), ReferenceDetector(probe, first_step)
     for _ in range(2):
         query = (*random_pose(generator, vertices), vertices, triangles, generator.normal(size=3))
-        assert_same(detector.detect(*query), reference.detect(*query))
+        contacts = detector.detect(*query)
+        assert_same(contacts, reference.detect(*query))
+        assert first_step == "off" or not (contacts.flags & contacts.flags[probe.opposite]).any()
+
+
+@settings(deadline=None, max_examples=50)
+@given(seeds, organ_names, tool_names, st.sampled_from([0.25, 0.9]))
+def test_least_opposition_refuses_surfaces_that_run_along_a_face(seed, organ_name, tool_name, least):
+    generator = np.random.default_rng(seed)
+    surface, probe = organ(organ_name), tool(tool_name)
+    vertices = deform(surface, generator, 0.1)
+    pose = random_pose(generator, vertices)
+    plain = FlaggedDetector(probe, "off").detect(*pose, vertices, surface.triangles)
+    picky = FlaggedDetector(probe, "off", least_opposition=least).detect(*pose, vertices, surface.triangles)
+    outwards = probe.normals @ rotation_matrix(pose[1]).T
+    allowed = -(plain.normal * outwards).sum(axis=1) >= least
+    # Where nothing would be left, a contact at a grazing angle is better than none.
+    expected = plain.flags & allowed if (plain.flags & allowed).any() else plain.flags
+    np.testing.assert_array_equal(picky.flags, expected)
+    np.testing.assert_array_equal(picky.depth, np.where(expected, plain.depth, 0.0))
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.0, 2.0, np.nan])
+def test_least_opposition_must_be_a_cosine(value):
+    with pytest.raises(ValueError, match="least_opposition"):
+        FlaggedDetector(tool("plate"), least_opposition=value)
 
 
 @pytest.mark.parametrize("first_step", ["inside", "any_hit", "off"])
