@@ -14,7 +14,7 @@ import numpy as np
 from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.columns import RayColumns
 from spatula_env.contact.raycast import NO_HIT, cast_columns
-from spatula_env.contact.rigid import turn
+from spatula_env.contact.rigid import opposes_best, turn, turn_back
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def _height_above(
 
 @kernel(
     "i4(f8[::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " i4[::1], i4, b1, f8, b1,"
+    " i4[::1], i4, b1, f8[:,::1], b1,"
     " f8[:,:,::1], f8[:,::1], i4[::1], f8[::1], i4[::1], f8[::1], i4[:,::1], f8[::1],"
     " f8[:,::1], u1[::1], i4[:,:,::1], f8[:,::1], b1[:,::1], i4[::1], f8[:,::1])"
 )
@@ -165,8 +165,8 @@ def detect_contacts(
     opposite: np.ndarray,
     first_step: int,
     exclusive: bool,
-    least_opposition: float,
-    crossed_only: bool,
+    face_normals: np.ndarray,
+    selective: bool,
     frames: np.ndarray,
     bounds: np.ndarray,
     group_rows: np.ndarray,
@@ -216,14 +216,13 @@ def detect_contacts(
             record[i, k] = 0.0
         record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
     normal = record[:, 4:7]
-    limited = least_opposition > 0.0 or crossed_only
-    last_rotation = np.empty(9)
-    if crossed_only:
+    last_rotation, local_normal = np.empty(9), np.empty(3)
+    if selective:
         _fill_rotation(last_orientation, 1.0, last_rotation)
     for i in range(node_count):
         remembered[i] = flags[i]
         inside[i] = hits[i, 0, 1] > 0
-    for attempt in range(2 if limited else 1):
+    for attempt in range(2 if selective else 1):
         refused, accepted = False, False
         for i in range(node_count):
             flags[i], decided[i] = remembered[i], False
@@ -250,16 +249,12 @@ def detect_contacts(
                 if not flags[i]:
                     continue
                 _fill_triangle_normal(vertices, triangles[hits[i, 0, 0]], normal[i])
-                if limited and attempt == 0:
-                    nx, ny, nz = turn(rotation, normals[i])
-                    opposition = -(normal[i, 0] * nx + normal[i, 1] * ny + normal[i, 2] * nz)
-                    if opposition < least_opposition or (
-                        crossed_only
-                        and _height_above(
-                            last_position, last_rotation, nodes[i], last_vertices, triangles[hits[i, 0, 0]]
-                        )
-                        < -CROSSING_SLACK
-                    ):
+                if selective and attempt == 0:
+                    last_height = _height_above(
+                        last_position, last_rotation, nodes[i], last_vertices, triangles[hits[i, 0, 0]]
+                    )
+                    turn_back(rotation, normal[i], local_normal)
+                    if last_height < -CROSSING_SLACK or not opposes_best(local_normal, normals[i], face_normals):
                         flags[i] = False
                         refused = True
                 accepted = accepted or flags[i]
@@ -302,7 +297,6 @@ class FlaggedDetector:
             a closed surface that changes nothing. On one that overlaps itself rays can say of both nodes of a pair
             that they are inside, and of neither that its outward ray leaves the organ; the published method then flags
             both.
-        least_opposition: Contacts with -N . N_r below this are refused; 0 is the published method.
     """
 
     def __init__(
@@ -310,7 +304,6 @@ class FlaggedDetector:
         tool: Tool,
         first_step: FirstStep = "inside",
         exclusive: bool = True,
-        least_opposition: float = 0.0,
     ) -> None:
         """Make a detector with all flags clear.
 
@@ -318,19 +311,16 @@ class FlaggedDetector:
             tool: The tool whose nodes are watched.
             first_step: "inside", "any_hit" or "off"; see the class.
             exclusive: See the class.
-            least_opposition: In [0, 1); see the class.
 
         Raises:
-            ValueError: If `first_step` or `least_opposition` is not one of those.
+            ValueError: If `first_step` is not one of those.
         """
         if first_step not in _FIRST_STEP_CODES:
             raise ValueError(f"first_step must be one of {list(get_args(FirstStep))}, got {first_step!r}")
-        if not 0.0 <= least_opposition < 1.0:
-            raise ValueError(f"least_opposition must lie in [0, 1), got {least_opposition!r}")
         self.tool = tool
         self.first_step: FirstStep = first_step
         self.exclusive = bool(exclusive)
-        self.least_opposition = float(least_opposition)
+        self._face_normals = np.array(tool.face_normals)
         count = len(tool.nodes)
         columns = RayColumns(tool)
         self._first_step_code = _FIRST_STEP_CODES[first_step]
@@ -433,9 +423,10 @@ class FlaggedDetector:
             triangles: See there.
             linear_velocity: See there.
             angular_velocity: See there.
-            last: Position, orientation and vertices at the last query. If given, contact is refused to a node that
-                was already behind the plane of its triangle then: it has not come in through that triangle, so its
-                face does not own the contact. If nothing at all would be in contact then, nothing is refused.
+            last: Position, orientation and vertices at the last query. If given, a node's contact with a triangle is
+                refused if another face of the tool opposes the triangle clearly better, or if the node was already
+                behind the triangle's plane at the last query and so has not come in through it. If nothing at all
+                would be in contact then, nothing is refused.
         """
         if self._codes.shape[0] != vertices.shape[0]:
             self._local = np.zeros((3, vertices.shape[0]))
@@ -451,7 +442,7 @@ class FlaggedDetector:
             *self._tool_arrays,
             self._first_step_code,
             self.exclusive,
-            self.least_opposition,
+            self._face_normals,
             last is not None,
             *self._columns,
             self._local,

@@ -50,9 +50,6 @@ PATH_PART = 0.5
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
-LEAST_OPPOSITION = 0.25
-"""A face is not in contact with a surface that runs along it: -N . N_r must be at least this (75.5 degrees)."""
-
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
@@ -133,13 +130,7 @@ class ContactModel:
         # The published method decides between two opposite faces. With nodes on more faces it must also be decided
         # which pair of faces a surface has come through; the seed's tool is left to the published method.
         self._selective = [first_step != "off" and len(placed.tool.face_normals) > 2 for placed in scene.tools]
-        self.detectors = [
-            [
-                FlaggedDetector(placed.tool, first_step, least_opposition=LEAST_OPPOSITION * selective)
-                for _ in scene.organs
-            ]
-            for placed, selective in zip(scene.tools, self._selective, strict=True)
-        ]
+        self.detectors = [[FlaggedDetector(placed.tool, first_step) for _ in scene.organs] for placed in scene.tools]
         self._dt = scene.dt
         self._ground = scene.ground
         self._tools = [placed.tool for placed in scene.tools]
@@ -327,7 +318,7 @@ class ContactModel:
                     count, states, triangle, record, *self._nodes[index], triangles, part.start, *pose, *into
                 )
                 count = add_surface_constraints(
-                    count, states, record, *self._faces[index], LEAST_OPPOSITION, triangles, vertices, part.start,
+                    count, states, record, *self._faces[index], self._selective[index], triangles, vertices, part.start,
                     *pose, *detector.workspace, *into,
                 )  # fmt: skip
                 if count < 0:

@@ -20,7 +20,7 @@ import numpy as np
 
 from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.raycast import line_meets_triangle
-from spatula_env.contact.rigid import dot, turn
+from spatula_env.contact.rigid import dot, opposes_best, turn
 
 CONTACT_MARGIN = 1e-4
 """What is no farther from a plane than this touches it [u]."""
@@ -407,7 +407,7 @@ def _clip_to_face(
 
 @kernel(
     "i8(i8, b1[:,::1], f8[:,::1], i4[::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], i4[::1], f8[:,::1],"
-    " f8[::1], f8, i4[:,::1], f8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i4,"
+    " f8[::1], b1, i4[:,::1], f8[:,::1], i8, f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i4,"
     " f8[:,::1], u1[::1], i4[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i4[::1], i4[::1])"
 )
 def add_surface_constraints(
@@ -423,7 +423,7 @@ def add_surface_constraints(
     first_corner: np.ndarray,
     plane_normals: np.ndarray,
     plane_offsets: np.ndarray,
-    least_opposition: float,
+    selective: bool,
     triangles: np.ndarray,
     vertices: np.ndarray,
     first_vertex: int,
@@ -467,7 +467,7 @@ def add_surface_constraints(
         first_corner: (F + 1,) index of each face's first corner, and their number.
         plane_normals: (P, 3) of all the tool's planes, tool frame.
         plane_offsets: (P,) normal . x on each plane [u].
-        least_opposition: Triangles with -N . N_r below this do not count.
+        selective: Whether a triangle counts only for the face that opposes it best.
         triangles: (T, 3) of the organ.
         vertices: (V, 3) of all organs [u].
         first_vertex: As in `add_node_constraints`, as the next eight.
@@ -532,13 +532,18 @@ def add_surface_constraints(
             area = (local[0, j] - local[0, i]) * (local[1, k] - local[1, i]) - (local[1, j] - local[1, i]) * (
                 local[0, k] - local[0, i]
             )
-            ux, uy, uz = local[0, j] - local[0, i], local[1, j] - local[1, i], local[2, j] - local[2, i]
-            vx, vy, vz = local[0, k] - local[0, i], local[1, k] - local[1, i], local[2, k] - local[2, i]
-            px, py = uy * vz - uz * vy, uz * vx - ux * vz
-            least = least_opposition * least_opposition * (px * px + py * py + area * area)
-            if area >= 0.0 or area * area < least:
-                # This side of the organ faces away from the face, or runs along it.
+            if area >= 0.0:
+                # This side of the organ faces away from the face.
                 continue
+            if selective:
+                ux, uy, uz = local[0, j] - local[0, i], local[1, j] - local[1, i], local[2, j] - local[2, i]
+                vx, vy, vz = local[0, k] - local[0, i], local[1, k] - local[1, i], local[2, k] - local[2, i]
+                px, py = uy * vz - uz * vy, uz * vx - ux * vz
+                scale = 1.0 / np.sqrt(px * px + py * py + area * area)
+                for axis in range(3):
+                    contact[axis] = scale * (frame[0, axis] * px + frame[1, axis] * py + frame[2, axis] * area)
+                if not opposes_best(contact, frame[2], face_frames[:, 2]):
+                    continue
             for corner in range(first_corner[f], first_corner[f + 1]):
                 facing, wa, wb, wc = line_meets_triangle(
                     face_corners[corner, 0], face_corners[corner, 1],

@@ -6,6 +6,9 @@ import numpy as np
 
 from spatula_env._kernels import inline_kernel
 
+BEST_FACE_MARGIN = 0.1
+"""A face opposes a triangle clearly better than another if the cosines differ by more than this."""
+
 
 @inline_kernel
 def dot(a: np.ndarray, b: np.ndarray) -> float:
@@ -23,3 +26,29 @@ def turn(rotation: np.ndarray, vector: np.ndarray) -> tuple[float, float, float]
         rotation[3] * x + rotation[4] * y + rotation[5] * z,
         rotation[6] * x + rotation[7] * y + rotation[8] * z,
     )
+
+
+@inline_kernel
+def turn_back(rotation: np.ndarray, vector: np.ndarray, result: np.ndarray) -> None:
+    """Write the transposed rotation matrix (9,) times vector (3,) into result (3,)."""
+    for axis in range(3):
+        result[axis] = rotation[axis] * vector[0] + rotation[3 + axis] * vector[1] + rotation[6 + axis] * vector[2]
+
+
+@inline_kernel
+def opposes_best(normal: np.ndarray, face_normal: np.ndarray, face_normals: np.ndarray) -> bool:
+    """Whether no face of a tool opposes a triangle clearly better than this one.
+
+    A plane that has come into a convex body is pushed out of it by the face that opposes the plane most: the body's
+    outermost point on that side is one of this face.
+
+    Args:
+        normal: (3,) of the triangle, unit, tool frame.
+        face_normal: (3,) of the face asked about.
+        face_normals: (F, 3) of all faces with contact nodes.
+    """
+    opposition = -dot(normal, face_normal)
+    for f in range(face_normals.shape[0]):
+        if -dot(normal, face_normals[f]) > opposition + BEST_FACE_MARGIN:
+            return False
+    return True
