@@ -15,7 +15,7 @@ from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.columns import RayColumns
 from spatula_env.contact.raycast import NO_HIT, cast_columns
 from spatula_env.contact.rigid import opposes_best, turn, turn_back
-from spatula_env.geometry.transforms import as_quaternion, as_vector3
+from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotation_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -201,7 +201,7 @@ def detect_contacts(
     if status != 0:
         return status
     node_count = nodes.shape[0]
-    flags, unfeasible, leading, remembered, decided, inside = (
+    flags, unfeasible, leading, remembered, decided, left_inside = (
         states[0], states[1], states[2], states[3], states[4], states[5],
     )  # fmt: skip
     for i in range(node_count):
@@ -221,7 +221,6 @@ def detect_contacts(
         _fill_rotation(last_orientation, 1.0, last_rotation)
     for i in range(node_count):
         remembered[i] = flags[i]
-        inside[i] = hits[i, 0, 1] > 0
     for attempt in range(2 if selective else 1):
         refused, accepted = False, False
         for i in range(node_count):
@@ -254,7 +253,8 @@ def detect_contacts(
                         last_position, last_rotation, nodes[i], last_vertices, triangles[hits[i, 0, 0]]
                     )
                     turn_back(rotation, normal[i], local_normal)
-                    if last_height < -CROSSING_SLACK or not opposes_best(local_normal, normals[i], face_normals):
+                    came_through = left_inside[i] or last_height >= -CROSSING_SLACK
+                    if not (came_through and opposes_best(local_normal, normals[i], face_normals)):
                         flags[i] = False
                         refused = True
                 accepted = accepted or flags[i]
@@ -339,7 +339,7 @@ class FlaggedDetector:
             columns.column_nodes,
             columns.node_height,
         )
-        # Rows: flags, unfeasible; and leading, remembered and decided, which serve one query.
+        # Rows: flags, unfeasible; and leading, remembered and decided, which serve one query; left inside.
         self._states = np.zeros((6, count), dtype=np.bool_)
         self._triangle = np.full(count, NO_HIT, dtype=np.int32)
         # Columns: barycentric 0-2, depth 3, normal 4-6, point 7-9.
@@ -425,8 +425,8 @@ class FlaggedDetector:
             angular_velocity: See there.
             last: Position, orientation and vertices at the last query. If given, a node's contact with a triangle is
                 refused if another face of the tool opposes the triangle clearly better, or if the node was already
-                behind the triangle's plane at the last query and so has not come in through it. If nothing at all
-                would be in contact then, nothing is refused.
+                behind the triangle's plane at the last query and so has not come in through it, unless `look_again`
+                found that it was inside. If nothing at all would be in contact then, nothing is refused.
         """
         if self._codes.shape[0] != vertices.shape[0]:
             self._local = np.zeros((3, vertices.shape[0]))
@@ -455,6 +455,27 @@ class FlaggedDetector:
         )
         if status != 0:
             _raise_for_status(status, position, orientation, vertices, triangles, linear_velocity, angular_velocity)
+
+    def look_again(
+        self,
+        position: NDArray[np.float64],
+        orientation: NDArray[np.float64],
+        vertices: NDArray[np.float64],
+        triangles: NDArray[np.int32],
+    ) -> None:
+        """Note which nodes the response has left inside, for an `update` that is told the last query.
+
+        Args:
+            position: (3,) of the last query.
+            orientation: (4,) of the last query.
+            vertices: (V, 3) after the response [u].
+            triangles: (T, 3).
+        """
+        cast_columns(
+            position, rotation_matrix(orientation).ravel(), vertices, triangles, *self._columns, self._local,
+            self._codes, self._hits, self._distances,
+        )  # fmt: skip
+        np.greater(self._hits[:, 0, 1], 0, out=self._states[5])
 
     @property
     def buffers(self) -> tuple[NDArray[np.bool_], NDArray[np.int32], NDArray[np.float64]]:

@@ -222,6 +222,7 @@ class ContactModel:
                     MOST_SWEEPS,
                     POSITION_TOLERANCE,
                 )
+            self._look_again(vertices, motions, end)
         solve_velocities(
             constraints.count,
             constraints.corners,
@@ -281,6 +282,14 @@ class ContactModel:
                     motion.angular_velocity,
                     (last_position, last_orientation, before) if self._selective[index] else None,
                 )
+
+    def _look_again(self, vertices: FloatArray, motions: Sequence[Motion], end: float) -> None:
+        """Note what the response has left inside of the tools that must tell faces apart."""
+        for motion, row, selective in zip(motions, self.detectors, self._selective, strict=False):
+            if selective:
+                position, orientation = motion.at(end)
+                for part, triangles, detector in zip(self._parts, self._triangles, row, strict=True):
+                    detector.look_again(position, orientation, vertices[part], triangles)
 
     def _deepest(self) -> float:
         return max((detector.deepest for row in self.detectors for detector in row), default=0.0)
