@@ -146,7 +146,7 @@ def _height_above(
 
 @kernel(
     "i4(f8[::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " i4[::1], i4, b1, f8[:,::1], b1,"
+    " i4[::1], i4, b1, f8[:,::1], b1, b1,"
     " f8[:,:,::1], f8[:,::1], i4[::1], f8[::1], i4[::1], f8[::1], i4[:,::1], f8[::1],"
     " f8[:,::1], u1[::1], i4[:,:,::1], f8[:,::1], b1[:,::1], i4[::1], f8[:,::1])"
 )
@@ -166,6 +166,7 @@ def detect_contacts(
     first_step: int,
     exclusive: bool,
     face_normals: np.ndarray,
+    has_last: bool,
     selective: bool,
     frames: np.ndarray,
     bounds: np.ndarray,
@@ -217,10 +218,35 @@ def detect_contacts(
         record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
     normal = record[:, 4:7]
     last_rotation, local_normal = np.empty(9), np.empty(3)
-    if selective:
+    if has_last:
         _fill_rotation(last_orientation, 1.0, last_rotation)
     for i in range(node_count):
         remembered[i] = flags[i]
+        if has_last and hits[i, 0, 1] > 0:
+            # Which way the node has moved since the last query, relative to the surface that it would be in contact
+            # with: an organ does not move as one.
+            corners = triangles[hits[i, 0, 0]]
+            nx, ny, nz = turn(rotation, normals[i])
+            lx, ly, lz = turn(last_rotation, nodes[i])
+            x, y, z = (
+                record[i, 7] - last_position[0] - lx,
+                record[i, 8] - last_position[1] - ly,
+                record[i, 9] - last_position[2] - lz,
+            )
+            _fill_triangle_normal(vertices, corners, normal[i])
+            record[i, 7] -= nx * distances[i, 0]
+            record[i, 8] -= ny * distances[i, 0]
+            record[i, 9] -= nz * distances[i, 0]
+            _fill_weights(record[i], vertices, corners)
+            for k in range(3):
+                x -= record[i, k] * (vertices[corners[k], 0] - last_vertices[corners[k], 0])
+                y -= record[i, k] * (vertices[corners[k], 1] - last_vertices[corners[k], 1])
+                z -= record[i, k] * (vertices[corners[k], 2] - last_vertices[corners[k], 2])
+                record[i, k] = 0.0
+            leading[i] = x * nx + y * ny + z * nz > 0.0
+            record[i, 7] += nx * distances[i, 0]
+            record[i, 8] += ny * distances[i, 0]
+            record[i, 9] += nz * distances[i, 0]
     for attempt in range(2 if selective else 1):
         refused, accepted = False, False
         for i in range(node_count):
@@ -413,6 +439,7 @@ class FlaggedDetector:
         linear_velocity: NDArray[np.float64],
         angular_velocity: NDArray[np.float64],
         last: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
+        selective: bool = False,
     ) -> None:
         """As `detect`, for arrays of the right type and shape, leaving the result in the detector's buffers.
 
@@ -423,10 +450,13 @@ class FlaggedDetector:
             triangles: See there.
             linear_velocity: See there.
             angular_velocity: See there.
-            last: Position, orientation and vertices at the last query. If given, a node's contact with a triangle is
-                refused if another face of the tool opposes the triangle clearly better, or if the node was already
-                behind the triangle's plane at the last query and so has not come in through it, unless `look_again`
-                found that it was inside. If nothing at all would be in contact then, nothing is refused.
+            last: Position, orientation and vertices at the last query. If given, whether a node leads is decided by
+                its motion since then relative to the surface that it would be in contact with, and the velocities
+                do not matter.
+            selective: Needs `last`. A node's contact with a triangle is refused if another face of the tool opposes
+                the triangle clearly better, or if the node was already behind the triangle's plane at the last query
+                and so has not come in through it, unless `look_again` found that it was inside. If nothing at all
+                would be in contact then, nothing is refused.
         """
         if self._codes.shape[0] != vertices.shape[0]:
             self._local = np.zeros((3, vertices.shape[0]))
@@ -444,6 +474,7 @@ class FlaggedDetector:
             self.exclusive,
             self._face_normals,
             last is not None,
+            selective,
             *self._columns,
             self._local,
             self._codes,

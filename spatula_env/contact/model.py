@@ -11,7 +11,7 @@ import numpy as np
 
 from spatula_env.contact.columns import frame_along
 from spatula_env.contact.flags import FlaggedDetector
-from spatula_env.contact.motion import largest_shift, local_shift, tool_passes
+from spatula_env.contact.motion import largest_shift, tool_passes
 from spatula_env.contact.response import (
     GROUND,
     Constraints,
@@ -142,7 +142,6 @@ class ContactModel:
         self._nodes = [(np.array(tool.nodes), np.array(tool.normals)) for tool in self._tools]
         self._faces = [_face_arrays(tool) for tool in self._tools]
         edges = [placed.organ.edge_lengths for placed in scene.organs]
-        self._longest_edge = max(float(lengths.max()) for lengths in edges)
         self._mean_edge = min(float(lengths.mean()) for lengths in edges)
         self._inverse_masses = inverse_masses
         nodes = sum(len(tool.nodes) for tool in self._tools) * len(scene.organs)
@@ -266,21 +265,19 @@ class ContactModel:
         self, reference: FloatArray, vertices: FloatArray, motions: Sequence[Motion], begin: float, end: float
     ) -> None:
         """Query all pairs at fraction `end` of the tools' paths, the last query having been at `begin`."""
-        for index, (tool, motion, row) in enumerate(zip(self._tools, motions, self.detectors, strict=False)):
+        for index, (motion, row) in enumerate(zip(motions, self.detectors, strict=False)):
             position, orientation = motion.at(end)
             last_position, last_orientation = motion.at(begin)
             for part, triangles, detector in zip(self._parts, self._triangles, row, strict=True):
-                before, now = reference[part], vertices[part]
-                organ_shift = np.zeros(3)
-                local_shift(before, now, position, tool.bounding_radius + self._longest_edge, organ_shift)
                 detector.update(
                     position,
                     orientation,
-                    now,
+                    vertices[part],
                     triangles,
-                    motion.linear_velocity - organ_shift / self._dt,
+                    motion.linear_velocity,
                     motion.angular_velocity,
-                    (last_position, last_orientation, before) if self._selective[index] else None,
+                    (last_position, last_orientation, reference[part]),
+                    self._selective[index],
                 )
 
     def _look_again(self, vertices: FloatArray, motions: Sequence[Motion], end: float) -> None:

@@ -25,31 +25,6 @@ def largest_shift(before: np.ndarray, now: np.ndarray) -> float:
     return float(np.sqrt(largest))
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[::1], f8, f8[::1])")
-def local_shift(before: np.ndarray, now: np.ndarray, position: np.ndarray, radius: float, mean: np.ndarray) -> None:
-    """How an organ moved near a tool: the mean shift of the vertices about it, of all of them if none is near.
-
-    Args:
-        before: (V, 3) [u].
-        now: (V, 3) [u].
-        position: (3,) of the tool [u].
-        radius: What is near [u].
-        mean: (3,) result [u].
-    """
-    for attempt in range(2):
-        count = 0
-        mean[:] = 0.0
-        for i in range(before.shape[0]):
-            x, y, z = now[i, 0] - position[0], now[i, 1] - position[1], now[i, 2] - position[2]
-            if attempt == 1 or x * x + y * y + z * z < radius * radius:
-                count += 1
-                for axis in range(3):
-                    mean[axis] += now[i, axis] - before[i, axis]
-        if count > 0:
-            mean /= count
-            return
-
-
 @kernel("b1(f8[::1], f8[::1], f8, f8[:,::1], f8[:,::1])")
 def tool_passes(
     start_position: np.ndarray, position: np.ndarray, radius: float, before: np.ndarray, now: np.ndarray
