@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.envs.press import PressEnv
+
 if TYPE_CHECKING:
     import gymnasium
 
@@ -37,14 +39,13 @@ class PressExpert:
             env: A press environment, wrapped or not, in any observation mode and with any reward.
 
         Raises:
-            ValueError: If its observations are not those of a press.
+            ValueError: If it is not one.
         """
-        builder = getattr(env.unwrapped, "observation", None)
-        self._slices: Mapping[str, slice] = getattr(builder, "slices", {})
-        if "tool_velocity" not in self._slices:
+        if not isinstance(env.unwrapped, PressEnv):
             raise ValueError(f"env must be a press environment, got {env}")
-        part = next(part for part in env.unwrapped.observation.parts if part.name == "tool_velocity")
-        self._max_speed = float(part.high[0])
+        builder = env.unwrapped.observation_builder
+        self._slices = builder.slices
+        self._max_speed = float(next(part.high[0] for part in builder.parts if part.name == "tool_velocity"))
 
     def __call__(self, observation: Any) -> NDArray[np.float32]:
         """The action (3,) for an observation."""

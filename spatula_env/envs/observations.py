@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from spatula_env.tasks.base import Evaluation, FloatArray, Setting, Situation, Task
 
 Observation = NDArray[np.float32] | dict[str, NDArray[np.float32]]
+"""Of one world, or of many with a first axis that counts them."""
 
 OBS_MODES = ("state", "dict")
 """How observations can be laid out: see `ObservationBuilder`."""
@@ -136,8 +137,8 @@ class ObservationBuilder:
         """Where each part is in the vector of all parts."""
         return dict(self._slices)
 
-    def build(self, situation: Situation, goal: FloatArray, evaluation: Evaluation) -> list[Observation]:
-        """The observations of W worlds.
+    def build(self, situation: Situation, goal: FloatArray, evaluation: Evaluation) -> Observation:
+        """The observations of W worlds, as Gymnasium batches them.
 
         Args:
             situation: Of the worlds.
@@ -145,9 +146,8 @@ class ObservationBuilder:
             evaluation: Of the situation.
 
         Returns:
-            One observation per world; arrays of their own.
+            (W, size), or a dictionary of (W, size of the part); arrays of their own.
         """
-        count = len(goal)
         moved = situation.nodes[:, self.landmarks] - self._rest_landmarks
         values = [
             situation.tool_position,
@@ -155,23 +155,20 @@ class ObservationBuilder:
             situation.contact_force,
             situation.contact_share,
             situation.contact_depth[:, None],
-            moved.reshape(count, -1),
+            moved.reshape(len(goal), -1),
         ]
         if not self._goal_interface:
             values += [goal, evaluation.error]
         wide = np.concatenate(values, axis=1)
         vectors = np.minimum(np.maximum(wide, self._low), self._high).astype(np.float32)
-        return [self._lay_out(vectors[w], goal[w], evaluation.achieved[w]) for w in range(count)]
-
-    def _lay_out(self, vector: NDArray[np.float32], goal: FloatArray, achieved: FloatArray) -> Observation:
         if self._flat and not self._goal_interface:
-            return vector.copy()
+            return vectors
         if self._flat:
-            result = {"observation": vector.copy()}
+            result = {"observation": vectors}
         else:
-            result = {name: vector[part].copy() for name, part in self._slices.items()}
+            result = {name: vectors[:, part].copy() for name, part in self._slices.items()}
         if self._goal_interface:
-            result["achieved_goal"] = achieved.astype(np.float32)
+            result["achieved_goal"] = evaluation.achieved.astype(np.float32)
             result["desired_goal"] = goal.astype(np.float32)
         return result
 
@@ -190,3 +187,10 @@ class ObservationBuilder:
 
 def _part(name: str, unit: str, low: NDArray[Any], high: NDArray[Any]) -> Part:
     return Part(name, unit, low.astype(np.float32), high.astype(np.float32))
+
+
+def first_of(batch: Observation) -> Observation:
+    """The observation of the first of the worlds in a batch."""
+    if isinstance(batch, dict):
+        return {name: values[0] for name, values in batch.items()}
+    return np.asarray(batch[0])

@@ -65,9 +65,10 @@ class PressEnv(SpatulaEnv):
     | 63-64 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error         | m    |
     | 65    | depth asked for minus depth there               | -0.09   | 0.09   | error         | m    |
 
-    The 16 nodes are spread by farthest-point sampling and always the same. The bounds of the velocity follow
-    `max_speed`. SI units make small numbers: normalise them for learning, for instance with
-    `gymnasium.wrappers.RescaleObservation`.
+    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The organ
+    lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
+    The bounds of the velocity follow `max_speed`. SI units make small numbers: normalise them for learning,
+    for instance with `gymnasium.wrappers.RescaleObservation`.
 
     With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and
     "desired_goal" are (x, y, depth) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`,

@@ -12,11 +12,11 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
 from spatula_env.envs.control import VelocityControl, Workspace, as_action
-from spatula_env.envs.observations import Observation, ObservationBuilder
+from spatula_env.envs.observations import Observation, ObservationBuilder, first_of
 from spatula_env.geometry.checks import check_positive
 from spatula_env.geometry.transforms import rotate
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
-from spatula_env.tasks.base import Evaluation, FloatArray, Setting, Situation, Task
+from spatula_env.tasks.base import Evaluation, FloatArray, Setting, Situation, Task, weighted_sum
 
 if TYPE_CHECKING:
     from spatula_env.render.scene_view import SceneView
@@ -42,7 +42,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         simulation: The physics.
         workspace: The cube that the tool's position is kept in.
         task: What is asked.
-        observation: How observations are laid out.
+        observation_builder: How observations are laid out.
         steps_per_action: Physics steps in a control step.
         goal: (G,) what is asked in this episode [m].
     """
@@ -95,9 +95,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if render_mode is not None:
             _check_choice(render_mode, "render_mode", (None, *self.metadata["render_modes"]))
         if len(scene.organs) != 1 or len(scene.tools) != 1:
-            raise ValueError(
-                f"scene must have one organ and one tool, got {len(scene.organs)} and {len(scene.tools)}"
-            )
+            raise ValueError(f"scene must have one organ and one tool, got {len(scene.organs)} and {len(scene.tools)}")
         self.steps_per_action = _count_steps(control_frequency, scene.dt)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(control_frequency)}
@@ -117,7 +115,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._control = VelocityControl(self.workspace, max_speed, self._period)
             faces = scene.tools[0].tool.face
             self._share_of_face = (faces[:, None] == np.unique(faces)) / np.bincount(faces)
-            self.observation = ObservationBuilder(
+            self.observation_builder = ObservationBuilder(
                 setting,
                 self.task,
                 self._share_of_face.shape[1],
@@ -128,7 +126,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         except BaseException:
             self.simulation.close()
             raise
-        self.observation_space = self.observation.space
+        self.observation_space = self.observation_builder.space
         self.action_space = spaces.Box(-1.0, 1.0, (self._control.size,), dtype=np.float32)
         self._steps_to_hold = max(1, round(self.task.hold_time / self._period))
         self.goal: FloatArray = np.zeros(len(self.task.goal_names))
@@ -165,9 +163,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._succeeded = False
         self._report = None
         self._started = True
-        situation = self._situation(
-            np.zeros((1, 3)), np.zeros((1, self._control.size)), np.zeros((1, 3)), 0.0
-        )
+        situation = self._situation(np.zeros((1, 3)), np.zeros((1, self._control.size)), np.zeros((1, 3)), 0.0)
         evaluation = self.task.evaluate(situation, self.goal[None])
         return self._observe(situation, evaluation), self._info(situation, evaluation)
 
@@ -210,9 +206,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._sparse:
             reward = float(self.task.compute_reward(evaluation.achieved[0], self.goal))
         else:
-            reward = float(
-                sum(weight * evaluation.terms[name][0] for name, weight in self.task.weights.items())
-            )
+            reward = float(weighted_sum(evaluation.terms, self.task.weights)[0])
         terminated = self._terminate_on_success and self._succeeded
         return (
             self._observe(situation, evaluation),
@@ -222,7 +216,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._info(situation, evaluation),
         )
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3) of the scene, or None if `render_mode` is None."""
         self._check_started("render")
         if self.render_mode is None:
@@ -255,9 +249,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         `reward="dense"`, because libraries tell by it which environments have the goal interface.
         """
         if not self._sparse:
-            raise AttributeError(
-                "compute_reward needs the goal interface: make the environment with reward='sparse'"
-            )
+            raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
         task = self.task
 
         def compute(achieved: NDArray[Any], desired: NDArray[Any], info: Any) -> NDArray[np.float32]:
@@ -265,9 +257,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
         return compute
 
-    def _situation(
-        self, velocity: FloatArray, action: FloatArray, force: FloatArray, peak_force: float
-    ) -> Situation:
+    def _situation(self, velocity: FloatArray, action: FloatArray, force: FloatArray, peak_force: float) -> Situation:
         simulation, report = self.simulation, self._report
         flags = np.zeros(len(self._share_of_face)) if report is None else report.contacts.flags
         depth = 0.0 if report is None else report.penetration * self.workspace.length
@@ -283,7 +273,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
 
     def _observe(self, situation: Situation, evaluation: Evaluation) -> Observation:
-        return self.observation.build(situation, self.goal[None], evaluation)[0]
+        return first_of(self.observation_builder.build(situation, self.goal[None], evaluation))
 
     def _info(self, situation: Situation, evaluation: Evaluation) -> dict[str, Any]:
         info: dict[str, Any] = {
@@ -352,9 +342,10 @@ def _place_workspace(scene: Scene, rest_nodes: FloatArray, height: float) -> Wor
 def _setting(scene: Scene, simulation: Simulation, workspace: Workspace) -> Setting:
     placed = scene.tools[0]
     corners = rotate(np.array(placed.orientation), placed.tool.vertices) * scene.scale.length
-    ground = -np.inf if scene.ground is None else scene.ground.height
+    nodes = simulation.nodes
+    ground = float(nodes[:, 2].min()) if scene.ground is None else scene.ground.height
     return Setting(
-        rest_nodes=workspace.from_scene(simulation.nodes),
+        rest_nodes=workspace.from_scene(nodes),
         triangles=simulation.triangles,
         ground_height=float(workspace.from_scene((0.0, 0.0, ground))[2]),
         tool_low=corners.min(axis=0),

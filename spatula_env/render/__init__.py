@@ -1,8 +1,13 @@
 """Pictures without a window: a small software rasteriser and what it draws.
 
-`Renderer` draws `Mesh` and `Segments` seen by a `Camera`, on a `Ground`, as bytes and depth. The kernels are compiled
-when the first renderer is made; importing this package does not load Numba.
+`Renderer` draws `Mesh` and `Segments` seen by a `Camera`, on a `Ground`, as bytes and depth. Importing this package
+does not load Numba: the kernels are compiled, or taken from Numba's cache, when `Renderer` is first asked for.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from spatula_env.render import palette
 from spatula_env.render.camera import Camera
@@ -20,8 +25,10 @@ from spatula_env.render.primitives import (
     Mesh,
     Segments,
 )
-from spatula_env.render.renderer import Renderer
 from spatula_env.render.shapes import arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh
+
+if TYPE_CHECKING:
+    from spatula_env.render.renderer import Renderer
 
 __all__ = [
     "BRUSHED_STEEL",
@@ -48,3 +55,13 @@ __all__ = [
     "ring_mesh",
     "sphere_mesh",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Renderer":
+        return import_module("spatula_env.render.renderer").Renderer
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

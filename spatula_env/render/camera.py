@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.geometry.transforms import as_vector3
+
 Vector = tuple[float, float, float]
 
 
@@ -24,10 +26,8 @@ def to_vector(value: ArrayLike, name: str) -> Vector:
     Raises:
         ValueError: if `value` is not three finite numbers.
     """
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (3,) or not bool(np.all(np.isfinite(array))):
-        raise ValueError(f"{name} must be three finite numbers, got {value!r}")
-    return (float(array[0]), float(array[1]), float(array[2]))
+    x, y, z = as_vector3(value, name).tolist()
+    return (x, y, z)
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,7 @@ class Camera:
         if up_length < 1e-9 or float(np.linalg.norm(np.cross(forward, self.up))) < 1e-6 * distance * up_length:
             raise ValueError(f"up must not be zero or parallel to the view, got {self.up}")
         if not 1.0 <= self.vertical_field_of_view <= 179.0:
-            raise ValueError(
-                f"vertical_field_of_view must be in 1..179 degrees, got {self.vertical_field_of_view}"
-            )
+            raise ValueError(f"vertical_field_of_view must be in 1..179 degrees, got {self.vertical_field_of_view}")
         if not 0.0 < self.near < self.far < math.inf:
             raise ValueError(f"near and far must obey 0 < near < far, got near={self.near}, far={self.far}")
 
@@ -117,9 +115,7 @@ class Camera:
             middle[1] + distance * math.cos(rise) * math.sin(turn),
             middle[2] + distance * math.sin(rise),
         )
-        return cls(
-            position, middle, vertical_field_of_view=vertical_field_of_view, near=near, far=far
-        )
+        return cls(position, middle, vertical_field_of_view=vertical_field_of_view, near=near, far=far)
 
     def axes(self) -> NDArray[np.float64]:
         """The unit vectors right, up and forward in the world, the rows of a (3, 3) array."""
@@ -163,9 +159,7 @@ class Camera:
         focal = 0.5 * height / math.tan(math.radians(self.vertical_field_of_view) / 2.0)
         return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 
-    def project(
-        self, points: ArrayLike, width: int, height: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def project(self, points: ArrayLike, width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where points appear.
 
         Args:

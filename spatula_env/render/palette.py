@@ -17,7 +17,7 @@ Color = tuple[float, float, float]
 
 TISSUE: Color = (0.83, 0.545, 0.53)
 """Outside of the organ."""
-TISSUE_INSIDE: Color = (0.66, 0.24, 0.25)
+TISSUE_INSIDE: Color = (0.82, 0.43, 0.40)
 """Inside of the organ, seen where it is cut away."""
 STEEL: Color = (0.80, 0.815, 0.83)
 """The spatula."""
@@ -46,10 +46,18 @@ def to_color(value: ArrayLike, name: str = "color") -> Color:
     Raises:
         ValueError: if `value` is not three finite numbers in 0..1.
     """
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape != (3,) or not bool(np.all((array >= 0.0) & (array <= 1.0))):
-        raise ValueError(f"{name} must be three numbers in 0..1, got {value!r}")
-    return (float(array[0]), float(array[1]), float(array[2]))
+    numbers = np.asarray(value, dtype=np.float64)
+    if numbers.shape == (3,):
+        red, green, blue = numbers.tolist()
+        if 0.0 <= red <= 1.0 and 0.0 <= green <= 1.0 and 0.0 <= blue <= 1.0:
+            return (red, green, blue)
+    raise ValueError(f"{name} must be three numbers in 0..1, got {value!r}")
+
+
+def linear_color(color: Color) -> Color:
+    """One colour in linear light (IEC 61966-2-1)."""
+    red, green, blue = (value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in color)
+    return (red, green, blue)
 
 
 def srgb_to_linear(color: ArrayLike) -> NDArray[np.float64]:

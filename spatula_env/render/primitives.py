@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.geometry.transforms import as_vector3
 from spatula_env.render.camera import Vector, to_vector
 from spatula_env.render.palette import GOAL, IDLE, TISSUE, Color, to_color
 
@@ -102,6 +103,7 @@ class Mesh:
         back_color: colour of the backs and of the cap; the front's colour if None.
         clip_plane: (point, normal): what lies on the side of the normal is cut away, per pixel.
         capped: close the cut of a closed mesh with a flat section in `back_color`.
+        rind: thickness of a paler layer along the border of the section, u; 0 shows none. Only with `capped`.
         material: of the surface.
         texture: (V, 3) where each vertex is in the body's own frame, u: the marks of a material stay on the body as
             it moves and deforms. Without it they are not drawn.
@@ -124,6 +126,7 @@ class Mesh:
     back_color: Color | None = None
     clip_plane: tuple[Vector, Vector] | None = None
     capped: bool = False
+    rind: float = 0.0
     material: Material = MATTE
     texture: NDArray[np.float64] | None = None
     refine: int = 0
@@ -134,13 +137,10 @@ class Mesh:
         vertices = _points(self.vertices, "vertices")
         triangles = np.asarray(self.triangles)
         if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-            raise ValueError(
-                f"triangles must be integers of the shape (T, 3), got {triangles.dtype} {triangles.shape}"
-            )
+            raise ValueError(f"triangles must be integers of the shape (T, 3), got {triangles.dtype} {triangles.shape}")
         if len(triangles) and (triangles.min() < 0 or triangles.max() >= len(vertices)):
             raise ValueError(
-                f"triangles must be indices in 0..{len(vertices) - 1}, "
-                f"got {triangles.min()}..{triangles.max()}"
+                f"triangles must be indices in 0..{len(vertices) - 1}, got {triangles.min()}..{triangles.max()}"
             )
         _check_unit(self.opacity, "opacity")
         put = object.__setattr__
@@ -162,6 +162,8 @@ class Mesh:
             put(self, "clip_plane", (point, to_vector(normal / length, "clip_plane normal")))
         if self.capped and (self.clip_plane is None or self.opacity < 1.0):
             raise ValueError("capped needs a clip_plane and opacity 1")
+        if not 0.0 <= self.rind < math.inf or (self.rind > 0.0 and not self.capped):
+            raise ValueError(f"rind must be zero or more, and zero on a mesh that is not capped, got {self.rind}")
         if self.texture is not None:
             texture = _points(self.texture, "texture")
             if texture.shape != vertices.shape:
@@ -284,9 +286,7 @@ class Segments:
             raise ValueError(f"count must be 3 or more, got {count}")
         first, second, _ = perpendicular_axes(normal)
         angle = 2.0 * np.pi * np.arange(count)[:, None] / count
-        points = np.asarray(to_vector(center, "center")) + radius * (
-            np.cos(angle) * first + np.sin(angle) * second
-        )
+        points = as_vector3(center, "center") + radius * (np.cos(angle) * first + np.sin(angle) * second)
         return cls.polyline(points, closed=True, color=color, width=width, unit=unit, opacity=opacity)
 
 
@@ -407,7 +407,7 @@ def perpendicular_axes(
     direction: ArrayLike,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """A right-handed frame whose third unit vector points along `direction` (3,), which must not be zero."""
-    third = np.asarray(to_vector(direction, "direction"))
+    third = as_vector3(direction, "direction")
     length = float(np.linalg.norm(third))
     if length < 1e-12:
         raise ValueError("direction must not be zero")

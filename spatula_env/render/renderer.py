@@ -1,4 +1,4 @@
-"""The renderer: owns the buffers, packs the scene, runs the kernels."""
+"""The renderer: owns the buffers, packs the scene, runs the k."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.render import compose, rasterizer, shadows, vertices
+from spatula_env.render import layout as k
 from spatula_env.render.camera import Camera
-from spatula_env.render.palette import Color, linear_to_srgb, srgb_to_linear, to_color
+from spatula_env.render.palette import Color, linear_color, linear_to_srgb, srgb_to_linear, to_color
 from spatula_env.render.primitives import Background, Ground, Lighting, Mesh, Segments, perpendicular_axes
 
 _STYLES = {"plain": 0.0, "grid": 1.0, "checker": 2.0}
+
+_BAND = 16384
+"""Samples in a band."""
+
+_WRAPS = (0.50, 0.22, 0.16)
+"""How far red, green and blue light bleeds around in flesh, as a cosine: red is absorbed least."""
 
 
 class Renderer:
@@ -32,9 +40,7 @@ class Renderer:
         ValueError: if an argument is out of its range.
     """
 
-    def __init__(
-        self, width: int, height: int, supersample: int = 2, lighting: Lighting | None = None
-    ) -> None:
+    def __init__(self, width: int, height: int, supersample: int = 2, lighting: Lighting | None = None) -> None:
         for name, value, highest in (
             ("width", width, 8192),
             ("height", height, 8192),
@@ -42,44 +48,44 @@ class Renderer:
         ):
             if not 1 <= value <= highest or int(value) != value:
                 raise ValueError(f"{name} must be an integer in 1..{highest}, got {value}")
-        # Compiling takes a while the first time: only those who draw wait for it.
-        from spatula_env.render import rasterizer
-
-        self._kernels = rasterizer
         self.width = int(width)
         self.height = int(height)
         self.supersample = int(supersample)
         self.lighting = Lighting() if lighting is None else lighting
 
-        columns, lines = self.width * self.supersample, self.height * self.supersample
-        self._depth = np.zeros(columns * lines, dtype=np.float32)
-        self._background_depth = np.zeros(columns * lines, dtype=np.float32)
-        self._shown = np.full(columns * lines, -1, dtype=np.int32)
-        self._rows = np.zeros((lines, 2), dtype=np.int32)
         self._background_light = np.zeros((self.height, self.width, 3), dtype=np.float32)
         self._background_bytes = np.zeros((self.height, self.width, 3), dtype=np.uint8)
         self._ground_weight = np.zeros((self.height, self.width), dtype=np.float32)
-        self._background_key: tuple[Camera, Background, Ground | None] | None = None
-        # These three are needed for what is translucent and for caps only.
-        self._left = np.zeros(0, dtype=np.float32)
-        self._stamp = np.zeros(0, dtype=np.int32)
-        self._total = np.zeros((0, 0, 0), dtype=np.float32)
-        self._inside = np.zeros(0, dtype=np.int32)
+        # What the view array and the background stand for now.
+        self._drawn: tuple[Camera, Background, Ground | None, Lighting] | None = None
+
+        # Samples exist for a band of rows at a time, few enough to stay in the processor's cache.
+        columns = self.width * self.supersample
+        band = min(max(_BAND // (columns * self.supersample), 1), self.height)
+        samples = band * self.supersample * columns
+        self._depth = np.zeros(samples, dtype=np.float32)
+        self._shown = np.zeros(samples, dtype=np.int32)
+        self._left = np.zeros(samples, dtype=np.float32)
+        self._stamp = np.zeros(samples, dtype=np.int32)
+        self._inside = np.zeros(samples, dtype=np.int32)
+        self._rows = np.zeros((band * self.supersample, 2), dtype=np.int32)
+        self._total = np.zeros((band * self.width, 3), dtype=np.float32)
+        self._jobs = np.zeros((columns * self.supersample, 2), dtype=np.int32)
+        self._places = np.zeros((columns * self.supersample, 3))
 
         # Shadows are soft: a map much finer than the picture would be wasted.
-        size = min(max(int(0.4 * max(self.width, self.height)), 40), 200)
+        size = min(max(int(0.32 * max(self.width, self.height)), 40), 160)
         under_size = min(max(size // 2, 24), 72)
         self._map_depth = np.zeros((size, size), dtype=np.float32)
         self._map_mesh = np.zeros((size, size), dtype=np.int32)
-        self._silhouette = np.zeros((size, size), dtype=np.float32)
+        self._dark = np.zeros((2, size, size), dtype=np.float32)
         self._under_depth = np.zeros((under_size, under_size), dtype=np.float32)
         self._under_mesh = np.zeros((under_size, under_size), dtype=np.int32)
-        self._under = np.zeros((under_size, under_size), dtype=np.float32)
 
-        self._view = np.zeros(rasterizer.VIEW)
-        self._light = np.zeros(rasterizer.LIGHT)
+        self._view = np.zeros(k.VIEW)
+        self._light = np.zeros(k.LIGHT)
         self._matrix = np.zeros((3, 4))
-        tones = linear_to_srgb(np.arange(rasterizer.TONES) / (rasterizer.TONES - 1))
+        tones = linear_to_srgb(np.arange(k.TONES) / (k.TONES - 1))
         self._tones = np.round(tones * 255.0).astype(np.uint8)
         self._vertex_room = self._triangle_room = self._mesh_room = 0
         self._grow(1024, 2048, 16)
@@ -143,11 +149,8 @@ class Renderer:
             ValueError: as in `render`.
         """
         picture = self._output(out)
-        self._draw(camera, meshes, segments, ground, background, picture)
         depth = np.empty((self.height, self.width), dtype=np.float32)
-        self._kernels.resolve_depth(
-            self.width, self.height, self.supersample, self._depth, self._shown, self._owner, depth
-        )
+        self._draw(camera, meshes, segments, ground, background, picture, depth)
         return picture, depth
 
     # ------------------------------------------------------------------------------------------------- private
@@ -158,15 +161,14 @@ class Renderer:
             return np.empty(shape, dtype=np.uint8)
         if out.shape != shape or out.dtype != np.uint8 or not (out.flags.c_contiguous and out.flags.writeable):
             raise ValueError(
-                f"out must be a writable C-contiguous uint8 array of the shape {shape}, "
-                f"got {out.dtype} {out.shape}"
+                f"out must be a writable C-contiguous uint8 array of the shape {shape}, got {out.dtype} {out.shape}"
             )
         return out
 
-    def _grow(self, vertices: int, triangles: int, meshes: int) -> None:
+    def _grow(self, points: int, triangles: int, meshes: int) -> None:
         """Make room for a scene; what the buffers held is not kept."""
-        if vertices > self._vertex_room:
-            self._vertex_room = room = max(vertices, 2 * self._vertex_room)
+        if points > self._vertex_room:
+            self._vertex_room = room = max(points, 2 * self._vertex_room)
             self._points = np.zeros((room, 3))
             self._placed = np.zeros((room, 3))
             self._light_space = np.zeros((room, 3))
@@ -177,18 +179,18 @@ class Renderer:
             self._triangle_room = room = max(triangles, 2 * self._triangle_room)
             self._triangles = np.zeros((room, 3), dtype=np.int32)
             self._owner = np.zeros(room, dtype=np.int32)
-            self._barycentric = np.zeros((room, 9))
-            self._keys = np.zeros(room)
-            self._order = np.zeros(room, dtype=np.int64)
+            self._functions = np.zeros((room, k.FUNCTIONS))
+            self._extents = np.zeros((room, 6), dtype=np.int32)
+            self._limits = np.zeros((room, 5, 3))
         if meshes > self._mesh_room:
             self._mesh_room = room = max(meshes, 2 * self._mesh_room)
             self._flags = np.zeros(room, dtype=np.int32)
-            self._parameters = np.zeros((room, self._kernels.PARAMETERS))
+            self._parameters = np.zeros((room, k.PARAMETERS))
             self._ranges = np.zeros((room, 2), dtype=np.int32)
             self._others = np.zeros((room, 4))
 
     def _aim(self, camera: Camera, ground: Ground | None) -> None:
-        k, view = self._kernels, self._view
+        view = self._view
         axes = camera.axes()
         eye = np.asarray(camera.position)
         focal = 0.5 * self.height * self.supersample / math.tan(math.radians(camera.vertical_field_of_view) / 2.0)
@@ -202,9 +204,7 @@ class Renderer:
         view[k.NEAR], view[k.FAR] = camera.near, camera.far
         view[k.GROUND_SEEN] = float(ground is not None and eye[2] > ground.height)
         view[k.GROUND_HEIGHT] = 0.0 if ground is None else ground.height
-        self._matrix[:, :3] = np.stack(
-            [focal * right + middle_x * forward, middle_y * forward - focal * up, forward]
-        )
+        self._matrix[:, :3] = np.stack([focal * right + middle_x * forward, middle_y * forward - focal * up, forward])
         self._matrix[:, 3] = -self._matrix[:, :3] @ eye
 
         light, lighting = self._light, self.lighting
@@ -215,24 +215,10 @@ class Renderer:
         light[k.FILL_DIRECTION : k.FILL_DIRECTION + 3] = lighting.fill_direction
         light[k.KEY], light[k.FILL], light[k.AMBIENT] = lighting.key, lighting.fill, lighting.ambient
         light[k.SHADOW], light[k.SOFTNESS] = lighting.shadow, lighting.shadow_softness
+        light[k.CLOSE] = 0.25 / max(lighting.shadow_softness, 1e-6)
         light[k.GROUND_SHADOW] = 0.0 if ground is None else ground.shadow
 
-    def _draw_background(self, camera: Camera, background: Background, ground: Ground | None) -> None:
-        """Draw the background, or take it away where the last picture covered it."""
-        key = (camera, background, ground)
-        columns = self.width * self.supersample
-        if key == self._background_key:
-            self._kernels.clear(
-                self._rows,
-                columns,
-                self._background_depth,
-                self._depth,
-                self._shown,
-                self._left,
-                self._stamp,
-                len(self._left) > 0,
-            )
-            return
+    def _draw_background(self, background: Background, ground: Ground | None) -> None:
         plane = Ground() if ground is None else ground
         numbers = np.concatenate(
             [
@@ -241,7 +227,7 @@ class Renderer:
                 (plane.fade_start, plane.fade_end),
             ]
         )
-        self._kernels.draw_background(
+        compose.draw_background(
             self._view,
             numbers,
             self.width,
@@ -251,32 +237,24 @@ class Renderer:
             self._background_light,
             self._ground_weight,
             self._background_bytes,
-            self._background_depth,
         )
-        self._depth[:] = self._background_depth
-        self._shown[:] = -1
-        self._left[:] = 1.0
-        self._stamp[:] = -1
-        self._rows[:, 0] = columns
-        self._rows[:, 1] = 0
-        self._background_key = key
 
-    def _pack_mesh(self, mesh: Mesh, m: int, vertex: int, triangle: int) -> tuple[int, int]:
+    def _pack_mesh(self, mesh: Mesh, m: int, vertex: int, triangle: int, floor: float) -> tuple[int, int]:
         """Copy a mesh into the buffers; returns the next free vertex and triangle."""
-        k = self._kernels
         vertex_end, triangle_end = vertex + len(mesh.vertices), triangle + len(mesh.triangles)
         self._points[vertex:vertex_end] = mesh.vertices
         np.add(mesh.triangles, np.int32(vertex), out=self._triangles[triangle:triangle_end])
         if mesh.vertex_colors is None:
-            self._colors[vertex:vertex_end] = srgb_to_linear(mesh.color)
+            self._colors[vertex:vertex_end] = linear_color(mesh.color)
         else:
-            k.to_linear(np.ascontiguousarray(mesh.vertex_colors), vertex, vertex_end, self._colors)
+            vertices.to_linear(np.ascontiguousarray(mesh.vertex_colors), vertex, vertex_end, self._colors)
 
         material = mesh.material
         flags = 0
         if mesh.smooth:
             flags |= k.SMOOTH
-            k.vertex_normals(
+        if mesh.smooth or mesh.rind > 0.0:
+            vertices.vertex_normals(
                 self._points, self._triangles, vertex, vertex_end, triangle, triangle_end, self._normals
             )
         if mesh.two_sided or mesh.back_color is not None or (mesh.clip_plane is not None and not mesh.capped):
@@ -290,34 +268,41 @@ class Renderer:
             flags |= k.RECEIVES
         if mesh.opacity < 1.0:
             flags |= k.TRANSLUCENT
-        row = self._parameters[m]
-        row[k.OPACITY] = mesh.opacity
-        row[k.BACK : k.BACK + 3] = srgb_to_linear(mesh.color if mesh.back_color is None else mesh.back_color)
-        row[k.SPECULAR] = material.specular
-        row[k.SHININESS] = round(math.log2(material.shininess))
-        row[k.METALLIC] = material.metallic
-        row[k.SUBSURFACE] = material.subsurface
-        row[k.RIM] = material.rim
+        plane = (0.0, 0.0, 0.0, 0.0)
         if mesh.clip_plane is not None:
             flags |= k.CUT
             if mesh.capped:
                 flags |= k.CAPPED
             point, normal = mesh.clip_plane
-            row[k.PLANE : k.PLANE + 3] = normal
-            row[k.PLANE + 3] = np.dot(point, normal)
-        row[k.GRAIN], row[k.MOTTLE] = material.grain, material.mottle
+            plane = (*normal, sum(x * n for x, n in zip(point, normal, strict=True)))
+        wraps = [reach * material.subsurface for reach in _WRAPS]
+        # The order of the columns in `layout`.
+        self._parameters[m] = (
+            mesh.opacity,
+            *linear_color(_section_color(mesh) if mesh.rind > 0.0 else mesh.back_color or mesh.color),
+            *plane,
+            material.specular,
+            round(math.log2(material.shininess)),
+            material.metallic,
+            *wraps,
+            *(1.0 / (1.0 + wrap) for wrap in wraps),
+            material.rim,
+            material.grain,
+            material.mottle,
+        )
         if mesh.texture is not None and (material.grain > 0.0 or material.mottle > 0.0):
             flags |= k.TEXTURED
             self._texture[vertex:vertex_end] = mesh.texture
         for _ in range(mesh.refine):
             split_end = triangle_end + 4 * (triangle_end - triangle)
-            vertex_end = k.refine(
+            vertex_end = vertices.refine(
                 self._triangles,
                 triangle,
                 triangle_end,
                 self._triangles,
                 triangle_end,
                 vertex_end,
+                floor,
                 self._points,
                 self._normals,
                 self._colors,
@@ -331,18 +316,32 @@ class Renderer:
         self._flags[m] = flags
         return vertex_end, triangle_end
 
+    def _pack_core(self, mesh: Mesh, m: int, shell: int, vertex: int, triangle: int) -> tuple[int, int]:
+        """Copy mesh `shell`, moved inwards by its rind, as mesh m; returns the next free vertex and triangle."""
+        first, last = self._ranges[shell].tolist()
+        vertex_end = vertex + last - first
+        self._points[vertex:vertex_end] = self._points[first:last] - mesh.rind * self._normals[first:last]
+        copied = self._triangles[:triangle][self._owner[:triangle] == shell]
+        triangle_end = triangle + len(copied)
+        self._triangles[triangle:triangle_end] = copied + np.int32(vertex - first)
+        self._owner[triangle:triangle_end] = m
+        self._ranges[m] = vertex, vertex_end
+        self._parameters[m] = self._parameters[shell]
+        self._parameters[m, k.BACK : k.BACK + 3] = linear_color(mesh.back_color or mesh.color)
+        self._flags[m] = (self._flags[shell] & ~(k.CASTS | k.SMOOTH | k.DRAW_BACK)) | k.CORE
+        return vertex_end, triangle_end
+
     def _pack_segments(self, lines: Segments, m: int, vertex: int, triangle: int) -> tuple[int, int]:
         """Turn lines into quadrilaterals in the buffers; returns the next free vertex and triangle."""
-        k = self._kernels
         count = len(lines.starts)
         ends = []
         for points in (lines.starts, lines.ends):
             placed = np.empty_like(points)
-            k.place(np.ascontiguousarray(points), 0, count, self._matrix, placed)
+            vertices.place(np.ascontiguousarray(points), 0, count, self._matrix, placed)
             ends.append(placed)
         pixels = lines.unit == "pixel"
         width = lines.width * (self.supersample if pixels else 1.0)
-        vertex_end = k.widen_lines(*ends, width, pixels, self._view[k.FOCAL], self._placed, vertex)
+        vertex_end = vertices.widen_lines(*ends, width, pixels, self._view[k.FOCAL], self._placed, vertex)
         first = vertex + 4 * np.arange(count, dtype=np.int32)
         triangle_end = triangle + 2 * count
         for corner, (one, other) in enumerate(((0, 0), (1, 2), (2, 3))):
@@ -364,37 +363,48 @@ class Renderer:
         ground: Ground | None,
         background: Background | Color | None,
         picture: NDArray[np.uint8],
+        depth: NDArray[np.float32] | None = None,
     ) -> None:
-        k = self._kernels
         if background is None:
             background = Background()
         elif not isinstance(background, Background):
             color = to_color(background, "background")
             background = Background(color, color)
-        self._aim(camera, ground)
-        self._draw_background(camera, background, ground)
+        wanted = (camera, background, ground, self.lighting)
+        if wanted != self._drawn:
+            self._aim(camera, ground)
+            self._draw_background(background, ground)
+            self._drawn = wanted
 
-        vertices = sum(4 * len(lines.starts) for lines in segments)
+        cored = [m for m, mesh in enumerate(meshes) if mesh.rind > 0.0]
+        corners = sum(4 * len(lines.starts) for lines in segments)
         triangles = sum(2 * len(lines.starts) for lines in segments)
         for mesh in meshes:
             # Splitting adds 3 vertices a triangle, then 12; its input and its output need room at once.
-            vertices += len(mesh.vertices) + (0, 3, 15)[mesh.refine] * len(mesh.triangles)
-            triangles += (1, 5, 20)[mesh.refine] * len(mesh.triangles)
-        self._grow(vertices, triangles, len(meshes) + len(segments))
+            copies = 2 if mesh.rind > 0.0 else 1
+            corners += copies * (len(mesh.vertices) + (0, 3, 15)[mesh.refine] * len(mesh.triangles))
+            triangles += copies * (1, 5, 20)[mesh.refine] * len(mesh.triangles)
+        count = len(meshes) + len(cored) + len(segments)
+        # Behind the triangles, one place for the section of each mesh.
+        self._grow(corners, triangles + count, count)
+        floor = -math.inf if ground is None else ground.height
         vertex = triangle = 0
         starts = []
         for m, mesh in enumerate(meshes):
             starts.append(triangle)
-            vertex, triangle = self._pack_mesh(mesh, m, vertex, triangle)
-        k.place(self._points, 0, vertex, self._matrix, self._placed)
-        for m, lines in enumerate(segments, start=len(meshes)):
+            vertex, triangle = self._pack_mesh(mesh, m, vertex, triangle, floor)
+        for m, shell in enumerate(cored, start=len(meshes)):
+            starts.append(triangle)
+            vertex, triangle = self._pack_core(meshes[shell], m, shell, vertex, triangle)
+        vertices.place(self._points, 0, vertex, self._matrix, self._placed)
+        for m, lines in enumerate(segments, start=len(meshes) + len(cored)):
             starts.append(triangle)
             vertex, triangle = self._pack_segments(lines, m, vertex, triangle)
-        count = len(starts)
         starts.append(triangle)
+        self._owner[triangle : triangle + count] = np.arange(count)
+        shells = [-1] * len(meshes) + [triangle + shell for shell in cored] + [-1] * len(segments)
 
-        columns, lines_of_samples = self.width * self.supersample, self.height * self.supersample
-        k.cast_shadows(
+        shadows.cast_shadows(
             self._points,
             self._light_space,
             self._triangles,
@@ -408,102 +418,82 @@ class Renderer:
             self._light,
             self._map_depth,
             self._map_mesh,
-            self._silhouette,
+            self._dark,
             self._under_depth,
             self._under_mesh,
-            self._under,
             self._others,
         )
-        k.draw_opaque(
+        rasterizer.prepare(
             self._points,
             self._placed,
             self._triangles,
             self._owner,
             triangle,
-            self._flags,
-            self._parameters,
-            self._view,
-            columns,
-            lines_of_samples,
-            self._depth,
-            self._shown,
-            self._rows,
-            self._barycentric,
-        )
-        for m in np.flatnonzero(self._flags[:count] & k.CAPPED).tolist():
-            if not len(self._inside):
-                self._inside = np.zeros(columns * lines_of_samples, dtype=np.int32)
-            k.draw_cap(
-                self._points,
-                self._placed,
-                self._triangles,
-                starts[m],
-                starts[m + 1],
-                m,
-                self._parameters,
-                self._view,
-                columns,
-                lines_of_samples,
-                self._depth,
-                self._shown,
-                self._rows,
-                self._inside,
-            )
-        scene = (
-            self._points,
-            self._triangles,
-            self._owner,
-            self._barycentric,
             self._normals,
             self._colors,
             self._texture,
             self._flags,
             self._parameters,
             self._view,
-            self._light,
-            self._map_depth,
-            self._map_mesh,
-            self._others,
+            self.width * self.supersample,
+            self.height * self.supersample,
+            self._extents,
+            self._limits,
+            self._functions,
         )
-        translucent = bool(np.any(self._flags[:count] & k.TRANSLUCENT))
-        if translucent:
-            if not len(self._left):
-                self._left = np.ones(columns * lines_of_samples, dtype=np.float32)
-                self._stamp = np.full(columns * lines_of_samples, -1, dtype=np.int32)
-                self._total = np.zeros((self.height, self.width, 3), dtype=np.float32)
-            ordered = k.sort_translucent(
-                self._placed, self._triangles, self._owner, triangle, self._flags, self._keys, self._order
-            )
-            k.draw_translucent(
-                self._order,
-                ordered,
-                self._placed,
-                columns,
-                lines_of_samples,
-                self.supersample,
-                self._depth,
-                self._left,
-                self._stamp,
-                self._rows,
-                self._total,
-                *scene,
-            )
+        flags = self._flags[:count]
+        order = np.zeros(0, dtype=np.int64)
+        if bool(np.any(flags & k.TRANSLUCENT)):
+            # Nearest first, by the mean depth of the corners.
+            order = np.flatnonzero(self._flags[self._owner[:triangle]] & k.TRANSLUCENT)
+            distance = self._placed[self._triangles[order], 2].sum(axis=1)
+            order = order[np.argsort(distance, kind="stable")]
+        caps = [
+            (m, starts[m], starts[m + 1], triangle + m, shells[m]) for m in np.flatnonzero(flags & k.CAPPED).tolist()
+        ]
         picture[:] = self._background_bytes
-        k.resolve(
+        compose.draw_picture(
             self.width,
             self.height,
             self.supersample,
+            triangle,
             self._matrix,
+            order,
+            np.array(caps, dtype=np.int64).reshape(-1, 5),
+            self._extents,
+            self._limits,
             self._tones,
-            self._shown,
-            self._left,
-            self._rows,
-            self._total,
-            translucent,
             self._background_light,
             self._ground_weight,
-            self._silhouette,
-            self._under,
+            self._dark,
+            len(self._under_depth),
+            self._depth,
+            self._shown,
+            self._left,
+            self._stamp,
+            self._inside,
+            self._rows,
+            self._total,
+            self._jobs,
+            self._places,
             picture,
-            *scene,
+            np.zeros((0, 0), dtype=np.float32) if depth is None else depth,
+            (
+                self._functions,
+                self._owner,
+                self._flags,
+                self._parameters,
+                self._view,
+                self._light,
+                self._map_depth,
+                self._map_mesh,
+                self._others,
+            ),
         )
+
+
+def _section_color(mesh: Mesh) -> Color:
+    """Colour of a section's rind: paler than both sides of the surface."""
+    outer, inner = mesh.color, mesh.back_color or mesh.color
+    red, green, blue = (0.60 * a + 0.10 * b + 0.30 for a, b in zip(outer, inner, strict=True))
+    return (red, green, blue)

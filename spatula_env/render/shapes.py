@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spatula_env.render.camera import to_vector
+from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotation_matrix
 from spatula_env.render.palette import FORCE, GOAL, STEEL, Color
 from spatula_env.render.primitives import BRUSHED_STEEL, MATTE, Material, Mesh, perpendicular_axes
 
@@ -43,7 +45,7 @@ def sphere_mesh(
     Raises:
         ValueError: if an argument is out of its range.
     """
-    _check_length(radius, "radius")
+    check_positive(radius, "radius")
     if not 0 <= subdivisions <= 4:
         raise ValueError(f"subdivisions must be in 0..4, got {subdivisions}")
     middles = np.atleast_2d(np.asarray(centers, dtype=np.float64))
@@ -85,7 +87,7 @@ def box_mesh(
     Args:
         size: edge lengths, u (3,), above zero.
         position: of its centre, u (3,).
-        orientation: quaternion (x, y, z, w), any length but zero.
+        orientation: unit quaternion (x, y, z, w).
         bevel: width by which edges and corners are cut at 45 degrees, u; at most half the shortest edge.
         color: of the surface.
         opacity: 0..1.
@@ -98,7 +100,7 @@ def box_mesh(
     Raises:
         ValueError: if an argument is out of its range.
     """
-    half = 0.5 * np.asarray(to_vector(size, "size"))
+    half = 0.5 * as_vector3(size, "size")
     if not bool(np.all(half > 0.0)):
         raise ValueError(f"size must be above zero, got {size!r}")
     if not 0.0 <= bevel <= float(half.min()):
@@ -111,8 +113,7 @@ def box_mesh(
     else:
         corners, triangles = _plain_box()
         local = corners * half
-    rotation = quaternion_matrix(orientation)
-    vertices = np.asarray(to_vector(position, "position")) + local @ rotation.T
+    vertices = as_vector3(position, "position") + local @ quaternion_matrix(orientation).T
     return Mesh(
         vertices,
         triangles,
@@ -154,10 +155,10 @@ def arrow_mesh(
     Raises:
         ValueError: if an argument is out of its range.
     """
-    _check_length(width, "width")
+    check_positive(width, "width")
     _check_sides(sides)
-    foot = np.asarray(to_vector(start, "start"))
-    along = np.asarray(to_vector(vector, "vector"))
+    foot = as_vector3(start, "start")
+    along = as_vector3(vector, "vector")
     length = float(np.linalg.norm(along))
     if length < 1e-9:
         empty = np.zeros((0, 3), dtype=np.int32)
@@ -209,14 +210,14 @@ def disc_mesh(
     Raises:
         ValueError: if an argument is out of its range.
     """
-    _check_length(radius, "radius")
+    check_positive(radius, "radius")
     _check_sides(sides)
     if not 0.0 <= inner_radius < radius:
         raise ValueError(f"inner_radius must be in 0..{radius} and below it, got {inner_radius}")
     vertices, triangles = _revolve([(radius, 0.0), (inner_radius, 0.0)], sides)
     frame = np.stack(perpendicular_axes(normal))
     return Mesh(
-        np.asarray(to_vector(center, "center")) + vertices @ frame,
+        as_vector3(center, "center") + vertices @ frame,
         triangles,
         color=color,
         opacity=opacity,
@@ -257,7 +258,7 @@ def ring_mesh(
     Raises:
         ValueError: if an argument is out of its range.
     """
-    _check_length(radius, "radius")
+    check_positive(radius, "radius")
     _check_sides(sides)
     if not 0.0 < width < 2.0 * radius:
         raise ValueError(f"width must be above zero and below twice the radius, got {width}")
@@ -275,7 +276,7 @@ def ring_mesh(
     triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
     frame = np.stack(perpendicular_axes(normal))
     return Mesh(
-        np.asarray(to_vector(center, "center")) + vertices @ frame,
+        as_vector3(center, "center") + vertices @ frame,
         triangles.astype(np.int32),
         color=color,
         opacity=opacity,
@@ -285,21 +286,8 @@ def ring_mesh(
 
 
 def quaternion_matrix(orientation: ArrayLike) -> NDArray[np.float64]:
-    """The rotation matrix (3, 3) of a quaternion (x, y, z, w) of any length but zero."""
-    quaternion = np.asarray(orientation, dtype=np.float64)
-    if quaternion.shape != (4,) or not bool(np.all(np.isfinite(quaternion))):
-        raise ValueError(f"orientation must be four finite numbers (x, y, z, w), got {orientation!r}")
-    length = float(np.linalg.norm(quaternion))
-    if length < 1e-12:
-        raise ValueError("orientation must not be zero")
-    x, y, z, w = quaternion / length
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    """The rotation matrix (3, 3) of a unit quaternion (x, y, z, w)."""
+    return rotation_matrix(as_quaternion(orientation, "orientation"))
 
 
 @cache
@@ -400,9 +388,7 @@ def _wind_outwards(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) 
     return result
 
 
-def _revolve(
-    profile: Sequence[tuple[float, float]], sides: int
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def _revolve(profile: Sequence[tuple[float, float]], sides: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Turn a profile of (radius, height) about the z axis.
 
     Each piece has vertices of its own, so its ends stay sharp under smooth shading. Going up the profile, the outside
@@ -413,7 +399,7 @@ def _revolve(
     here = np.arange(sides)
     after = (here + 1) % sides
     vertices, triangles, start = [], [], 0
-    for (r0, z0), (r1, z1) in zip(profile[:-1], profile[1:], strict=True):
+    for (r0, z0), (r1, z1) in pairwise(profile):
         for radius, height in ((r0, z0), (r1, z1)):
             vertices.append(np.column_stack([radius * circle, np.full(sides, height)]))
         low, high = start + here, start + sides + here
@@ -425,11 +411,6 @@ def _revolve(
             triangles.append(np.stack([low, high_next, high], axis=1))
         start += 2 * sides
     return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
-
-
-def _check_length(value: float, name: str) -> None:
-    if not 0.0 < value < math.inf:
-        raise ValueError(f"{name} must be above zero and finite, got {value}")
 
 
 def _check_sides(sides: int) -> None:

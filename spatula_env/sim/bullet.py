@@ -59,7 +59,7 @@ class BulletWorld:
         self._client: int = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet could not start another physics server; close() simulations no longer needed")
-        # Bullet is told the time step in single precision.
+        # Bullet integrates soft bodies, though not rigid ones, with the time step in single precision.
         self._dt = float(np.float32(scene.dt))
         self._gravity = scene.gravity
         bullet, client = pybullet, self._client
@@ -233,7 +233,7 @@ class BulletTools:
     def __init__(self, bullet: Any, client: int, scene: Scene) -> None:
         """Create the scene's tools."""
         self._bullet, self._client = bullet, client
-        self._dt, self._gravity = float(np.float32(scene.dt)), np.array([0.0, 0.0, -scene.gravity])
+        self._dt, self._gravity = scene.dt, np.array([0.0, 0.0, -scene.gravity])
         self._mass = TOOL_TO_ORGAN_MASS * sum(placed.mass for placed in scene.organs)
         self._bodies = [self._create(placed) for placed in scene.tools]
         self._inertia = [np.array(bullet.getDynamicsInfo(body, -1, client)[2]) for body in self._bodies]

@@ -26,7 +26,7 @@ class Setting:
     Attributes:
         rest_nodes: (V, 3) the organ at rest [m].
         triangles: (T, 3) int32, counter-clockwise from outside.
-        ground_height: z of the ground [m].
+        ground_height: z of the ground, or of the lowest node at rest where there is no ground [m].
         tool_low: (3,) lower corner of the tool's bounding box relative to the tool's position [m].
         tool_high: (3,) upper corner [m].
         workspace_low: (3,) lower corner of the space that the tool's position is kept in [m].
@@ -141,6 +141,11 @@ class Task(Protocol):
 def closeness(distance: FloatArray, scale: float) -> FloatArray:
     """From 1 at distance 0 towards 0: 1 - tanh(distance / scale), which is 0.24 at `scale`."""
     return np.asarray(1.0 - np.tanh(distance / scale))
+
+
+def weighted_sum(terms: Mapping[str, FloatArray], weights: Mapping[str, float]) -> FloatArray:
+    """The dense reward (W,) of reward terms (W,)."""
+    return np.asarray(sum(weight * terms[name] for name, weight in weights.items()))
 
 
 def config_from_mapping(kind: type[Config], values: Mapping[str, Any] | Config | None, name: str) -> Config:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from spatula_env.geometry.checks import check_positive
 from spatula_env.tasks.base import (
+    BoolArray,
     Evaluation,
     FloatArray,
     Setting,
@@ -183,9 +184,7 @@ class PressTask:
         """
         least, greatest = self.config.depth_range
         if (goal[:2] < self._low[:2]).any() or (goal[:2] > self._high[:2]).any():
-            raise ValueError(
-                f"goal must be at a place from {self._low[:2]} to {self._high[:2]} m, got {goal[:2]}"
-            )
+            raise ValueError(f"goal must be at a place from {self._low[:2]} to {self._high[:2]} m, got {goal[:2]}")
         if not least <= goal[2] <= greatest:
             raise ValueError(f"goal must have a depth from {least} to {greatest} m, got {goal[2]}")
 
@@ -200,31 +199,24 @@ class PressTask:
             Reward terms "reach", "depth", "hold", "force" and "action"; what was achieved; the measures
             "depth", "depth_error" and "place_error" [m].
         """
-        config, setting = self.config, self._setting
-        ground = setting.ground_height
+        config = self.config
         place = np.ascontiguousarray(situation.tool_position[:, :2])
-        depth = surface_heights(self._rest_nodes, self._triangles, place, ground)
-        depth -= surface_heights(situation.nodes, self._triangles, place, ground)
-        achieved = np.concatenate([place, depth[:, None]], axis=1)
+        depth = self._rest_heights(place)
+        depth -= surface_heights(situation.nodes, self._triangles, place, self._setting.ground_height)
+        measured = np.concatenate([place, depth[:, None]], axis=1)
         # Not np.clip: it costs several times as much on a few numbers.
-        achieved = (
-            np.minimum(np.maximum(achieved, self._low), self._high).astype(np.float32).astype(np.float64)
-        )
-        error = goal.astype(np.float32) - achieved
-        place_error, depth_error = _errors(error)
-        within = (place_error <= config.place_tolerance) & (depth_error <= config.depth_tolerance)
+        achieved = _as_seen(np.minimum(np.maximum(measured, self._low), self._high))
+        error = _as_seen(goal) - achieved
+        place_error, depth_error, within = self._compare(error)
 
-        target_height = (
-            surface_heights(self._rest_nodes, self._triangles, np.array(goal[:, :2]), ground) - goal[:, 2]
-        )
-        underside = situation.tool_position[:, 2] + setting.tool_low[2]
-        distance = np.hypot(place_error, underside - target_height)
+        target = self._rest_heights(np.array(goal[:, :2])) - goal[:, 2]
+        underside = situation.tool_position[:, 2] + self._setting.tool_low[2]
+        distance = np.hypot(place_error, underside - target)
         force = np.sqrt((situation.contact_force**2).sum(axis=1))
         return Evaluation(
             terms={
                 "reach": closeness(distance, config.reach_scale),
-                "depth": closeness(depth_error, config.depth_scale)
-                * closeness(place_error, config.depth_scale),
+                "depth": closeness(depth_error, config.depth_scale) * closeness(place_error, config.depth_scale),
                 "hold": within.astype(np.float64),
                 "force": force,
                 "action": (situation.action**2).sum(axis=1),
@@ -245,30 +237,41 @@ class PressTask:
         Returns:
             (...) 0 where `achieved` is within tolerance of `desired`, -1 elsewhere.
         """
-        # In the precision, and with the operations, of `evaluate`.
-        error = np.asarray(desired, dtype=np.float32) - np.asarray(achieved, dtype=np.float32).astype(
-            np.float64
-        )
-        place_error, depth_error = _errors(error)
-        within = (place_error <= self.config.place_tolerance) & (depth_error <= self.config.depth_tolerance)
+        _, _, within = self._compare(_as_seen(desired) - _as_seen(achieved))
         return np.asarray(within, dtype=np.float32) - np.float32(1.0)
 
     def target_points(self, goal: FloatArray) -> FloatArray:
         """(2, 3): the place on the surface at rest, and where that point of the surface is to go [m]."""
-        place = np.array(goal[None, :2])
-        height = surface_heights(self._rest_nodes, self._triangles, place, self._setting.ground_height)[0]
+        height = self._rest_heights(np.array(goal[None, :2]))[0]
         return np.array([[*goal[:2], height], [*goal[:2], height - goal[2]]])
+
+    def _rest_heights(self, places: FloatArray) -> FloatArray:
+        """(W,) height of the surface at rest at places (W, 2) [m]."""
+        ground = self._setting.ground_height
+        heights: FloatArray = surface_heights(self._rest_nodes, self._triangles, places, ground)
+        return heights
+
+    def _compare(self, error: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Distance from the place, absolute error of the depth, whether both are tolerable, (...) each."""
+        place_error, depth_error = np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2])
+        within = (place_error <= self.config.place_tolerance) & (depth_error <= self.config.depth_tolerance)
+        return place_error, depth_error, within
 
     def _check_reach(self) -> None:
         config, setting = self.config, self._setting
+        widest = min(float(setting.workspace_high[:2].min()), -float(setting.workspace_low[:2].max()))
+        for name in ("place_radius", "start_radius"):
+            if getattr(config, name) > widest:
+                raise ValueError(
+                    f"{name} must be {widest:.4f} m at most, where the workspace ends; got {getattr(config, name)!r}"
+                )
         angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
         rim = config.place_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        lowest = surface_heights(self._rest_nodes, self._triangles, rim, setting.ground_height).min()
+        lowest = self._rest_heights(rim).min()
         deepest = lowest - (setting.workspace_low[2] + setting.tool_low[2])
         if config.depth_range[1] > deepest:
             raise ValueError(
-                f"depth_range must end at {deepest:.4f} m at most, where the workspace ends; "
-                f"got {config.depth_range}"
+                f"depth_range must end at {deepest:.4f} m at most, where the workspace ends; got {config.depth_range}"
             )
         highest = setting.workspace_high[2] + setting.tool_low[2] - self._top
         if config.start_height_range[1] > highest:
@@ -276,18 +279,11 @@ class PressTask:
                 f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
                 f"got {config.start_height_range}"
             )
-        widest = min(float(setting.workspace_high[:2].min()), -float(setting.workspace_low[:2].max()))
-        for name in ("place_radius", "start_radius"):
-            if getattr(config, name) > widest:
-                raise ValueError(
-                    f"{name} must be {widest:.4f} m at most, where the workspace ends; "
-                    f"got {getattr(config, name)!r}"
-                )
 
 
-def _errors(error: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The horizontal distance and the depth's absolute error, (...) each, of an error (..., 3) [m]."""
-    return np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2])
+def _as_seen(goal: NDArray[Any]) -> FloatArray:
+    """Goals as an agent sees them: rounded to single precision."""
+    return np.asarray(goal, dtype=np.float32).astype(np.float64)
 
 
 def _sample_disc(generator: np.random.Generator, radius: float, count: int) -> FloatArray:

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 
 @kernel("f8[::1](f8[:,:,::1], i4[:,::1], f8[:,::1], f8)")
-def surface_heights(
-    nodes: np.ndarray, triangles: np.ndarray, places: np.ndarray, ground_height: float
-) -> np.ndarray:
+def surface_heights(nodes: np.ndarray, triangles: np.ndarray, places: np.ndarray, ground_height: float) -> np.ndarray:
     """The height of surfaces, seen from straight above.
 
     Args:

@@ -3,9 +3,9 @@
 Written from the published description: every ray is tried on every triangle by Möller and Trumbore's test, and the
 nodes are visited one after the other in a Python loop. Nothing is shared with the package but the tool's arrays.
 
-One rule is not in the description, and matters only where a surface overlaps itself or has holes, so that a node's
-inward ray says that it is inside and its outward ray that it is not: a node whose opposite has been given the contact
-in this very query, and which is itself inside, is refused.
+One rule, `exclusive`, is not in the description, and matters only where a surface overlaps itself or has holes, so
+that a node's inward ray says that it is inside and its outward ray that it is not: a node whose opposite has been
+given the contact in this very query, and which is itself inside, is refused.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ class Surface:
 class ReferenceDetector:
     """The two steps for each node, with the flags remembered."""
 
-    def __init__(self, tool, first_step="inside"):
-        self.tool, self.first_step = tool, first_step
+    def __init__(self, tool, first_step="inside", exclusive=True):
+        self.tool, self.first_step, self.exclusive = tool, first_step, exclusive
         self.flags = [False] * len(tool.nodes)
 
     def detect(
@@ -129,7 +129,7 @@ class ReferenceDetector:
                 refused = beyond >= 0 and (
                     self.first_step == "any_hit" or surface.normals[beyond] @ outwards[other] > 0.0
                 )
-                if refused or (other in visited and is_inside):
+                if refused or (self.exclusive and other in visited and is_inside):
                     self.flags[node] = False
                     found.unfeasible[node] = True
                     continue

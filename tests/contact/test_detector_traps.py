@@ -72,7 +72,7 @@ def test_contact_points_are_where_their_weights_say():
     np.testing.assert_allclose(
         np.einsum("nc,ncx->nx", contacts.barycentric[flagged], corners), contacts.points[flagged], atol=1e-9
     )
-    nodes = PLATE.nodes + [X, Y, 2.9]
+    nodes = PLATE.nodes + np.array([X, Y, 2.9])
     np.testing.assert_allclose(contacts.points, nodes - contacts.depth[:, None] * PLATE.normals, rtol=0.0, atol=1e-12)
     assert (contacts.barycentric >= 0.0).all()
     assert ((contacts.normal[flagged] * PLATE.normals[flagged]).sum(axis=1) < 0.0).all()
@@ -282,16 +282,9 @@ def test_reset_forgets():
 
 # A fissure between x = 0 and x = 1, and a plate that stands in the left wall: one face (x = 0.05) has just come out
 # into the gap, with its flags still set, the other (x = -0.075) is inside.
-FISSURE_VERTICES = np.concatenate(
-    [shifted(box_surface((2.0, 4.0, 4.0), 0.7), (-1.0, 0.0, 0.0))]
-    + [shifted(box_surface((2.0, 4.0, 4.0), 0.7), (2.0, 0.0, 0.0))]
-)
-FISSURE_TRIANGLES = np.concatenate(
-    [
-        box_surface((2.0, 4.0, 4.0), 0.7).triangles,
-        box_surface((2.0, 4.0, 4.0), 0.7).triangles + len(FISSURE_VERTICES) // 2,
-    ]
-)
+WALL = box_surface((2.0, 4.0, 4.0), 0.7)
+FISSURE_VERTICES = np.concatenate([shifted(WALL, (-1.0, 0.0, 0.0)), shifted(WALL, (2.0, 0.0, 0.0))])
+FISSURE_TRIANGLES = np.concatenate([WALL.triangles, WALL.triangles + len(WALL.vertices)])
 STANDING = Tool.box((0.125, 1.0, 1.0), 4)
 LEFT, RIGHT = STANDING.face_nodes(0), STANDING.face_nodes(1)
 
@@ -424,7 +417,7 @@ def test_exactly_aligned_pairs_have_one_flag(first_step):
     detector = FlaggedDetector(tool, first_step)
     for height in np.linspace(-2.5, 2.5, 41):
         contacts = detector.detect((0.0, 0.0, height), UPRIGHT, sphere.vertices, sphere.triangles, UP)
-        inside = is_inside_convex(sphere, tool.nodes + [0.0, 0.0, height])
+        inside = is_inside_convex(sphere, tool.nodes + np.array([0.0, 0.0, height]))
         pair = np.maximum(inside, inside[tool.opposite])
         assert not (contacts.flags & contacts.flags[tool.opposite]).any()
         sure = np.abs(pair) > 1e-9

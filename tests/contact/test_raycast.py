@@ -73,7 +73,7 @@ def test_an_oblique_hit():
 
 def test_the_nearest_of_several():
     heights = [3.0, 1.0, 2.0, -1.0]
-    vertices = np.concatenate([CORNERS + [0.0, 0.0, height - 1.0] for height in heights])
+    vertices = np.concatenate([CORNERS + np.array([0.0, 0.0, height - 1.0]) for height in heights])
     triangles = np.arange(12).reshape(-1, 3)
     assert cast((0.5, 0.5, 0.0), (0.0, 0.0, 1.0), vertices, triangles)[0] == 1
     assert cast((0.5, 0.5, 1.5), (0.0, 0.0, 1.0), vertices, triangles)[0] == 2

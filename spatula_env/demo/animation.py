@@ -1,0 +1,134 @@
+"""Moving pictures."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.demo.pictures import FAINT_INK, FILM_VIEW, INK, PAPER, RULE, PressPainter, _font
+from spatula_env.demo.press import Film
+from spatula_env.render import palette
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+RARE_COLORS = tuple(
+    tuple(round(255 * shade * part) for part in color)
+    for color in (palette.FORCE, palette.GOAL, palette.FEASIBLE, palette.UNFEASIBLE)
+    for shade in (0.4, 0.6, 0.8, 1.0)
+)
+"""Arrows and marks are small, and a palette made from all of a picture would have no place for their colours."""
+
+CURVE = tuple(round(255 * part) for part in palette.FORCE)
+
+
+def film_frames(film: Film, width: int = 480) -> list[Image.Image]:
+    """The film with the force drawn as an arrow and, in a strip below, over time.
+
+    Args:
+        film: What to show.
+        width: Of the pictures [pixels].
+    """
+    from PIL import Image
+
+    height = round(0.72 * width)
+    strip = _ForceStrip(film, width, round(0.21 * width))
+    painter = PressPainter(width, height, view=FILM_VIEW)
+    frames = []
+    for snapshot in film.snapshots:
+        page = Image.new("RGB", (width, height + strip.height), PAPER)
+        page.paste(Image.fromarray(painter.draw(snapshot, arrow=True, nodes=False)), (0, 0))
+        page.paste(strip.draw(snapshot.time), (0, height))
+        frames.append(page)
+    return frames
+
+
+class _ForceStrip:
+    """A plot of the force that grows with time."""
+
+    def __init__(self, film: Film, width: int, height: int) -> None:
+        self.width, self.height = width, height
+        self._title = f"press at {film.speed:g} u/s, hold, release"
+        self._forces = film.forces
+        self._times = film.dt * np.arange(1, len(film.forces) + 1)
+        self._left, self._right = round(0.095 * width), width - round(0.03 * width)
+        self._top, self._bottom = round(0.2 * height), height - round(0.2 * height)
+        self._highest = float(np.ceil(max(float(film.forces.max()), 1e-3) / 2.0) * 2.0)
+        self._size = max(9, round(0.027 * width))
+
+    def draw(self, time: float) -> Image.Image:
+        from PIL import Image, ImageDraw
+
+        # Drawn twice as large and reduced, because Pillow's lines have steps.
+        fine = Image.new("RGB", (2 * self.width, 2 * self.height), PAPER)
+        draw = ImageDraw.Draw(fine)
+        size, faint = 2 * self._size, FAINT_INK
+        font = _font(size)
+        for value in (0.0, 0.5 * self._highest, self._highest):
+            y = 2 * self._y(value)
+            draw.line([(2 * self._left, y), (2 * self._right, y)], fill=RULE, width=2)
+            draw.text((2 * self._left - size // 2, y), f"{value:g}", fill=faint, font=font, anchor="rm")
+        draw.text(
+            (2 * self._left, size // 4), f"{self._title}: force on the spatula [N]", fill=faint, font=font, anchor="lt"
+        )
+        draw.text((2 * self._right, size // 4), f"t = {time:.2f} s", fill=INK, font=font, anchor="rt")
+        last = float(self._times[-1])
+        for second in np.arange(0.0, last + 1e-9, 0.25):
+            x = 2 * self._x(float(second))
+            draw.text((x, 2 * self._bottom + size // 3), f"{second:g}", fill=faint, font=font, anchor="mt")
+        shown = self._times <= time + 1e-9
+        points = [
+            (2 * self._x(float(t)), 2 * self._y(float(f)))
+            for t, f in zip(self._times[shown], self._forces[shown], strict=True)
+        ]
+        if len(points) > 1:
+            draw.line(points, fill=CURVE, width=5, joint="curve")
+        if points:
+            x, y = points[-1]
+            draw.ellipse([x - 8, y - 8, x + 8, y + 8], fill=CURVE)
+        return fine.resize((self.width, self.height), Image.Resampling.LANCZOS)
+
+    def _x(self, time: float) -> float:
+        return self._left + (self._right - self._left) * time / float(self._times[-1])
+
+    def _y(self, force: float) -> float:
+        return self._bottom - (self._bottom - self._top) * force / self._highest
+
+
+def encode_gif(frames: Sequence[Image.Image | NDArray[np.uint8]], duration: int, last_duration: int = 0) -> bytes:
+    """An endless GIF.
+
+    Args:
+        frames: At least one.
+        duration: Of a frame [ms].
+        last_duration: Of the last frame, if longer [ms].
+
+    Returns:
+        The file's content.
+    """
+    from PIL import Image
+
+    pages = [frame if isinstance(frame, Image.Image) else Image.fromarray(frame) for frame in frames]
+    # One palette for all, and no dithering: what does not move then has the same bytes in every frame, which GIF
+    # stores as nothing.
+    samples = pages[:: max(1, len(pages) // 6)]
+    sheet = Image.new("RGB", (pages[0].width, sum(page.height for page in samples)))
+    top = 0
+    for page in samples:
+        sheet.paste(page, (0, top))
+        top += page.height
+    colors = sheet.quantize(256 - len(RARE_COLORS), method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    table = (colors.getpalette() or [])[: 3 * (256 - len(RARE_COLORS))]
+    colors.putpalette([*table, *(part for color in RARE_COLORS for part in color)])
+    few = [page.quantize(palette=colors, dither=Image.Dither.NONE) for page in pages]
+    durations = [duration] * len(few)
+    durations[-1] = max(duration, last_duration)
+    buffer = io.BytesIO()
+    few[0].save(
+        buffer, "GIF", save_all=True, append_images=few[1:], duration=durations, loop=0, optimize=False, disposal=1
+    )
+    return buffer.getvalue()

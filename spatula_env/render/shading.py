@@ -1,0 +1,276 @@
+"""Light: what a point of a surface sends to the eye."""
+
+from __future__ import annotations
+
+import math
+
+from spatula_env._kernels import kernel
+from spatula_env.render.layout import (
+    AMBIENT,
+    AXIS_U,
+    AXIS_V,
+    CLOSE,
+    COLOR,
+    DEPTH,
+    EYE,
+    FILL,
+    FILL_DIRECTION,
+    FOCAL,
+    GRAIN,
+    GROUND_HEIGHT,
+    GROUND_SEEN,
+    HAS_SHADOWS,
+    KEY,
+    KEY_DIRECTION,
+    LINE,
+    MAP_SCALE,
+    MAP_U,
+    MAP_V,
+    MARK,
+    METALLIC,
+    MOTTLE,
+    NORMAL,
+    RAY,
+    RAY_X,
+    RAY_Y,
+    RECEIVES,
+    RIM,
+    SCENE,
+    SHADOW,
+    SPECULAR,
+    SQUARINGS,
+    TEXTURED,
+    UNLIT,
+    UNWRAP,
+    WRAP,
+    Floats,
+    Indices,
+    Scene,
+    Singles,
+    inlined,
+)
+
+# Linear colours of the room.
+_SKY = (0.98, 1.0, 1.04)
+_BOUNCE = (0.52, 0.47, 0.45)
+_KEY_COLOR = (1.0, 0.975, 0.94)
+_FILL_COLOR = (0.86, 0.94, 1.0)
+
+
+@inlined
+def _lattice(x: int, y: int, z: int) -> float:
+    """A number in -1..1 without order for each point with whole coordinates: a multiplicative hash."""
+    code = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
+    code = ((code ^ (code >> 13)) & 0xFFFFFFFF) * 1274126177
+    return ((code >> 16) & 0xFFFF) * (2.0 / 65535.0) - 1.0
+
+
+@inlined
+def _streaks(coordinate: float, footprint: float) -> float:
+    """Brush marks, in -1..1: three octaves of value noise, each left out where a pixel is wider than its waves."""
+    total = 0.0
+    for octave in range(3):
+        frequency = 14.0 if octave == 0 else (43.0 if octave == 1 else 131.0)
+        weight = 1.0 - 1.5 * footprint * frequency
+        if weight <= 0.0:
+            break
+        position = coordinate * frequency
+        index = math.floor(position)
+        part = position - index
+        low, high = _lattice(index, 0, 0), _lattice(index + 1, 0, 0)
+        total += min(weight, 1.0) * (low + (high - low) * part) * (0.5 if octave == 0 else 0.4)
+    return total
+
+
+@inlined
+def _value_noise(x: float, y: float, z: float) -> float:
+    """Smooth noise in -1..1: random numbers at whole coordinates, joined by cubics."""
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
+    fx, fy, fz = x - i, y - j, z - k
+    fx, fy, fz = fx * fx * (3.0 - 2.0 * fx), fy * fy * (3.0 - 2.0 * fy), fz * fz * (3.0 - 2.0 * fz)
+    total = 0.0
+    for c in range(2):
+        a = _lattice(i, j, k + c)
+        a += fx * (_lattice(i + 1, j, k + c) - a)
+        b = _lattice(i, j + 1, k + c)
+        b += fx * (_lattice(i + 1, j + 1, k + c) - b)
+        total += (a + fy * (b - a)) * (fz if c == 1 else 1.0 - fz)
+    return total
+
+
+@inlined
+def _mottle(x: float, y: float, z: float, footprint: float) -> tuple[float, float]:
+    """Patches of paler and redder tissue (-1..1), and vessels (0..1), along which a noise crosses zero."""
+    broad = _value_noise(0.55 * x + 7.3, 0.55 * y + 1.7, 0.55 * z + 4.1)
+    fine = _value_noise(2.1 * x + 0.5 * broad, 2.1 * y + 9.2, 2.1 * z)
+    ridge = abs(broad + 0.16 * fine)
+    width = 0.030 + 0.9 * footprint
+    vessel = max(1.0 - ridge / width, 0.0) * min(0.04 / width, 1.0)
+    if vessel > 0.0:
+        # A zero of a noise is a closed line; a second noise breaks it into branches that taper.
+        gate = _value_noise(0.9 * x + 3.9, 0.9 * y + 5.3, 0.9 * z + 8.8)
+        vessel *= min(max(2.5 * gate + 0.1, 0.0), 1.0)
+    return 0.6 * broad + 0.4 * fine, vessel
+
+
+@inlined
+def _room(up: float, towards_key: float, lit: float) -> float:
+    """Brightness of the room that a metal mirrors: a pale floor, darker walls, a bright ceiling with a soft box."""
+    box = min(max((towards_key - 0.55) * 2.5, 0.0), 1.0)
+    around = 0.34 - 0.34 * max(up, -1.0) if up < 0.0 else 0.34 + 0.62 * min(up, 1.0)
+    return around + 0.75 * lit * box * box * (3.0 - 2.0 * box)
+
+
+@kernel("void(i8, i4[:,::1], f8[:,::1], f4[:,::1]," + SCENE + ")")
+def shade(
+    count: int,
+    jobs: Indices,
+    places: Floats,
+    total: Singles,
+    scene: Scene,
+) -> None:
+    """Add the light that triangles send to the eye.
+
+    This is one long function on purpose: Numba counts references for every array that a call passes on, and inside
+    this loop that costs more than the arithmetic.
+
+    Args:
+        count: jobs to do.
+        jobs: (J, 2) triangle and pixel.
+        places: (J, 3) sample coordinate x and y, which lies on the triangle, and the weight of the result.
+        total: (P, 3) linear light of the pixels, added to.
+        scene: see `layout`.
+    """
+    functions, owner, flags, parameters, view, light, map_depth, map_mesh, others = scene
+    lx, ly, lz = light[KEY_DIRECTION], light[KEY_DIRECTION + 1], light[KEY_DIRECTION + 2]
+    has_shadows = light[HAS_SHADOWS] != 0.0
+    has_ground = view[GROUND_SEEN] != 0.0
+    size = map_depth.shape[0]
+    for job in range(count):
+        t = jobs[job, 0]
+        pixel = jobs[job, 1]
+        x, y, weight = places[job, 0], places[job, 1], places[job, 2]
+        m = owner[t]
+        kind = flags[m]
+        w = 1.0 / (functions[t, DEPTH] * x + functions[t, DEPTH + 1] * y + functions[t, DEPTH + 2])
+        red = w * (functions[t, COLOR] * x + functions[t, COLOR + 1] * y + functions[t, COLOR + 2])
+        green = w * (functions[t, COLOR + 3] * x + functions[t, COLOR + 4] * y + functions[t, COLOR + 5])
+        blue = w * (functions[t, COLOR + 6] * x + functions[t, COLOR + 7] * y + functions[t, COLOR + 8])
+        if kind & (UNLIT | LINE):
+            total[pixel, 0] += weight * red
+            total[pixel, 1] += weight * green
+            total[pixel, 2] += weight * blue
+            continue
+
+        streak = 0.0
+        if kind & TEXTURED:
+            u = w * (functions[t, MARK] * x + functions[t, MARK + 1] * y + functions[t, MARK + 2])
+            v = w * (functions[t, MARK + 3] * x + functions[t, MARK + 4] * y + functions[t, MARK + 5])
+            s = w * (functions[t, MARK + 6] * x + functions[t, MARK + 7] * y + functions[t, MARK + 8])
+            footprint = w / view[FOCAL]
+            if parameters[m, GRAIN] > 0.0:
+                # Along x on every face of a box.
+                streak = parameters[m, GRAIN] * _streaks(v + s, footprint)
+            if parameters[m, MOTTLE] > 0.0:
+                patch, vessel = _mottle(u, v, s, footprint)
+                patch *= parameters[m, MOTTLE]
+                vessel *= parameters[m, MOTTLE]
+                red *= (1.0 + 0.22 * patch) * (1.0 - 0.30 * vessel)
+                green *= (1.0 + 0.45 * patch) * (1.0 - 0.68 * vessel)
+                blue *= (1.0 + 0.40 * patch) * (1.0 - 0.58 * vessel)
+
+        # The point p, the unit normal n and the unit vector v to the eye.
+        vx = view[RAY] + x * view[RAY_X] + y * view[RAY_Y]
+        vy = view[RAY + 1] + x * view[RAY_X + 1] + y * view[RAY_Y + 1]
+        vz = view[RAY + 2] + x * view[RAY_X + 2] + y * view[RAY_Y + 2]
+        px, py, pz = view[EYE] + w * vx, view[EYE + 1] + w * vy, view[EYE + 2] + w * vz
+        scale = -1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
+        vx, vy, vz = scale * vx, scale * vy, scale * vz
+        nx = functions[t, NORMAL] * x + functions[t, NORMAL + 1] * y + functions[t, NORMAL + 2]
+        ny = functions[t, NORMAL + 3] * x + functions[t, NORMAL + 4] * y + functions[t, NORMAL + 5]
+        nz = functions[t, NORMAL + 6] * x + functions[t, NORMAL + 7] * y + functions[t, NORMAL + 8]
+        scale = 1.0 / math.sqrt(max(nx * nx + ny * ny + nz * nz, 1e-300))
+        nx, ny, nz = scale * nx, scale * ny, scale * nz
+        n_l = nx * lx + ny * ly + nz * lz
+        n_v = nx * vx + ny * vy + nz * vz
+        grazing = 1.0 - min(max(n_v, 0.0), 1.0)
+        fresnel = grazing * grazing
+        fresnel = fresnel * fresnel * grazing
+
+        # Shadow of other meshes, over 4 x 4 texels with weights that fall to the sides.
+        lit = 1.0
+        if has_shadows and kind & RECEIVES:
+            u = light[AXIS_U] * px + light[AXIS_U + 1] * py + light[AXIS_U + 2] * pz
+            v = light[AXIS_V] * px + light[AXIS_V + 1] * py + light[AXIS_V + 2] * pz
+            u = (u - light[MAP_U]) * light[MAP_SCALE]
+            v = (v - light[MAP_V]) * light[MAP_SCALE]
+            if u > others[m, 0] and u < others[m, 1] and v > others[m, 2] and v < others[m, 3]:
+                i, j = int(u - 0.5) - 1, int(v - 0.5) - 1
+                if i >= 0 and j >= 0 and i + 4 <= size and j + 4 <= size:
+                    fu, fv = u - 1.5 - i, v - 1.5 - j
+                    height = lx * px + ly * py + lz * pz
+                    dark = 0.0
+                    for b in range(4):
+                        part = 0.0
+                        for a in range(4):
+                            other = map_mesh[j + b, i + a]
+                            if other >= 0 and other != m and map_depth[j + b, i + a] > height:
+                                part += (1.0 - fu) if a == 0 else (fu if a == 3 else 1.0)
+                        dark += part * ((1.0 - fv) if b == 0 else (fv if b == 3 else 1.0))
+                    lit = 1.0 - light[SHADOW] * dark / 9.0
+        key = light[KEY] * lit
+
+        # In flesh, light bleeds around the border of its own shadow.
+        key_red = key * max(n_l + parameters[m, WRAP], 0.0) * parameters[m, UNWRAP]
+        key_green = key * max(n_l + parameters[m, WRAP + 1], 0.0) * parameters[m, UNWRAP + 1]
+        key_blue = key * max(n_l + parameters[m, WRAP + 2], 0.0) * parameters[m, UNWRAP + 2]
+        fill = 0.5 + 0.5 * (
+            nx * light[FILL_DIRECTION] + ny * light[FILL_DIRECTION + 1] + nz * light[FILL_DIRECTION + 2]
+        )
+        fill = light[FILL] * fill * fill
+        up = 0.5 + 0.5 * nz
+        ambient = light[AMBIENT]
+        if has_ground:
+            # Near the ground, what faces down sees its own shadow.
+            away = 1.0 + max(pz - view[GROUND_HEIGHT], 0.0) * light[CLOSE]
+            ambient *= 1.0 - 0.65 * (1.0 - up) / (away * away)
+        sky_red = ambient * (_BOUNCE[0] + up * (_SKY[0] - _BOUNCE[0]))
+        sky_green = ambient * (_BOUNCE[1] + up * (_SKY[1] - _BOUNCE[1]))
+        sky_blue = ambient * (_BOUNCE[2] + up * (_SKY[2] - _BOUNCE[2]))
+
+        # Blinn-Phong: the half vector of two unit vectors has the length sqrt(2 + 2 l . v). A wide sheen lies under
+        # the sharp highlight, as from a film of liquid that is not quite even.
+        l_v = lx * vx + ly * vy + lz * vz
+        shine = 0.0
+        if parameters[m, SPECULAR] > 0.0 and n_l > 0.0:
+            shine = (n_l + n_v) / math.sqrt(max(2.0 + 2.0 * l_v, 1e-12))
+            squarings = int(parameters[m, SQUARINGS])
+            sheen = 0.0
+            for k in range(squarings):
+                shine *= shine
+                if k == squarings - 4:
+                    sheen = shine
+            shine = parameters[m, SPECULAR] * key * (shine + 0.10 * sheen)
+            shine *= (0.6 + 0.4 * fresnel) * min(4.0 * n_l, 1.0)
+        edge = parameters[m, RIM] * fresnel * ambient * (0.7 + 1.3 * up)
+
+        metal = parameters[m, METALLIC]
+        if metal > 0.0:
+            room = _room(2.0 * n_v * nz - vz + 0.35 * streak, 2.0 * n_v * n_l - l_v + 0.25 * streak, lit)
+            room *= 2.0 * ambient * (1.0 + 0.35 * streak)
+            key_red *= 1.0 - 0.75 * metal
+            key_green *= 1.0 - 0.75 * metal
+            key_blue *= 1.0 - 0.75 * metal
+            sky_red += metal * (room - sky_red)
+            sky_green += metal * (room - sky_green)
+            sky_blue += metal * (room * 1.02 - sky_blue)
+
+        # What is brighter than white is cut before samples are mixed, or a highlight's border would be jagged.
+        red = red * (_KEY_COLOR[0] * key_red + _FILL_COLOR[0] * fill + sky_red) + _KEY_COLOR[0] * shine + edge
+        green = green * (_KEY_COLOR[1] * key_green + _FILL_COLOR[1] * fill + sky_green)
+        green += _KEY_COLOR[1] * shine + edge
+        blue = blue * (_KEY_COLOR[2] * key_blue + _FILL_COLOR[2] * fill + sky_blue)
+        blue += _KEY_COLOR[2] * shine + edge
+        total[pixel, 0] += weight * min(red, 1.0)
+        total[pixel, 1] += weight * min(green, 1.0)
+        total[pixel, 2] += weight * min(blue, 1.0)

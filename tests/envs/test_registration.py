@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+import spatula_env
+
+ROOT = Path(spatula_env.__file__).parents[1]
+
+
+def run(code: str) -> str:
+    """Run code in a fresh interpreter, and return what it prints."""
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout
+
+
+def test_importing_loads_no_engine_compiler_or_learning_library() -> None:
+    code = (
+        "import sys, json, spatula_env, gymnasium; assert 'Spatula/Press-v0' in gymnasium.registry;"
+        "print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
+    )
+    loaded = json.loads(run(code))
+    assert "spatula_env" in loaded
+    for heavy in (
+        "pybullet",
+        "numba",
+        "llvmlite",
+        "torch",
+        "stable_baselines3",
+        "matplotlib",
+        "scipy",
+        "PIL",
+    ):
+        assert heavy not in loaded
+
+
+def test_gymnasium_imports_the_package_by_the_id() -> None:
+    code = (
+        "import gymnasium; env = gymnasium.make('spatula_env:Spatula/Press-v0');"
+        "env.reset(seed=0); print(type(env.unwrapped).__name__, env.spec.max_episode_steps); env.close()"
+    )
+    assert run(code).split()[-2:] == ["PressEnv", "200"]
+
+
+def test_the_specification_can_be_written_to_a_file() -> None:
+    spec = gym.spec("Spatula/Press-v0")
+    assert isinstance(spec.entry_point, str)
+    assert not spec.nondeterministic
+    with gym.make(spec, reward="sparse", task={"depth_range": [0.006, 0.01]}) as env:
+        assert env.spec is not None
+        written = env.spec.to_json()
+    with gym.make(EnvSpec.from_json(written)) as again:
+        assert again.spec is not None
+        assert again.spec.kwargs == {"reward": "sparse", "task": {"depth_range": [0.006, 0.01]}}
+        again.reset(seed=0)
+        assert 0.006 <= again.unwrapped.goal[2] <= 0.01  # type: ignore[attr-defined]
+
+
+def test_lazy_names_are_the_real_ones() -> None:
+    from spatula_env import Simulation, scenes
+    from spatula_env.sim.simulation import Simulation as Original
+
+    assert Simulation is Original
+    assert scenes.seed().name == "seed"
+    assert {"Simulation", "scenes", "__version__"} <= set(dir(spatula_env))
+    with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
+        spatula_env.nonsense  # noqa: B018
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    try:
+        assert spatula_env.__version__ == version("spatula-env")
+    except PackageNotFoundError:
+        pyproject = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+        assert f'\nversion = "{spatula_env.__version__}"\n' in pyproject

@@ -1,0 +1,186 @@
+"""Scenes are checked when they are made, and errors name what is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+
+from spatula_env import scenes
+from spatula_env.geometry import Tool, box_surface
+
+ORGAN = box_surface((1.0, 1.0, 1.0), 0.5)
+TOOL = Tool.box(nodes_per_edge=2)
+PLACED_ORGAN = scenes.PlacedOrgan(ORGAN)
+PLACED_TOOL = scenes.PlacedTool(TOOL, position=(0.0, 0.0, 3.0))
+NOT_POSITIVE = [0.0, -1.0, np.nan, np.inf]
+BAD_POSITIONS = [(0.0, 0.0), 1.0, (0.0, 0.0, np.nan), (0.0, np.inf, 0.0), "here", None]
+BAD_ORIENTATIONS = [(0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, np.nan), None]
+
+
+def check_refused(name, make, value):
+    with pytest.raises(ValueError, match=name):
+        make(**{name: value})
+
+
+# The seed ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_scene_of_the_seed():
+    scene = scenes.seed()
+    (organ,), (tool,) = scene.organs, scene.tools
+    assert len(organ.organ.vertices) == 328
+    assert len(organ.organ.triangles) == 652
+    assert organ.mass == 10.0
+    np.testing.assert_allclose(np.linalg.norm(organ.vertices - organ.position, axis=1), 3.0, rtol=1e-12)
+    np.testing.assert_array_equal(tool.tool.size, [1.0, 1.0, 0.125])
+    assert len(tool.tool.nodes) == 72
+    assert scene.dt == 1.0 / 240.0
+    assert scene.gravity == 10.0
+    assert scene.ground == scenes.Ground()
+    # The tool is above the organ, the organ above the ground.
+    assert tool.position[2] - 0.0625 > organ.vertices[:, 2].max()
+    assert organ.vertices[:, 2].min() >= -1e-9
+
+
+def test_the_seed_has_the_density_of_brain_tissue():
+    for mass in (10.0, 3.0):
+        scene = scenes.seed(mass=mass)
+        kilograms = mass * scene.scale.mass
+        cubic_metres = scene.organs[0].organ.volume * scene.scale.length**3
+        assert kilograms / cubic_metres == pytest.approx(1040.0)
+        assert scene.scale.length == 0.02
+
+
+def test_options_of_the_seed():
+    scene = scenes.seed((2.0, 1.0, 0.25), 5.0, 1.0 / 60.0, nodes_per_edge=4, faces="all", friction=0.3)
+    np.testing.assert_array_equal(scene.tools[0].tool.size, [2.0, 1.0, 0.25])
+    assert len(scene.tools[0].tool.face_normals) == 6
+    assert scene.organs[0].mass == 5.0
+    assert scene.dt == 1.0 / 60.0
+    assert scene.tools[0].friction == 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("mass", value) for value in NOT_POSITIVE],
+        *[("dt", value) for value in NOT_POSITIVE],
+        ("friction", -0.1),
+        ("friction", np.nan),
+        ("friction", np.inf),
+        ("faces", "some"),
+        ("nodes_per_edge", 1),
+        ("nodes_per_edge", 2.5),
+    ],
+)
+def test_the_seed_refuses(name, value):
+    check_refused(name, scenes.seed, value)
+
+
+@pytest.mark.parametrize("value", [(1.0, 1.0), (1.0, 1.0, 0.0), (1.0, -1.0, 0.1), (1.0, np.nan, 0.1)])
+def test_the_seed_refuses_tool_sizes(value):
+    with pytest.raises(ValueError, match="size"):
+        scenes.seed(tool_size=value)
+
+
+# The parts ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["length", "mass"])
+@pytest.mark.parametrize("value", NOT_POSITIVE)
+def test_scale_refuses(name, value):
+    check_refused(name, scenes.Scale, value)
+
+
+def test_scale_from_units_to_si():
+    scale = scenes.Scale(length=0.02, mass=0.5)
+    assert scale.speed == pytest.approx(0.02)
+    assert scale.force == pytest.approx(0.5 * 0.02)
+    assert scale.torque == pytest.approx(0.5 * 0.02**2)
+    assert scale.pressure == pytest.approx(0.5 * 0.02 / 0.02**2)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("height", np.nan), ("height", np.inf), ("friction", -1.0), ("friction", np.nan)]
+)
+def test_ground_refuses(name, value):
+    check_refused(name, scenes.Ground, value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("position", value) for value in BAD_POSITIONS],
+        *[("orientation", value) for value in BAD_ORIENTATIONS],
+        *[("mass", value) for value in NOT_POSITIVE],
+        ("fixed_nodes", (len(ORGAN.vertices),)),
+        ("fixed_nodes", (0, -1)),
+        ("fixed_nodes", (1.5,)),
+    ],
+)
+def test_a_placed_organ_refuses(name, value):
+    check_refused(name, lambda **given: scenes.PlacedOrgan(ORGAN, **given), value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("position", value) for value in BAD_POSITIONS],
+        *[("orientation", value) for value in BAD_ORIENTATIONS],
+        ("friction", -0.1),
+        ("friction", np.inf),
+    ],
+)
+def test_a_placed_tool_refuses(name, value):
+    check_refused(name, lambda **given: scenes.PlacedTool(TOOL, **({"position": (0.0, 0.0, 3.0)} | given)), value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("organs", ()),
+        ("tools", ()),
+        ("gravity", np.nan),
+        ("gravity", np.inf),
+        *[("dt", value) for value in NOT_POSITIVE],
+    ],
+)
+def test_a_scene_refuses(name, value):
+    good = {"organs": (PLACED_ORGAN,), "tools": (PLACED_TOOL,)}
+    check_refused(name, lambda **given: scenes.Scene(**(good | given)), value)
+
+
+def test_errors_tell_what_came():
+    with pytest.raises(ValueError, match=r"-3\.5"):
+        scenes.PlacedOrgan(ORGAN, mass=-3.5)
+    with pytest.raises(ValueError, match=rf"0\.\.{len(ORGAN.vertices) - 1}.*99"):
+        scenes.PlacedOrgan(ORGAN, fixed_nodes=(99,))
+
+
+def test_an_organ_is_turned_before_it_is_placed():
+    half = np.sqrt(0.5)
+    placed = scenes.PlacedOrgan(ORGAN, position=(1.0, 2.0, 3.0), orientation=(0.0, 0.0, half, half))
+    expected = ORGAN.vertices[:, [1, 0, 2]] * [-1.0, 1.0, 1.0] + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(placed.vertices, expected, atol=1e-12)
+
+
+def test_poses_may_be_given_as_arrays():
+    placed = scenes.PlacedTool(TOOL, position=np.array([1, 2, 3]), orientation=[0, 0, 0, 1])
+    assert placed.position == (1.0, 2.0, 3.0)
+    assert placed.orientation == (0.0, 0.0, 0.0, 1.0)
+
+
+def test_scenes_can_be_compared_hashed_sent_and_not_changed():
+    scene = scenes.seed()
+    assert scene == scenes.seed()
+    assert hash(scene) == hash(scenes.seed())
+    assert scene != scenes.seed(mass=11.0)
+    assert scene != scenes.seed(tool_size=(1.0, 1.0, 0.2))
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scene.dt = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        scene.organs[0].organ.vertices[0, 0] = 5.0

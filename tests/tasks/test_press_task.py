@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from spatula_env.geometry import icosphere
+from spatula_env.tasks import PressConfig, PressTask, PressWeights, Setting, Situation
+from spatula_env.tasks.base import weighted_sum
+
+RADIUS = 0.06
+SPHERE = icosphere(RADIUS, subdivisions=3)
+HALF_THICKNESS = 0.00125
+
+
+def make_setting() -> Setting:
+    """A sphere whose top is 25 mm below the workspace's middle."""
+    return Setting(
+        rest_nodes=SPHERE.vertices - [0.0, 0.0, RADIUS + 0.025],
+        triangles=SPHERE.triangles,
+        ground_height=-2.0 * RADIUS - 0.025,
+        tool_low=np.array([-0.01, -0.01, -HALF_THICKNESS]),
+        tool_high=np.array([0.01, 0.01, HALF_THICKNESS]),
+        workspace_low=np.full(3, -0.0508),
+        workspace_high=np.full(3, 0.0508),
+    )
+
+
+def make_situation(position: object, sunk: object = 0.0, force: float = 0.0, action: float = 0.0) -> Situation:
+    """The spatula at positions (W, 3), the whole organ lower than at rest by `sunk` (W,)."""
+    tool = np.atleast_2d(np.asarray(position, dtype=np.float64))
+    count = len(tool)
+    down = np.broadcast_to(np.asarray(sunk, dtype=np.float64), (count,))
+    nodes = make_setting().rest_nodes - down[:, None, None] * [0.0, 0.0, 1.0]
+    return Situation(
+        tool_position=tool,
+        tool_velocity=np.zeros((count, 3)),
+        contact_force=np.tile([0.0, 0.0, force], (count, 1)),
+        peak_force=np.full(count, force),
+        contact_share=np.zeros((count, 2)),
+        contact_depth=np.zeros(count),
+        nodes=nodes,
+        action=np.full((count, 3), action),
+    )
+
+
+@pytest.fixture(scope="module")
+def task() -> PressTask:
+    return PressTask(PressConfig(), make_setting())
+
+
+def test_depth_is_how_far_the_surface_went_down(task: PressTask) -> None:
+    positions = [[0.0, 0.0, 0.0], [0.012, -0.004, -0.03], [0.0, 0.01, 0.04]]
+    found = task.evaluate(make_situation(positions, [0.0, 0.007, 0.011]), np.zeros((3, 3)))
+    assert found.achieved[:, :2] == pytest.approx(np.array(positions)[:, :2], abs=1e-8)
+    assert found.measures["depth"] == pytest.approx([0.0, 0.007, 0.011], abs=1e-8)
+
+
+def test_a_sunken_spatula_achieves_nothing_if_the_organ_has_not_moved(task: PressTask) -> None:
+    goal = np.array([[0.0, 0.0, 0.01]])
+    inside = task.evaluate(make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS]), goal)
+    assert inside.measures["depth"] == pytest.approx([0.0], abs=1e-12)
+    assert not inside.within_tolerance[0]
+
+
+def test_within_tolerance_needs_both_the_place_and_the_depth(task: PressTask) -> None:
+    goal = np.tile([0.005, 0.0, 0.01], (5, 1))
+    positions = np.array(
+        [[0.005, 0.0, 0.0], [0.0065, 0.001, 0.0], [0.0075, 0.0, 0.0], [0.005, 0.0, 0.0], [0.005, 0.0, 0.0]]
+    )
+    found = task.evaluate(make_situation(positions, [0.01, 0.0109, 0.01, 0.0112, 0.0088]), goal)
+    assert found.within_tolerance.tolist() == [True, True, False, False, False]
+    assert found.terms["hold"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
+
+
+def test_error_is_goal_minus_achieved(task: PressTask) -> None:
+    goal = np.array([[0.01, -0.005, 0.012]])
+    found = task.evaluate(make_situation([0.002, 0.001, 0.0], 0.004), goal)
+    assert found.error == pytest.approx(np.array([[0.008, -0.006, 0.008]]), abs=1e-8)
+    assert found.measures["place_error"] == pytest.approx([0.01], abs=1e-8)
+    assert found.measures["depth_error"] == pytest.approx([0.008], abs=1e-8)
+
+
+def test_reward_terms_are_largest_where_the_goal_is_met(task: PressTask) -> None:
+    goal = np.array([[0.0, 0.0, 0.01]])
+    met = task.evaluate(make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS], 0.01), goal).terms
+    assert met["reach"] == pytest.approx([1.0], abs=1e-6)
+    assert met["depth"] == pytest.approx([1.0], abs=1e-6)
+    assert met["hold"].tolist() == [1.0]
+
+
+@given(st.floats(0.0, 0.02), st.floats(1e-4, 0.02))
+def test_coming_closer_pays(task: PressTask, height: float, step: float) -> None:
+    goal = np.tile([0.0, 0.0, 0.01], (2, 1))
+    # Both above the organ: only "reach" can tell them apart.
+    found = task.evaluate(make_situation([[0.0, 0.0, height - 0.02], [0.0, 0.0, height - 0.02 + step]]), goal)
+    reward = weighted_sum(found.terms, task.weights)
+    assert reward[0] > reward[1]
+
+
+def test_force_and_action_are_reported_raw_and_cost_something(task: PressTask) -> None:
+    goal = np.array([[0.0, 0.0, 0.01]])
+    idle = task.evaluate(make_situation([0.0, 0.0, 0.0]), goal).terms
+    busy = task.evaluate(make_situation([0.0, 0.0, 0.0], force=3.0, action=0.5), goal).terms
+    assert busy["force"] == pytest.approx([3.0])
+    assert busy["action"] == pytest.approx([0.75])
+    difference = weighted_sum(busy, task.weights) - weighted_sum(idle, task.weights)
+    assert difference == pytest.approx([-0.002 * 3.0 - 0.01 * 0.75])
+
+
+def test_keys_are_those_of_the_weights(task: PressTask) -> None:
+    found = task.evaluate(make_situation([0.0, 0.0, 0.0]), np.array([[0.0, 0.0, 0.01]]))
+    assert set(found.terms) == set(task.weights) == set(asdict(PressWeights()))
+    assert all(values.shape == (1,) for values in (*found.terms.values(), *found.measures.values()))
+
+
+def test_many_worlds_are_judged_as_each_alone(task: PressTask) -> None:
+    generator = np.random.default_rng(3)
+    positions = generator.uniform(-0.05, 0.05, (7, 3))
+    sunk, goal = generator.uniform(0.0, 0.02, 7), task.sample(generator, 7).goal
+    together = task.evaluate(make_situation(positions, sunk, force=1.0), goal)
+    for w in range(7):
+        alone = task.evaluate(make_situation(positions[w], sunk[w], force=1.0), goal[w : w + 1])
+        assert alone.achieved.tolist() == together.achieved[w : w + 1].tolist()
+        for name, values in alone.terms.items():
+            assert values.tolist() == together.terms[name][w : w + 1].tolist(), name
+
+
+def test_what_is_achieved_stays_within_its_bounds(task: PressTask) -> None:
+    # Off the organ's edge, and with the organ gone from under the spatula.
+    found = task.evaluate(make_situation([[0.0508, 0.0508, 0.0], [0.0, 0.0, 0.0]], [0.0, 1.0]), np.zeros((2, 3)))
+    assert (found.achieved >= task.goal_low).all()
+    assert (found.achieved <= task.goal_high).all()
+    assert found.achieved[1, 2] == task.goal_high[2]
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_samples_are_in_their_ranges(task: PressTask, seed: int) -> None:
+    start = task.sample(np.random.default_rng(seed), 5)
+    assert start.goal.shape == start.tool_position.shape == (5, 3)
+    assert (np.hypot(*start.goal[:, :2].T) <= 0.015).all()
+    assert (start.goal[:, 2] >= 0.005).all()
+    assert (start.goal[:, 2] <= 0.018).all()
+    assert (np.hypot(*start.tool_position[:, :2].T) <= 0.02).all()
+    underside_above_top = start.tool_position[:, 2] - HALF_THICKNESS + 0.025
+    assert (underside_above_top >= 0.01 - 1e-9).all()
+    assert (underside_above_top <= 0.03 + 1e-9).all()
+    for goal in start.goal:
+        task.check_goal(goal)
+
+
+def test_sampling_fills_the_disc_evenly(task: PressTask) -> None:
+    goal = task.sample(np.random.default_rng(0), 20_000).goal
+    # A disc of half the radius holds a quarter of the area.
+    assert np.mean(np.hypot(goal[:, 0], goal[:, 1]) < 0.0075) == pytest.approx(0.25, abs=0.015)
+    assert np.mean(goal, axis=0) == pytest.approx([0.0, 0.0, 0.0115], abs=2e-4)
+
+
+def test_equal_generators_give_equal_samples(task: PressTask) -> None:
+    first, second = (task.sample(np.random.default_rng(8), 3) for _ in range(2))
+    assert first.goal.tolist() == second.goal.tolist()
+    assert first.tool_position.tolist() == second.tool_position.tolist()
+
+
+goals = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05), st.floats(-0.03, 0.06))
+
+
+@given(goals, st.tuples(st.floats(-0.004, 0.004), st.floats(-0.004, 0.004), st.floats(-0.002, 0.002)))
+def test_sparse_reward_is_zero_within_tolerance(
+    task: PressTask, desired: tuple[float, ...], offset: tuple[float, ...]
+) -> None:
+    reward = task.compute_reward(np.add(desired, offset), np.array(desired))
+    place, depth = np.hypot(offset[0], offset[1]), abs(offset[2])
+    if place < 0.002 - 1e-6 and depth < 0.001 - 1e-6:
+        assert reward == 0.0
+    elif place > 0.002 + 1e-6 or depth > 0.001 + 1e-6:
+        assert reward == -1.0
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_sparse_reward_agrees_with_the_evaluation_to_the_last_bit(task: PressTask, seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    goal = task.sample(generator, 8).goal
+    # On the very edge of what is tolerated.
+    angle = generator.uniform(0.0, 2.0 * np.pi, 8)
+    position = goal + 0.002 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(8)])
+    found = task.evaluate(make_situation(position, goal[:, 2] + generator.choice([-0.001, 0.0, 0.001], 8)), goal)
+    stored = task.compute_reward(found.achieved.astype(np.float32), goal.astype(np.float32))
+    assert (stored == 0.0).tolist() == found.within_tolerance.tolist()
+
+
+def test_sparse_reward_takes_one_goal_or_many(task: PressTask) -> None:
+    one = task.compute_reward(np.zeros(3), np.zeros(3))
+    assert one.shape == ()
+    many = task.compute_reward(np.zeros((2, 4, 3)), np.full((2, 4, 3), 0.01))
+    assert many.shape == (2, 4)
+    assert many.dtype == np.float32
+    assert (many == -1.0).all()
+
+
+def test_targets_are_the_place_at_rest_and_the_pressed_point(task: PressTask) -> None:
+    surface, pressed = task.target_points(np.array([0.01, 0.0, 0.012]))
+    assert surface == pytest.approx([0.01, 0.0, np.sqrt(RADIUS**2 - 0.01**2) - RADIUS - 0.025], abs=5e-4)
+    assert pressed - surface == pytest.approx([0.0, 0.0, -0.012])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"place_radius": -1.0}, "place_radius must be zero or more"),
+        ({"depth_tolerance": 0.0}, "depth_tolerance must be positive"),
+        ({"hold_time": float("nan")}, "hold_time must be positive"),
+        ({"depth_range": (0.01, 0.005)}, "depth_range must be two finite numbers in ascending order"),
+        ({"depth_range": 0.01}, "depth_range must be two numbers"),
+        ({"depth_range": (0.0005, 0.01)}, "depth_range must begin above depth_tolerance, 0.001"),
+        ({"start_height_range": (-0.01, 0.01)}, "start_height_range must not be negative"),
+        ({"weights": {"speed": 1.0}}, "weights has no speed; allowed are action, depth, force, hold, reach"),
+        ({"weights": {"hold": float("inf")}}, "weights.hold must be finite"),
+        ({"weights": 3.0}, "weights must be a mapping or a PressWeights"),
+    ],
+)
+def test_configurations_are_checked(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PressConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_a_configuration_survives_a_file() -> None:
+    config = PressConfig(depth_range=(0.006, 0.01), weights=PressWeights(force=-0.5))
+    assert PressConfig(**json.loads(json.dumps(asdict(config)))) == config
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"depth_range": (0.005, 0.04)}, "depth_range must end at 0.02"),
+        ({"start_height_range": (0.01, 0.09)}, "start_height_range must end at 0.07"),
+        ({"place_radius": 0.06}, "place_radius must be 0.0508 m at most"),
+        ({"start_radius": 0.06}, "start_radius must be 0.0508 m at most"),
+    ],
+)
+def test_what_is_out_of_reach_is_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PressTask(replace(PressConfig(), **changes), make_setting())  # type: ignore[arg-type]
