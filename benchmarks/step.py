@@ -24,7 +24,7 @@ class _TimedBullet:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._bullet, name)
 
-    def stepSimulation(self, client: int) -> None:  # noqa: N802 - PyBullet's name
+    def stepSimulation(self, client: int) -> None:
         start = time.perf_counter()
         self._bullet.stepSimulation(client)
         self.seconds += time.perf_counter() - start

@@ -70,9 +70,7 @@ def _largest_tetrahedron(points: FloatArray, tolerance: float) -> NDArray[np.int
     height = offset @ np.cross(along, sideways)
     fourth = int(np.argmax(np.abs(height)))
     if abs(height[fourth]) <= tolerance:
-        raise ValueError(
-            f"points must span a volume, got {len(points)} that lie in a plane within {tolerance:.3g} u"
-        )
+        raise ValueError(f"points must span a volume, got {len(points)} that lie in a plane within {tolerance:.3g} u")
     if height[fourth] < 0.0:
         second, third = third, second
     return np.array([first, second, third, fourth])
@@ -140,6 +138,5 @@ def _is_hull(points: FloatArray, triangles: NDArray[np.int64], tolerance: float)
     if not normals.any(axis=1).all():
         return False
     return all(
-        (points @ normal <= offset + 10.0 * tolerance).all()
-        for normal, offset in zip(normals, offsets, strict=True)
+        (points @ normal <= offset + 10.0 * tolerance).all() for normal, offset in zip(normals, offsets, strict=True)
     )

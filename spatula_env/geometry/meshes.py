@@ -173,9 +173,7 @@ def box_surface(size: ArrayLike = (1.0, 1.0, 1.0), spacing: float = 0.25) -> Org
     return Organ(lengths * (grid / counts - 0.5), canonical_order(triangles), "box")
 
 
-def torus(
-    major_radius: float = 2.0, minor_radius: float = 0.5, major_count: int = 32, minor_count: int = 16
-) -> Organ:
+def torus(major_radius: float = 2.0, minor_radius: float = 0.5, major_count: int = 32, minor_count: int = 16) -> Organ:
     """A ring about the z axis: a surface that is neither convex nor like a sphere.
 
     Args:
@@ -200,9 +198,7 @@ def torus(
     i, j = np.divmod(np.arange(major_count * minor_count), minor_count)
     around, across = 2.0 * np.pi * i / major_count, 2.0 * np.pi * j / minor_count
     distance = major_radius + minor_radius * np.cos(across)
-    vertices = np.column_stack(
-        [distance * np.cos(around), distance * np.sin(around), minor_radius * np.sin(across)]
-    )
+    vertices = np.column_stack([distance * np.cos(around), distance * np.sin(around), minor_radius * np.sin(across)])
     next_i, next_j = (i + 1) % major_count * minor_count, (j + 1) % minor_count
     i *= minor_count
     triangles = np.concatenate(
@@ -243,9 +239,7 @@ def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | Non
     if not file.is_file():
         raise FileNotFoundError(f"there is no file {os.fspath(file)!r}")
     if suffix not in FILE_SUFFIXES:
-        raise ValueError(
-            f"{file.name}: the suffix must be one of {', '.join(FILE_SUFFIXES)}, got {file.suffix!r}"
-        )
+        raise ValueError(f"{file.name}: the suffix must be one of {', '.join(FILE_SUFFIXES)}, got {file.suffix!r}")
     vertices, triangles = _read_triangles(file, suffix)
     if suffix == ".stl":
         vertices, triangles = _merge_equal(vertices, triangles)
@@ -257,9 +251,7 @@ def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, IntArray]:
     try:
         import trimesh
     except ImportError as error:
-        raise ImportError(
-            "reading a surface from a file needs trimesh: pip install 'spatula-env[mesh]'"
-        ) from error
+        raise ImportError("reading a surface from a file needs trimesh: pip install 'spatula-env[mesh]'") from error
     try:
         # The vertices as they are in the file: not merged, reordered, or split where textures have seams.
         with file.open("rb") as stream:
@@ -298,7 +290,5 @@ def _split_in_four(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArra
     # The edges are in ascending order, so a search finds the middle of the edge opposite every corner.
     start, end = (np.roll(triangles, -k, axis=1).astype(np.int64) for k in (1, 2))
     middle = base + np.searchsorted(keys, np.minimum(start, end) * base + np.maximum(start, end))
-    corners = [
-        np.column_stack([triangles[:, k], middle[:, (k + 2) % 3], middle[:, (k + 1) % 3]]) for k in range(3)
-    ]
+    corners = [np.column_stack([triangles[:, k], middle[:, (k + 2) % 3], middle[:, (k + 1) % 3]]) for k in range(3)]
     return np.concatenate([vertices, vertices[pairs].mean(axis=1)]), np.concatenate([*corners, middle])

@@ -131,9 +131,7 @@ def vertex_areas(vertices: FloatArray, triangles: IndexArray) -> FloatArray:
         Areas of shape (V,) [u2].
     """
     shares = np.repeat(triangle_areas(vertices, triangles), 3)
-    sums: FloatArray = np.bincount(triangles.ravel(), weights=shares, minlength=len(vertices)).astype(
-        np.float64
-    )
+    sums: FloatArray = np.bincount(triangles.ravel(), weights=shares, minlength=len(vertices)).astype(np.float64)
     return sums
 
 
@@ -267,15 +265,12 @@ def _as_surface(vertices: ArrayLike, triangles: ArrayLike, name: str) -> tuple[F
     try:
         faces = np.asarray(triangles)
     except ValueError as error:
-        raise ValueError(
-            f"surface {name!r}: triangles must be an array of integers of shape (T, 3)"
-        ) from error
+        raise ValueError(f"surface {name!r}: triangles must be an array of integers of shape (T, 3)") from error
     if faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"surface {name!r}: triangles must have shape (T, 3), got {faces.shape}")
     if len(faces) < SMALLEST_TRIANGLES:
         raise ValueError(
-            f"surface {name!r} must have at least {SMALLEST_TRIANGLES} triangles, "
-            f"got {_count(len(faces), 'triangle')}"
+            f"surface {name!r} must have at least {SMALLEST_TRIANGLES} triangles, got {_count(len(faces), 'triangle')}"
         )
     if faces.dtype.kind not in "iu":
         raise ValueError(f"surface {name!r}: triangles must be integers, got {faces.dtype}")
@@ -379,9 +374,7 @@ def _check_winding(points: FloatArray, faces: IntArray, name: str, diagonal: flo
         )
     if count == 1:
         if volumes[0] < 0.0:
-            raise ValueError(
-                f"surface {name!r} is inside-out: signed volume {volumes[0]:.6g} u3; reverse the winding"
-            )
+            raise ValueError(f"surface {name!r} is inside-out: signed volume {volumes[0]:.6g} u3; reverse the winding")
         return
     buried = np.array([_is_inside_others(points, faces, component == label) for label in range(count)])
     wrong = (volumes > 0.0) == buried

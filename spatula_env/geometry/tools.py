@@ -216,9 +216,7 @@ class Tool:
         if not isinstance(other, Tool):
             return NotImplemented
         keys = ("nodes", "normals", "opposite", "face", "face_normals", "areas", "vertices", "triangles")
-        return self.name == other.name and all(
-            np.array_equal(getattr(self, key), getattr(other, key)) for key in keys
-        )
+        return self.name == other.name and all(np.array_equal(getattr(self, key), getattr(other, key)) for key in keys)
 
     def __hash__(self) -> int:
         """Hash of the name and the nodes."""

@@ -157,7 +157,7 @@ class ColorMap:
         return np.asarray(self.table[index] * (1.0 - part) + self.table[index + 1] * part)
 
 
-PRESSURE = ColorMap((TISSUE, (0.93, 0.60, 0.20), (0.77, 0.27, 0.12), (0.36, 0.03, 0.07)))
+PRESSURE = ColorMap((TISSUE, (0.88, 0.51, 0.16), (0.74, 0.25, 0.11), (0.36, 0.03, 0.07)))
 """Contact pressure on the organ: bare tissue, amber, red, dark red. Lightness only falls, so it reads in grey too."""
 
 SPEED = ColorMap(((0.80, 0.86, 0.95), (0.30, 0.55, 0.85), (0.08, 0.20, 0.50)))

@@ -477,32 +477,45 @@ def test_rays_along_the_walls_of_a_concave_body(cells, orientation, seed):
         assert not contacts.flags[outside].any()
 
 
-def test_a_ray_that_grazes_a_ridge_crosses_nothing():
-    # A bar with a diamond's section, its ridges at x = -1 and 1, under the plate; the cube beneath is what the rays
-    # would meet next.
-    section = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    bar = np.concatenate([np.column_stack([section[:, 0], np.full(4, y), section[:, 1]]) for y in (-2.0, 2.0)])
-    triangles = []
+def diamond_bar(radius):
+    """A bar along y, its section a square standing on a corner: vertical rays graze its ridges at x = +-radius."""
+    section = radius * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    vertices = np.concatenate([np.column_stack([section[:, 0], np.full(4, y), section[:, 1]]) for y in (-1.9, 1.9)])
+    triangles = [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]]
     for k in range(4):
         a, b = k, (k + 1) % 4
         triangles += [[a, a + 4, b + 4], [a, b + 4, b]]
-    triangles += [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]]
-    triangles = np.array(triangles, dtype=np.int32)
-    volume = np.einsum("ij,ij->i", bar[triangles[:, 0]], np.cross(bar[triangles[:, 1]], bar[triangles[:, 2]]))
-    if volume.sum() < 0.0:
-        triangles = triangles[:, ::-1].copy()
-    tool = Tool.box((2.0, 2.0, 0.125), 5)
-    # Above the bar: rays at x = -1 and 1 touch the ridges, and are outside as all others are.
-    contacts = FlaggedDetector(tool, "off").detect((0.0, 0.0, 1.5), UPRIGHT, bar, triangles, DOWN)
+    a, b, c = (vertices[np.array(triangles)[:, k]] for k in range(3))
+    outwards = np.einsum("ij,ij->", a, np.cross(b, c)) > 0.0
+    return vertices, np.array(triangles, dtype=np.int32)[:, :: 1 if outwards else -1]
+
+
+RAKE = Tool.box((2.0, 2.0, 0.125), 5)
+"""Its nodes are at x = -1, -0.5, 0, 0.5 and 1."""
+
+
+def test_a_ray_that_grazes_a_ridge_from_outside_crosses_nothing():
+    vertices, triangles = diamond_bar(1.0)
+    contacts = FlaggedDetector(RAKE, "off").detect((0.0, 0.0, 1.5), UPRIGHT, vertices, triangles, DOWN)
     assert not contacts.flags.any()
-    # Beneath the bar lies a cube with the plate in it: the top's outward rays meet the bar or graze it, and the
-    # bottom's inward rays pass the ridges too. Only the cube counts.
-    vertices = np.concatenate([bar, shifted(CUBE, (0.0, 0.0, -4.0))])
-    both = np.concatenate([triangles, CUBE.triangles + len(bar)])
-    detector = FlaggedDetector(tool)
-    contacts = detector.detect((0.0, 0.0, -2.0), UPRIGHT, vertices, both, DOWN)
-    np.testing.assert_array_equal(contacts.flags, tool.face == 0)
-    np.testing.assert_allclose(contacts.depth[tool.face == 0], HALF, atol=1e-12)
+    # A cube beneath the bar, with the plate coming into it: the bottom's rays pass the ridges, and only the cube counts.
+    vertices = np.concatenate([vertices, shifted(CUBE, (0.0, 0.0, -4.0))])
+    triangles = np.concatenate([triangles, CUBE.triangles + 8])
+    contacts = FlaggedDetector(RAKE).detect((0.0, 0.0, -2.0), UPRIGHT, vertices, triangles, DOWN)
+    np.testing.assert_array_equal(contacts.flags, RAKE.face == 0)
+    np.testing.assert_allclose(contacts.depth[RAKE.face == 0], HALF, atol=1e-12)
+
+
+def test_a_ray_that_grazes_a_ridge_from_inside_goes_on():
+    # The bar as a cavity in the cube: rays that graze its ridges have not left the cube there.
+    bar, inwards = diamond_bar(0.5)
+    vertices = np.concatenate([CUBE.vertices, bar])
+    triangles = np.concatenate([CUBE.triangles, inwards[:, ::-1] + len(CUBE.vertices)])
+    contacts = FlaggedDetector(RAKE).detect((0.0, 0.0, 1.5), UPRIGHT, vertices, triangles, UP)
+    np.testing.assert_array_equal(contacts.flags, RAKE.face == 1)
+    top = RAKE.face == 1
+    expected = np.where(RAKE.nodes[top, 0] == 0.0, 1.0 + HALF, 3.5 + HALF)
+    np.testing.assert_allclose(contacts.depth[top], expected, atol=1e-12)
 
 
 def test_a_node_exactly_on_the_surface_touches_without_depth():

@@ -56,9 +56,7 @@ def test_stl_vertices_are_joined(tmp_path, file_type):
     loaded = load_organ(path)
     assert len(loaded.vertices) == len(organ.vertices)
     # Triangle by triangle the same corners; the vertices are numbered as they first appear.
-    np.testing.assert_allclose(
-        loaded.vertices[loaded.triangles], organ.vertices[organ.triangles], rtol=1e-6, atol=1e-7
-    )
+    np.testing.assert_allclose(loaded.vertices[loaded.triangles], organ.vertices[organ.triangles], rtol=1e-6, atol=1e-7)
     assert (np.diff(np.unique(loaded.triangles.ravel(), return_index=True)[1]) > 0).all()
 
 

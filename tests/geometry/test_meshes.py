@@ -34,9 +34,7 @@ def test_seed_sphere_has_the_same_triangles_on_every_machine():
     # No four of its points are in a plane, by far, so rounding does not decide.
     organ = seed_sphere()
     normals = triangle_normals(organ.vertices, organ.triangles)
-    heights = organ.vertices @ normals.T - np.einsum(
-        "ij,ij->i", normals, organ.vertices[organ.triangles[:, 0]]
-    )
+    heights = organ.vertices @ normals.T - np.einsum("ij,ij->i", normals, organ.vertices[organ.triangles[:, 0]])
     heights[organ.triangles.T, np.arange(652)] = -np.inf
     assert heights.max() < -1e-4
     digest = hashlib.sha256(organ.triangles.astype("<i4").tobytes()).hexdigest()

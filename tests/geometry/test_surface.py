@@ -34,9 +34,7 @@ def join(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]
 
 def ball(radius: float, centre: float = 0.0, outward: bool = True) -> tuple[np.ndarray, np.ndarray]:
     organ = icosphere(radius, 1)
-    return organ.vertices + np.array([centre, 0.0, 0.0]), organ.triangles if outward else organ.triangles[
-        :, ::-1
-    ]
+    return organ.vertices + np.array([centre, 0.0, 0.0]), organ.triangles if outward else organ.triangles[:, ::-1]
 
 
 def test_valid_surface_comes_back_unchanged_as_copies():
@@ -85,9 +83,7 @@ def test_vertices_that_are_not_finite():
 def test_indices_out_of_range(index):
     triangles = FACES.astype(np.int64)
     triangles[2, 1] = index
-    with pytest.raises(
-        ValueError, match=rf"1 triangle of 4 with indices outside 0\.\.3, first triangle 2: .*{index}"
-    ):
+    with pytest.raises(ValueError, match=rf"1 triangle of 4 with indices outside 0\.\.3, first triangle 2: .*{index}"):
         check_surface(TETRAHEDRON, triangles)
 
 
@@ -112,9 +108,7 @@ def test_duplicate_vertices():
 
 
 def test_triangle_that_repeats_a_vertex():
-    with pytest.raises(
-        ValueError, match=r"1 degenerate triangle, first triangle 4: \[1, 1, 2\] repeats a vertex"
-    ):
+    with pytest.raises(ValueError, match=r"1 degenerate triangle, first triangle 4: \[1, 1, 2\] repeats a vertex"):
         check_surface(TETRAHEDRON, np.concatenate([FACES, [[1, 1, 2]]]))
 
 
@@ -127,15 +121,11 @@ def test_triangles_without_area(scale):
         check_surface(vertices, triangles)
 
 
-@pytest.mark.parametrize(
-    ("removed", "count", "edge"), [([0], 3, r"\d+ and \d+"), ([0, 40], 6, r"\d+ and \d+")]
-)
+@pytest.mark.parametrize(("removed", "count", "edge"), [([0], 3, r"\d+ and \d+"), ([0, 40], 6, r"\d+ and \d+")])
 def test_holes(removed, count, edge):
     organ = icosphere(1.0, 1)
     triangles = np.delete(organ.triangles, removed, axis=0)
-    with pytest.raises(
-        ValueError, match=f"'liver.obj' is open: {count} boundary edges, first between vertices {edge}"
-    ):
+    with pytest.raises(ValueError, match=f"'liver.obj' is open: {count} boundary edges, first between vertices {edge}"):
         check_surface(organ.vertices, triangles, "liver.obj")
 
 
@@ -191,9 +181,7 @@ def test_surface_without_volume():
 def test_several_components():
     check_surface(*join(ball(1.0), ball(1.0, 3.0)))
     vertices, triangles = join(ball(1.0), ball(0.5, 3.0, outward=False), ball(0.5, 6.0))
-    with pytest.raises(
-        ValueError, match=r"1 of 3 components inside-out, first with triangle 80: .* outwards"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 3 components inside-out, first with triangle 80: .* outwards"):
         check_surface(vertices, triangles)
 
 
@@ -201,9 +189,7 @@ def test_cavities():
     check_surface(*join(ball(2.0), ball(0.5, 0.7, outward=False)))
     # An island in a cavity is material again.
     check_surface(*join(ball(3.0), ball(2.0, outward=False), ball(1.0)))
-    with pytest.raises(
-        ValueError, match=r"1 of 2 components inside-out, .* cavity and must be wound inwards"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 2 components inside-out, .* cavity and must be wound inwards"):
         check_surface(*join(ball(2.0), ball(0.5, 0.7)))
 
 

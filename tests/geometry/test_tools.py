@@ -47,9 +47,7 @@ def test_box_nodes(size, nodes_per_edge, faces):
     half = 0.5 * np.array(size)
     assert len(tool.face_normals) == (2 if faces == "largest" else 6)
     # Every node is on its face: at the face's height along the normal, and within the box.
-    np.testing.assert_allclose(
-        np.einsum("ij,ij->i", tool.nodes, tool.normals), np.abs(tool.normals) @ half, rtol=1e-12
-    )
+    np.testing.assert_allclose(np.einsum("ij,ij->i", tool.nodes, tool.normals), np.abs(tool.normals) @ half, rtol=1e-12)
     assert (np.abs(tool.nodes) <= half * (1.0 + 1e-12)).all()
     assert (np.abs(tool.normals).sum(axis=1) == 1.0).all()
     # Opposites are mutual, across the box, and look the other way.
@@ -121,9 +119,7 @@ def test_order_of_all_faces():
 def test_side_faces_of_the_default_box():
     tool = Tool.box(faces="all")
     assert [len(tool.face_nodes(face)) for face in range(6)] == [36, 36, 5, 5, 5, 5]
-    np.testing.assert_allclose(
-        np.unique(tool.nodes[tool.face_nodes(2), 1]), [-0.4, -0.2, 0.0, 0.2, 0.4], atol=1e-15
-    )
+    np.testing.assert_allclose(np.unique(tool.nodes[tool.face_nodes(2), 1]), [-0.4, -0.2, 0.0, 0.2, 0.4], atol=1e-15)
     assert len(Tool.box((1.0, 1.0, 0.5), faces="all").face_nodes(2)) == 15  # three rows
 
 
