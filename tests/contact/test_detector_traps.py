@@ -498,7 +498,7 @@ def test_a_ray_that_grazes_a_ridge_from_outside_crosses_nothing():
     vertices, triangles = diamond_bar(1.0)
     contacts = FlaggedDetector(RAKE, "off").detect((0.0, 0.0, 1.5), UPRIGHT, vertices, triangles, DOWN)
     assert not contacts.flags.any()
-    # A cube beneath the bar, with the plate coming into it: the bottom's rays pass the ridges, and only the cube counts.
+    # A cube beneath the bar, with the plate coming into it: rays pass the ridges, and only the cube counts.
     vertices = np.concatenate([vertices, shifted(CUBE, (0.0, 0.0, -4.0))])
     triangles = np.concatenate([triangles, CUBE.triangles + 8])
     contacts = FlaggedDetector(RAKE).detect((0.0, 0.0, -2.0), UPRIGHT, vertices, triangles, DOWN)
