@@ -108,8 +108,8 @@ class PlacedOrgan:
         _set_pose(self)
         check_positive(self.mass, "mass")
         for node in self.fixed_nodes:
-            if not 0 <= node < len(self.organ.vertices):
-                raise ValueError(f"fixed_nodes must lie in 0..{len(self.organ.vertices) - 1}, got {node!r}")
+            if not isinstance(node, int | np.integer) or not 0 <= node < len(self.organ.vertices):
+                raise ValueError(f"fixed_nodes must be integers in 0..{len(self.organ.vertices) - 1}, got {node!r}")
 
     @property
     def vertices(self) -> NDArray[np.float64]:

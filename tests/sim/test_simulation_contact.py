@@ -147,16 +147,35 @@ def test_presses_with_other_tools(tool_size):
     simulation.close()
 
 
-def test_a_polyhedron_presses_with_all_its_faces():
+@pytest.mark.parametrize("speed", [5.0, 60.0])
+def test_presses_with_nodes_on_all_faces(speed):
+    simulation = Simulation(scenes.seed(faces="all"))
+    driver = press(simulation, 0.8, speed, 0.25)
+    record, tool = driver.record, simulation.scene.tools[0].tool
+    flags = np.array(record.flags)
+    assert flags[-1, tool.face == 0].sum() > 10
+    assert not flags[:, tool.face == 1].any()
+    assert not (flags & flags[:, tool.opposite]).any()
+    assert record.forces[-1][2] > 1000.0
+    assert max(record.residuals) < RESIDUAL
+    assert max(record.excess_energies) < 0.01 * record.work
+    assert max(record.given_and_taken) < 1e-9
+    assert max(record.torque_errors) < 1e-9
+    simulation.close()
+
+
+@pytest.mark.parametrize("speed", [2.0, 10.0])
+def test_a_polyhedron_presses_with_all_its_faces(speed):
     # A wedge, its edge down: no face is perpendicular to the motion.
     wedge = Tool.convex([(x, y, z) for x in (-0.6, 0.6) for y, z in ((0.0, -0.4), (-0.4, 0.3), (0.4, 0.3))], 0.15)
     base = scenes.seed()
     scene = dataclasses.replace(base, tools=(scenes.PlacedTool(wedge, position=(0.0, 0.0, 7.0)),))
     simulation = Simulation(scene)
     driver = Driver(simulation)
-    driver.to_height(5.6, 10.0)
+    driver.to_height(5.6, speed)
     driver.hold(0.25)
     record = driver.record
+    assert max(record.excess_energies) < 0.01 * record.work
     assert np.mean(record.forces[-30:], axis=0)[2] > 100.0
     assert record.flags[-1].any()
     flags = np.array(record.flags)
