@@ -247,7 +247,7 @@ def detect_contacts(
             record[i, 7] += nx * distances[i, 0]
             record[i, 8] += ny * distances[i, 0]
             record[i, 9] += nz * distances[i, 0]
-    for attempt in range(2 if selective else 1):
+    for attempt in range(3 if selective else 1):
         refused, accepted = False, False
         for i in range(node_count):
             flags[i], decided[i] = remembered[i], False
@@ -274,12 +274,12 @@ def detect_contacts(
                 if not flags[i]:
                     continue
                 _fill_triangle_normal(vertices, triangles[hits[i, 0, 0]], normal[i])
-                if selective and attempt == 0:
+                if selective and attempt < 2:
                     last_height = _height_above(
                         last_position, last_rotation, nodes[i], last_vertices, triangles[hits[i, 0, 0]]
                     )
                     turn_back(rotation, normal[i], local_normal)
-                    came_through = left_inside[i] or last_height >= -CROSSING_SLACK
+                    came_through = attempt == 1 or left_inside[i] or last_height >= -CROSSING_SLACK
                     if not (came_through and opposes_best(local_normal, normals[i], face_normals)):
                         flags[i] = False
                         refused = True

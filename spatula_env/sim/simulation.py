@@ -276,6 +276,10 @@ class Simulation:
             theirs = getattr(state, name).shape
             if theirs != mine.shape:
                 raise ValueError(f"state must have {name} of shape {mine.shape}, got {theirs}")
+        mine_flags = [[detector.flags.shape for detector in row] for row in self._model.detectors]
+        their_flags = [[flags.shape for flags in row] for row in state.flags]
+        if their_flags != mine_flags:
+            raise ValueError(f"state must have flags of shapes {mine_flags}, got {their_flags}")
         self._model.reset()
         for index in range(len(self._tool_positions)):
             self.place_tool(state.tool_positions[index], state.tool_orientations[index], index=index)

@@ -87,7 +87,7 @@ def test_highlight_is_where_the_half_vector_is_the_normal():
     ball = sphere_mesh((0, 0, 0), 1.0, color=(0, 0, 0), material=shiny, subdivisions=4)
     picture = renderer.render(camera, [ball], background=(0, 0, 0))
     row, column = np.unravel_index(np.argmax(picture.sum(axis=-1)), picture.shape[:2])
-    half = np.array(lighting.key_direction) + (0, 0, 1)
+    half = np.add(lighting.key_direction, (0, 0, 1))
     expected, _ = camera.project(half / np.linalg.norm(half), 121, 121)
     assert np.hypot(column + 0.5 - expected[0], row + 0.5 - expected[1]) < 3.0
 
@@ -114,10 +114,22 @@ def test_a_mesh_shadows_another():
 
 
 def test_a_mesh_does_not_shadow_what_is_above_it():
-    renderer = Renderer(32, 32, lighting=Lighting(key_direction=(0, 0, 1)))
-    alone = renderer.render(from_above(), [plate(2.0, 1.0, material=DULL)])
-    both = renderer.render(from_above(), [plate(2.0, 1.0, material=DULL), plate(0.0, 0.5, color=RED)])
-    np.testing.assert_array_equal(alone, both)
+    renderer = Renderer(64, 64, lighting=Lighting(key_direction=(0, 0, 1)))
+    roof = plate(2.0, 1.0, material=DULL)
+    alone = renderer.render(from_above(), [roof], background=RED)
+    both = renderer.render(from_above(), [roof, plate(0.0, 9.0, color=RED, material=UNLIT)])
+    seen = ~is_color(alone, RED)
+    assert seen.sum() > 100
+    # Up to the border, beyond which the shadow map shows what is below.
+    np.testing.assert_array_equal(alone[seen], both[seen])
+
+
+def test_a_mesh_does_not_shadow_itself():
+    renderer = Renderer(64, 64, lighting=Lighting(key_direction=(1, 0, 0.3)))
+    ball = sphere_mesh((0, 0, 1), 1.0, subdivisions=1)
+    deaf = Mesh(ball.vertices, ball.triangles, color=ball.color, receives_shadow=False)
+    camera = Camera.orbit((0, 0, 1), 4, 30, 20)
+    np.testing.assert_array_equal(renderer.render(camera, [ball]), renderer.render(camera, [deaf]))
 
 
 def test_shadow_on_the_ground_lies_away_from_the_light():
@@ -246,6 +258,21 @@ def test_refined_triangles_leave_no_seam():
     picture = Renderer(80, 60).render(camera, [mesh], background=(0, 0, 0))
     assert len(np.unique(picture)) == 1
     assert brightness(picture)[0, 0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_both_triangles_of_an_edge_find_the_same_middle():
+    from spatula_env.render.vertices import refine
+
+    generator = np.random.default_rng(3)
+    for _ in range(50):
+        points, normals = np.zeros((10, 3)), np.zeros((10, 3))
+        points[:4], normals[:4] = generator.normal(size=(2, 4, 3))
+        triangles = np.array([[0, 1, 2], [1, 0, 3]], dtype=np.int32)
+        out = np.zeros((8, 3), dtype=np.int32)
+        end = refine(triangles, 0, 2, out, 0, 4, -np.inf, points, normals, np.zeros((10, 3)), np.zeros((10, 3)))
+        assert end == 10
+        np.testing.assert_array_equal(points[4], points[7])
+        assert len(np.unique(points[4:], axis=0)) == 5
 
 
 def test_refining_does_not_push_a_body_through_the_ground():

@@ -77,6 +77,15 @@ def test_no_gap_and_no_overlap_between_neighbours(middle, angles, slope_x, slope
     np.testing.assert_allclose(picture, mix((0.5, WHITE), (0.5, BLACK))[0], atol=0.51)
 
 
+@pytest.mark.parametrize("halves", [{"low": 0.0}, {"left": 0.0}])
+def test_a_sample_right_on_a_common_border_belongs_to_one_side(halves):
+    # In a picture of odd size, the middle row and column of samples lie on z = 0 and x = 0 exactly.
+    other = {{"low": "high", "left": "right"}[name]: value for name, value in halves.items()}
+    meshes = [wall(3.0, color=WHITE, opacity=0.5, **side) for side in (halves, other)]
+    picture = draw(Renderer(7, 7, supersample=1), meshes)
+    np.testing.assert_allclose(picture, mix((0.5, WHITE), (0.5, BLACK))[0], atol=0.51)
+
+
 @pytest.mark.parametrize("nearest_first", [True, False])
 def test_the_nearest_wins_in_any_order(renderer, nearest_first):
     meshes = [wall(2.0, color=RED, right=0.0), wall(3.0, color=BLUE)]
@@ -147,14 +156,15 @@ def test_cap_closes_the_cut_at_its_plane():
     np.testing.assert_allclose(depth[square], 4.0, rtol=1e-6)
 
 
-def test_what_stands_before_the_cut_hides_it_and_what_is_inside_is_hidden():
+@pytest.mark.parametrize("rind", [0.0, 0.05])
+def test_what_stands_before_the_cut_hides_it_and_what_is_inside_is_hidden(rind):
     renderer = Renderer(32, 32)
-    mesh = box_with_cut(clip_plane=((0, 4, 0), (0, -1, 0)), capped=True)
+    mesh = box_with_cut(clip_plane=((0, 4, 0), (0, -1, 0)), capped=True, rind=rind)
     before = draw(renderer, [mesh, wall(3.0, left=0.0, color=GREY)])
-    assert is_color(before[12:20, 12:16], BLUE).all()
+    assert is_color(before[13:19, 13:16], BLUE).all()
     assert is_color(before[:, 16:], GREY).all()
     behind = draw(renderer, [mesh, wall(4.5, left=0.0, color=GREY)])
-    assert is_color(behind[12:20, 12:20], BLUE).all()
+    assert is_color(behind[13:19, 13:19], BLUE).all()
 
 
 def test_no_cap_seen_from_the_kept_side_or_through_a_shape_behind_the_plane():
@@ -283,6 +293,13 @@ def test_a_floor_that_reaches_behind_the_eye_is_cut_at_the_near_plane():
     assert is_color(picture[seen], RED).all()
     assert is_color(picture[clear], BLACK).all()
     np.testing.assert_allclose(depth[seen], np.tile(expected[seen][:, None], (1, 16)), rtol=1e-5)
+
+
+def test_a_section_counts_what_lies_beyond_the_far_plane():
+    # The box ends behind the far plane; its section does not.
+    camera = ahead(near=1.0, far=4.5)
+    mesh = box_with_cut(clip_plane=((0, 4, 0), (0, -1, 0)), capped=True)
+    assert is_color(draw(Renderer(32, 32), [mesh], camera=camera)[12:20, 12:20], BLUE).all()
 
 
 def test_nothing_behind_the_eye_or_beyond_the_far_plane(renderer):
