@@ -269,13 +269,20 @@ class Simulation:
             state: What `save` returned.
 
         Raises:
-            ValueError: If the state is of a scene with other nodes or tools.
+            ValueError: If the state is of a scene with other nodes or tools, or not finite; nothing has then changed.
         """
         self._check_open()
-        for name, mine in (("nodes", self._nodes), ("tool_positions", self._tool_positions)):
-            theirs = getattr(state, name).shape
-            if theirs != mine.shape:
-                raise ValueError(f"state must have {name} of shape {mine.shape}, got {theirs}")
+        for name, mine in (
+            ("nodes", self._nodes),
+            ("node_velocities", self._velocities),
+            ("tool_positions", self._tool_positions),
+            ("tool_orientations", self._tool_orientations),
+        ):
+            theirs = getattr(state, name)
+            if theirs.shape != mine.shape:
+                raise ValueError(f"state must have {name} of shape {mine.shape}, got {theirs.shape}")
+            if not np.isfinite(theirs).all():
+                raise ValueError(f"state must have finite {name}")
         mine_flags = [[detector.flags.shape for detector in row] for row in self._model.detectors]
         their_flags = [[flags.shape for flags in row] for row in state.flags]
         if their_flags != mine_flags:
