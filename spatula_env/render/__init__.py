@@ -14,7 +14,6 @@ from spatula_env.render.camera import Camera
 from spatula_env.render.palette import PRESSURE, SPEED, Color, ColorMap
 from spatula_env.render.primitives import (
     BRUSHED_STEEL,
-    CUT_TISSUE,
     MATTE,
     UNLIT,
     WET_TISSUE,
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BRUSHED_STEEL",
-    "CUT_TISSUE",
     "MATTE",
     "PRESSURE",
     "SPEED",

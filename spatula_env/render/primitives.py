@@ -76,8 +76,6 @@ MATTE = Material()
 """Plastic without much of a highlight: arrows and markers."""
 WET_TISSUE = Material(specular=0.55, shininess=256.0, subsurface=0.5, rim=0.22, mottle=0.6)
 """The organ's surface under a film of liquid."""
-CUT_TISSUE = Material(specular=0.10, shininess=32.0, subsurface=0.3, rim=0.0)
-"""The inside of the organ."""
 BRUSHED_STEEL = Material(specular=0.35, shininess=64.0, metallic=0.85, rim=0.10, grain=0.5)
 """A surgical instrument."""
 UNLIT = Material(specular=0.0, rim=0.0, unlit=True)

@@ -27,10 +27,6 @@ def wall(depth: float, left=-100.0, right=100.0, low=-100.0, high=100.0, **optio
     return quad([(left, depth, low), (right, depth, low), (right, depth, high), (left, depth, high)], **options)
 
 
-def to_bytes(color) -> np.ndarray:
-    return np.round(np.array(color) * 255).astype(int)
-
-
 def decode(value):
     value = np.asarray(value, dtype=float)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)

@@ -129,7 +129,9 @@ def test_a_mesh_does_not_shadow_itself():
     ball = sphere_mesh((0, 0, 1), 1.0, subdivisions=1)
     deaf = Mesh(ball.vertices, ball.triangles, color=ball.color, receives_shadow=False)
     camera = Camera.orbit((0, 0, 1), 4, 30, 20)
-    np.testing.assert_array_equal(renderer.render(camera, [ball]), renderer.render(camera, [deaf]))
+    # Another mesh, so that shadows are looked up at all; it is below the ball and shadows nothing.
+    floor = plate(-6.0, 9.0, material=UNLIT)
+    np.testing.assert_array_equal(renderer.render(camera, [ball, floor]), renderer.render(camera, [deaf, floor]))
 
 
 def test_shadow_on_the_ground_lies_away_from_the_light():
@@ -155,13 +157,17 @@ def test_shadow_on_the_ground_lies_away_from_the_light():
 
 def test_things_close_to_the_ground_darken_it_below():
     ground = Ground(style="plain", fade_start=50.0, fade_end=60.0)
-    renderer = Renderer(64, 64, lighting=Lighting(key_direction=(-1, 0, 1)))
-    dark = []
-    for height in (0.2, 4.0):
-        picture = renderer.render(Camera((0, -8, 3), (0, 0, 0)), [plate(height, 0.7, material=DULL)], ground=ground)
-        column, row = Camera((0, -8, 3), (0, 0, 0)).project((-0.4, -0.75, 0.0), 64, 64)[0].astype(int)
-        dark.append(brightness(picture)[row, column])
-    assert dark[0] < 0.9 * dark[1]
+    # The light is so low that the key light's shadow falls beside the plate, not under it.
+    renderer = Renderer(64, 64, lighting=Lighting(key_direction=(-1, 0, 0.3), shadow_softness=0.1))
+    camera = Camera((0, -8, 3), (0, 0, 0), vertical_field_of_view=20.0)
+    column, row = camera.project((-0.5, -0.5, 0.0), 64, 64)[0].astype(int)
+    bare = brightness(renderer.render(camera, [], ground=ground))[row, column]
+    low, high = (
+        brightness(renderer.render(camera, [plate(height, 0.7, material=DULL)], ground=ground))[row, column]
+        for height in (0.25, 3.0)
+    )
+    assert low < 0.85 * bare
+    assert high > 0.95 * bare
 
 
 def test_shadow_with_the_light_map_partly_behind_the_eye():

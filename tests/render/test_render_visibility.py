@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from render_helpers import BLUE, GREY, RED, ahead, is_color, mix, quad, to_bytes, wall
+from render_helpers import BLUE, GREY, RED, ahead, is_color, mix, quad, wall
 
 from spatula_env.render import UNLIT, Camera, Ground, Mesh, Renderer, Segments, box_mesh, sphere_mesh
 
@@ -77,12 +77,11 @@ def test_no_gap_and_no_overlap_between_neighbours(middle, angles, slope_x, slope
     np.testing.assert_allclose(picture, mix((0.5, WHITE), (0.5, BLACK))[0], atol=0.51)
 
 
-@pytest.mark.parametrize("halves", [{"low": 0.0}, {"left": 0.0}])
-def test_a_sample_right_on_a_common_border_belongs_to_one_side(halves):
-    # In a picture of odd size, the middle row and column of samples lie on z = 0 and x = 0 exactly.
-    other = {{"low": "high", "left": "right"}[name]: value for name, value in halves.items()}
-    meshes = [wall(3.0, color=WHITE, opacity=0.5, **side) for side in (halves, other)]
-    picture = draw(Renderer(7, 7, supersample=1), meshes)
+@pytest.mark.parametrize(("size", "sides"), [((7, 1), ("low", "high")), ((1, 7), ("left", "right"))])
+def test_a_sample_right_on_a_common_border_belongs_to_one_side(size, sides):
+    # In a picture one sample high or wide, all samples lie on z = 0 or x = 0, and nothing is rounded.
+    meshes = [wall(1.0, color=WHITE, opacity=0.5, **{side: 0.0}) for side in sides]
+    picture = draw(Renderer(*size, supersample=1), meshes)
     np.testing.assert_allclose(picture, mix((0.5, WHITE), (0.5, BLACK))[0], atol=0.51)
 
 
@@ -443,7 +442,3 @@ def test_bad_background(renderer):
 def test_triangles_without_area_are_not_drawn(renderer):
     flat = Mesh(np.array([(0.0, 2, 0), (1, 2, 0), (2, 2, 0)]), np.array([[0, 1, 2]]), color=RED, two_sided=True)
     assert is_color(draw(renderer, [flat]), BLACK).all()
-
-
-def test_to_bytes_helper_rounds():
-    np.testing.assert_array_equal(to_bytes(RED), (200, 30, 20))

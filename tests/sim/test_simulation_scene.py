@@ -245,7 +245,7 @@ def test_turning_a_pressed_tool_is_resisted():
     simulation.close()
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("friction", [0.0, 0.1])
 def test_dragging_a_pressed_tool(friction):
     simulation = Simulation(scenes.seed(friction=friction))
     driver = press(simulation, 0.8, 5.0, 0.25)
@@ -259,7 +259,10 @@ def test_dragging_a_pressed_tool(friction):
     else:
         # Held back at first; later the organ swings.
         assert tangential[:10, 0].max() < -10.0
-        assert (np.linalg.norm(tangential, axis=1) <= friction * normal * (1.0 + 1e-9)).all()
+        share = np.linalg.norm(tangential, axis=1) / (friction * normal)
+        assert share.max() <= 1.0 + 1e-9
+        # The tool slides: the cone is reached.
+        assert share.max() > 0.99
     assert max(driver.record.torque_errors) < 1e-9
     assert max(driver.record.momentum_errors) < 1e-6
     simulation.close()
