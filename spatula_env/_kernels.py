@@ -11,15 +11,30 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+from numba import types
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
+ARRAYS: dict[str, Any] = {
+    "f8": types.float64[::1],
+    "f8_2": types.float64[:, ::1],
+    "f8_3": types.float64[:, :, ::1],
+    "i4": types.int32[::1],
+    "i4_2": types.int32[:, ::1],
+    "i4_3": types.int32[:, :, ::1],
+    "i8": types.int64[::1],
+    "u1": types.uint8[::1],
+    "b1": types.boolean[::1],
+    "b1_2": types.boolean[:, ::1],
+}
+"""Types of C-contiguous arrays by element and number of dimensions."""
 
-def kernel(*signatures: str) -> Callable[[Callable[..., object]], Callable[..., Any]]:
+
+def kernel(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., Any]]:
     """Compile a function ahead of time for the given Numba signatures.
 
     Args:
-        *signatures: Numba signature strings, such as ``"f8(f8[::1], i4)"``.
+        *signatures: Numba signatures, as strings such as ``"f8(f8[::1], i4)"`` or as objects.
 
     Returns:
         A decorator that keeps the function's Python type for the type checker.

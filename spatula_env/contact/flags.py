@@ -7,15 +7,17 @@ into Bullet. docs/contact-model.md has the algorithm and every decision left ope
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
+from numba import types
 
-from spatula_env._kernels import inline_kernel, kernel
-from spatula_env.contact.columns import RayColumns
-from spatula_env.contact.raycast import NO_HIT, cast_columns
-from spatula_env.contact.rigid import opposes_best, turn, turn_back
-from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotation_matrix
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.path import ON_PLANE, entry_plane
+from spatula_env.contact.raycast import cast_columns
+from spatula_env.contact.rigid import opposes_best, turn
+from spatula_env.contact.structures import MEMORY, NO_HIT, TOOL, Memory, tool_shape
+from spatula_env.geometry.transforms import as_quaternion, as_vector3
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -25,12 +27,12 @@ if TYPE_CHECKING:
 FirstStep = Literal["inside", "any_hit", "off"]
 """What makes a contact unfeasible in the first step: see `FlaggedDetector`."""
 
-_FIRST_STEP_CODES: dict[str, int] = {"off": 0, "any_hit": 1, "inside": 2}
+FIRST_STEP_CODES: dict[str, int] = {"off": 0, "any_hit": 1, "inside": 2}
+"""How kernels know them."""
+
+F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
 
 _VERTEX_NOT_FINITE, _TRIANGLE_OUT_OF_RANGE, _MOTION_NOT_VALID = 1, 2, 3
-CROSSING_SLACK = 0.02
-"""How far behind a triangle's plane a node may have been and still count as having crossed it since [u]."""
-
 _UNIT_TOLERANCE = 1.0000001e-6
 """Allowed difference of a quaternion's length from one; a rounding error more than `as_quaternion` allows."""
 
@@ -80,7 +82,7 @@ class Contacts:
 
 
 @inline_kernel
-def _fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) -> None:
+def fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) -> None:
     """Write the rotation matrix of a quaternion (xyzw) that `scale` brings to unit length, row by row."""
     x, y, z, w = scale * quaternion[0], scale * quaternion[1], scale * quaternion[2], scale * quaternion[3]
     rotation[0], rotation[1], rotation[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
@@ -108,6 +110,17 @@ def _fill_triangle_normal(vertices: np.ndarray, corners: np.ndarray, normal: np.
 
 
 @inline_kernel
+def fill_local_normal(local: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> None:
+    """Write the unit outward normal of a triangle whose vertices are in local (3, V)."""
+    a, b, c = corners[0], corners[1], corners[2]
+    ux, uy, uz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
+    vx, vy, vz = local[0, c] - local[0, a], local[1, c] - local[1, a], local[2, c] - local[2, a]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+    normal[0], normal[1], normal[2] = x * scale, y * scale, z * scale
+
+
+@inline_kernel
 def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray) -> None:
     """Write the barycentric weights of the contact point of one record into its first three entries."""
     normal, point = record[4:7], record[7:10]
@@ -128,28 +141,165 @@ def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray)
 
 
 @inline_kernel
-def _height_above(
-    position: np.ndarray, rotation: np.ndarray, node: np.ndarray, vertices: np.ndarray, corners: np.ndarray
-) -> float:
-    """How far a contact node is on the outer side of a triangle's plane [u]."""
+def fill_local(
+    position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray, first_vertex: int, local: np.ndarray
+) -> None:
+    """Write an organ's vertices, in the tool's frame, into local (3, V)."""
+    for i in range(local.shape[1]):
+        x = vertices[first_vertex + i, 0] - position[0]
+        y = vertices[first_vertex + i, 1] - position[1]
+        z = vertices[first_vertex + i, 2] - position[2]
+        local[0, i] = rotation[0] * x + rotation[3] * y + rotation[6] * z
+        local[1, i] = rotation[1] * x + rotation[4] * y + rotation[7] * z
+        local[2, i] = rotation[2] * x + rotation[5] * y + rotation[8] * z
+
+
+@inline_kernel
+def triangle_weights(
+    local: np.ndarray, a: int, b: int, c: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Barycentric weights of the projection of a point onto a triangle, vertices in local (3, V)."""
+    ux, uy, uz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
+    vx, vy, vz = local[0, c] - local[0, a], local[1, c] - local[1, a], local[2, c] - local[2, a]
+    px, py, pz = x - local[0, a], y - local[1, a], z - local[2, a]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    scale = 1.0 / (nx * nx + ny * ny + nz * nz)
+    second = scale * (nx * (py * vz - pz * vy) + ny * (pz * vx - px * vz) + nz * (px * vy - py * vx))
+    third = scale * (nx * (uy * pz - uz * py) + ny * (uz * px - ux * pz) + nz * (ux * py - uy * px))
+    return 1.0 - second - third, second, third
+
+
+@inline_kernel
+def lead_by_velocity(
+    tool: Any, memory: Any, rotation: np.ndarray, linear_velocity: np.ndarray, angular_velocity: np.ndarray
+) -> None:
+    """Mark the nodes whose face leads: N_r . v > 0."""
+    nodes, normals, leading = tool.nodes, tool.normals, memory.states[2]
+    for i in range(nodes.shape[0]):
+        rx, ry, rz = turn(rotation, nodes[i])
+        nx, ny, nz = turn(rotation, normals[i])
+        vx = linear_velocity[0] + angular_velocity[1] * rz - angular_velocity[2] * ry
+        vy = linear_velocity[1] + angular_velocity[2] * rx - angular_velocity[0] * rz
+        vz = linear_velocity[2] + angular_velocity[0] * ry - angular_velocity[1] * rx
+        leading[i] = vx * nx + vy * ny + vz * nz > 0.0
+
+
+@inline_kernel
+def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
+    """Mark the nodes that lead relative to the surface they are in, and those whose face that surface came through.
+
+    An organ does not move as one: what counts is the motion, since the last query and in the tool's frame, of the
+    point of the surface that the node would push. `PairMemory.local` and `last_local` hold that motion.
+    """
+    nodes, normals, face, hits, distances = tool.nodes, tool.normals, tool.face, memory.hits, memory.distances
+    leading, came_through, last = memory.states[2], memory.states[5], memory.last_local
+    for i in range(nodes.shape[0]):
+        came_through[i] = False
+        if hits[i, 0, 1] <= 0:
+            continue
+        t = hits[i, 0, 0]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        x = nodes[i, 0] - distances[i, 0] * normals[i, 0]
+        y = nodes[i, 1] - distances[i, 0] * normals[i, 1]
+        z = nodes[i, 2] - distances[i, 0] * normals[i, 2]
+        wa, wb, wc = triangle_weights(memory.local, a, b, c, x, y, z)
+        last_x = wa * last[0, a] + wb * last[0, b] + wc * last[0, c]
+        last_y = wa * last[1, a] + wb * last[1, b] + wc * last[1, c]
+        last_z = wa * last[2, a] + wb * last[2, b] + wc * last[2, c]
+        leading[i] = (last_x - x) * normals[i, 0] + (last_y - y) * normals[i, 1] + (last_z - z) * normals[i, 2] > 0.0
+        plane = entry_plane(last_x, last_y, last_z, x, y, z, tool.plane_normals, tool.plane_offsets, -ON_PLANE)
+        came_through[i] = plane == face[i]
+
+
+@inline_kernel
+def decide_flags(
+    tool: Any, memory: Any, triangles: np.ndarray, first_step: int, exclusive: bool, grade: int
+) -> tuple[int, int]:
+    """The two steps of the flags method, node by node, after rays have been cast.
+
+    Args:
+        tool: `ToolShape`.
+        memory: `PairMemory`; flags and unfeasible are written, remembered and leading read.
+        triangles: (T, 3).
+        first_step: Code of what the outward ray must find; 0 for no first step.
+        exclusive: See `FlaggedDetector`.
+        grade: What else a contact needs. 0: nothing; 1: that no other face opposes the triangle clearly better; 2:
+            that the surface came through the node's face.
+
+    Returns:
+        How many nodes are flagged, and to how many of those that are inside `grade` refused it.
+    """
+    flags, unfeasible, leading, remembered, decided, came_through = (
+        memory.states[0], memory.states[1], memory.states[2], memory.states[3], memory.states[4], memory.states[5],
+    )  # fmt: skip
+    hits, opposite = memory.hits, tool.opposite
     normal = np.empty(3)
-    _fill_triangle_normal(vertices, corners, normal)
-    x, y, z = turn(rotation, node)
-    a = corners[0]
-    height: float = (
-        (position[0] + x - vertices[a, 0]) * normal[0]
-        + (position[1] + y - vertices[a, 1]) * normal[1]
-        + (position[2] + z - vertices[a, 2]) * normal[2]
-    )
-    return height
+    accepted, refused = 0, 0
+    for i in range(opposite.shape[0]):
+        flags[i], unfeasible[i], decided[i] = remembered[i], False, False
+    for visit_leading in (True, False):
+        for i in range(opposite.shape[0]):
+            if leading[i] != visit_leading:
+                continue
+            decided[i] = True
+            other = opposite[i]
+            inside = hits[i, 0, 1] > 0
+            if first_step != 0 and flags[other]:
+                # The opposite node owns a contact. If it is inside the organ, this node's would be unfeasible.
+                # Where the organ overlaps itself rays may contradict that; if asked to, the first then keeps it.
+                outward = hits[other, 1, 1]
+                if outward > 0 or (first_step == 1 and outward != 0) or (exclusive and decided[other] and inside):
+                    flags[i] = False
+                    unfeasible[i] = True
+                    continue
+            flags[i] = inside
+            if inside and grade > 0:
+                flags[i] = came_through[i]
+                if grade == 1:
+                    fill_local_normal(memory.local, triangles[hits[i, 0, 0]], normal)
+                    flags[i] = opposes_best(normal, tool.normals[i], tool.plane_normals)
+                if not flags[i]:
+                    refused += 1
+            if flags[i]:
+                accepted += 1
+    return accepted, refused
 
 
-@kernel(
-    "i4(f8[::1], f8[::1], f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " i4[::1], i4, b1, f8[:,::1], b1, b1,"
-    " f8[:,:,::1], f8[:,::1], i4[::1], f8[::1], i4[::1], f8[::1], i4[:,::1], f8[::1],"
-    " f8[:,::1], u1[::1], i4[:,:,::1], f8[:,::1], b1[:,::1], i4[::1], f8[:,::1])"
-)
+@inline_kernel
+def fill_record(
+    tool: Any,
+    memory: Any,
+    vertices: np.ndarray,
+    first_vertex: int,
+    triangles: np.ndarray,
+    position: np.ndarray,
+    rotation: np.ndarray,
+) -> None:
+    """Write triangle and record of all nodes, after the flags have been decided."""
+    nodes, normals, flags, hits, distances = tool.nodes, tool.normals, memory.states[0], memory.hits, memory.distances
+    triangle, record = memory.triangle, memory.record
+    corners = np.empty(3, np.int32)
+    for i in range(nodes.shape[0]):
+        triangle[i] = NO_HIT
+        rx, ry, rz = turn(rotation, nodes[i])
+        record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
+        for k in range(7):
+            record[i, k] = 0.0
+        if not flags[i]:
+            continue
+        triangle[i] = hits[i, 0, 0]
+        for k in range(3):
+            corners[k] = triangles[triangle[i], k] + first_vertex
+        _fill_triangle_normal(vertices, corners, record[i, 4:7])
+        nx, ny, nz = turn(rotation, normals[i])
+        record[i, 3] = distances[i, 0]
+        record[i, 7] -= nx * distances[i, 0]
+        record[i, 8] -= ny * distances[i, 0]
+        record[i, 9] -= nz * distances[i, 0]
+        _fill_weights(record[i], vertices, corners)
+
+
+@kernel(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
 def detect_contacts(
     position: np.ndarray,
     orientation: np.ndarray,
@@ -157,34 +307,12 @@ def detect_contacts(
     angular_velocity: np.ndarray,
     vertices: np.ndarray,
     triangles: np.ndarray,
-    last_position: np.ndarray,
-    last_orientation: np.ndarray,
-    last_vertices: np.ndarray,
-    nodes: np.ndarray,
-    normals: np.ndarray,
-    opposite: np.ndarray,
+    tool: Any,
+    memory: Any,
     first_step: int,
     exclusive: bool,
-    face_normals: np.ndarray,
-    has_last: bool,
-    selective: bool,
-    frames: np.ndarray,
-    bounds: np.ndarray,
-    group_rows: np.ndarray,
-    row_u: np.ndarray,
-    row_columns: np.ndarray,
-    column_v: np.ndarray,
-    column_nodes: np.ndarray,
-    node_height: np.ndarray,
-    local: np.ndarray,
-    codes: np.ndarray,
-    hits: np.ndarray,
-    distances: np.ndarray,
-    states: np.ndarray,
-    triangle: np.ndarray,
-    record: np.ndarray,
 ) -> int:
-    """One query of the flags method; `FlaggedDetector` says what the arguments and results mean."""
+    """One query of the flags method by itself; `FlaggedDetector.detect` says what it takes and gives."""
     length_squared, finite = 0.0, True
     for k in range(4):
         length_squared += orientation[k] * orientation[k]
@@ -194,110 +322,14 @@ def detect_contacts(
     if not (finite and abs(np.sqrt(length_squared) - 1.0) <= _UNIT_TOLERANCE):
         return _MOTION_NOT_VALID
     rotation = np.empty(9)
-    _fill_rotation(orientation, 1.0 / np.sqrt(length_squared), rotation)
-    status: int = cast_columns(
-        position, rotation, vertices, triangles, frames, bounds, group_rows, row_u, row_columns, column_v,
-        column_nodes, node_height, local, codes, hits, distances,
-    )  # fmt: skip
+    fill_rotation(orientation, 1.0 / np.sqrt(length_squared), rotation)
+    status: int = cast_columns(position, rotation, vertices, triangles, tool, memory)
     if status != 0:
         return status
-    node_count = nodes.shape[0]
-    flags, unfeasible, leading, remembered, decided, left_inside = (
-        states[0], states[1], states[2], states[3], states[4], states[5],
-    )  # fmt: skip
-    for i in range(node_count):
-        unfeasible[i] = False
-        rx, ry, rz = turn(rotation, nodes[i])
-        nx, ny, nz = turn(rotation, normals[i])
-        vx = linear_velocity[0] + angular_velocity[1] * rz - angular_velocity[2] * ry
-        vy = linear_velocity[1] + angular_velocity[2] * rx - angular_velocity[0] * rz
-        vz = linear_velocity[2] + angular_velocity[0] * ry - angular_velocity[1] * rx
-        leading[i] = vx * nx + vy * ny + vz * nz > 0.0
-        for k in range(10):
-            record[i, k] = 0.0
-        record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
-    normal = record[:, 4:7]
-    last_rotation, local_normal = np.empty(9), np.empty(3)
-    if has_last:
-        _fill_rotation(last_orientation, 1.0, last_rotation)
-    for i in range(node_count):
-        remembered[i] = flags[i]
-        if has_last and hits[i, 0, 1] > 0:
-            # Which way the node has moved since the last query, relative to the surface that it would be in contact
-            # with: an organ does not move as one.
-            corners = triangles[hits[i, 0, 0]]
-            nx, ny, nz = turn(rotation, normals[i])
-            lx, ly, lz = turn(last_rotation, nodes[i])
-            x, y, z = (
-                record[i, 7] - last_position[0] - lx,
-                record[i, 8] - last_position[1] - ly,
-                record[i, 9] - last_position[2] - lz,
-            )
-            _fill_triangle_normal(vertices, corners, normal[i])
-            record[i, 7] -= nx * distances[i, 0]
-            record[i, 8] -= ny * distances[i, 0]
-            record[i, 9] -= nz * distances[i, 0]
-            _fill_weights(record[i], vertices, corners)
-            for k in range(3):
-                x -= record[i, k] * (vertices[corners[k], 0] - last_vertices[corners[k], 0])
-                y -= record[i, k] * (vertices[corners[k], 1] - last_vertices[corners[k], 1])
-                z -= record[i, k] * (vertices[corners[k], 2] - last_vertices[corners[k], 2])
-                record[i, k] = 0.0
-            leading[i] = x * nx + y * ny + z * nz > 0.0
-            record[i, 7] += nx * distances[i, 0]
-            record[i, 8] += ny * distances[i, 0]
-            record[i, 9] += nz * distances[i, 0]
-    for attempt in range(3 if selective else 1):
-        refused, accepted = False, False
-        for i in range(node_count):
-            flags[i], decided[i] = remembered[i], False
-        for visit_leading in (True, False):
-            for i in range(node_count):
-                if leading[i] != visit_leading:
-                    continue
-                decided[i] = True
-                unfeasible[i] = False
-                other = opposite[i]
-                if first_step != 0 and flags[other]:
-                    # The opposite node owns a contact. If it is inside the organ, this node's would be unfeasible.
-                    # Where the organ overlaps itself rays may contradict that; if asked to, the first then keeps it.
-                    outward = hits[other, 1, 1]
-                    if (
-                        outward > 0
-                        or (first_step == 1 and outward != 0)
-                        or (exclusive and decided[other] and hits[i, 0, 1] > 0)
-                    ):
-                        flags[i] = False
-                        unfeasible[i] = True
-                        continue
-                flags[i] = hits[i, 0, 1] > 0
-                if not flags[i]:
-                    continue
-                _fill_triangle_normal(vertices, triangles[hits[i, 0, 0]], normal[i])
-                if selective and attempt < 2:
-                    last_height = _height_above(
-                        last_position, last_rotation, nodes[i], last_vertices, triangles[hits[i, 0, 0]]
-                    )
-                    turn_back(rotation, normal[i], local_normal)
-                    came_through = attempt == 1 or left_inside[i] or last_height >= -CROSSING_SLACK
-                    if not (came_through and opposes_best(local_normal, normals[i], face_normals)):
-                        flags[i] = False
-                        refused = True
-                accepted = accepted or flags[i]
-        if accepted or not refused:
-            break
-    for i in range(node_count):
-        triangle[i] = NO_HIT
-        if not flags[i]:
-            normal[i, 0], normal[i, 1], normal[i, 2] = 0.0, 0.0, 0.0
-            continue
-        triangle[i] = hits[i, 0, 0]
-        nx, ny, nz = turn(rotation, normals[i])
-        record[i, 3] = distances[i, 0]
-        record[i, 7] -= nx * distances[i, 0]
-        record[i, 8] -= ny * distances[i, 0]
-        record[i, 9] -= nz * distances[i, 0]
-        _fill_weights(record[i], vertices, triangles[triangle[i]])
+    memory.states[3] = memory.states[0]
+    lead_by_velocity(tool, memory, rotation, linear_velocity, angular_velocity)
+    decide_flags(tool, memory, triangles, first_step, exclusive, 0)
+    fill_record(tool, memory, vertices, 0, triangles, position, rotation)
     return 0
 
 
@@ -341,58 +373,37 @@ class FlaggedDetector:
         Raises:
             ValueError: If `first_step` is not one of those.
         """
-        if first_step not in _FIRST_STEP_CODES:
+        if first_step not in FIRST_STEP_CODES:
             raise ValueError(f"first_step must be one of {list(get_args(FirstStep))}, got {first_step!r}")
         self.tool = tool
         self.first_step: FirstStep = first_step
         self.exclusive = bool(exclusive)
-        self._face_normals = np.array(tool.face_normals)
-        count = len(tool.nodes)
-        columns = RayColumns(tool)
-        self._first_step_code = _FIRST_STEP_CODES[first_step]
-        self._tool_arrays = (
-            np.array(tool.nodes),
-            np.array(tool.normals),
-            np.array(tool.opposite),
-        )
-        self._columns = (
-            columns.frames,
-            columns.bounds,
-            columns.group_rows,
-            columns.row_u,
-            columns.row_columns,
-            columns.column_v,
-            columns.column_nodes,
-            columns.node_height,
-        )
-        # Rows: flags, unfeasible; and leading, remembered and decided, which serve one query; left inside.
-        self._states = np.zeros((6, count), dtype=np.bool_)
-        self._triangle = np.full(count, NO_HIT, dtype=np.int32)
-        # Columns: barycentric 0-2, depth 3, normal 4-6, point 7-9.
-        self._record = np.zeros((count, 10))
-        self._hits = np.zeros((count, 2, 2), dtype=np.int32)
-        self._distances = np.zeros((count, 2))
-        self._local = np.zeros((3, 0))
-        self._codes = np.zeros(0, dtype=np.uint8)
+        self._first_step_code = FIRST_STEP_CODES[first_step]
+        self.shape = tool_shape(tool)
+        self.memory = Memory(len(tool.nodes))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles hold what is remembered; a kernel's structures are made anew."""
+        return _remake, (self.tool, self.first_step, self.exclusive, self.flags)
 
     @property
     def flags(self) -> NDArray[np.bool_]:
         """(n,) bool, the remembered flags (a copy)."""
-        flags: NDArray[np.bool_] = self._states[0].copy()
+        flags: NDArray[np.bool_] = self.memory.states[0].copy()
         return flags
 
     @flags.setter
     def flags(self, value: ArrayLike) -> None:
         flags = np.asarray(value)
-        if flags.shape != self._states[0].shape or flags.dtype != np.bool_:
+        if flags.shape != self.memory.states[0].shape or flags.dtype != np.bool_:
             raise ValueError(
-                f"flags must be a bool array of shape {self._states[0].shape}, got {flags.dtype} {flags.shape}"
+                f"flags must be a bool array of shape {self.memory.states[0].shape}, got {flags.dtype} {flags.shape}"
             )
-        self._states[0] = flags
+        self.memory.states[0] = flags
 
     def reset(self) -> None:
         """Clear all flags."""
-        self._states[:] = False
+        self.memory.states[:] = False
 
     def detect(
         self,
@@ -420,113 +431,32 @@ class FlaggedDetector:
             ValueError: If an argument has the wrong shape, is not finite, is not a unit quaternion, or names a vertex
                 that does not exist. The remembered flags are then as they were.
         """
-        self.update(
-            _float_array(position, "position", (3,)),
-            _float_array(orientation, "orientation", (4,)),
-            _float_array(vertices, "vertices", (None, 3)),
-            _index_array(triangles),
-            _float_array(linear_velocity, "linear_velocity", (3,)),
-            _float_array(angular_velocity, "angular_velocity", (3,)),
-        )
-        return Contacts(self._states, self._triangle, self._record)
-
-    def update(
-        self,
-        position: NDArray[np.float64],
-        orientation: NDArray[np.float64],
-        vertices: NDArray[np.float64],
-        triangles: NDArray[np.int32],
-        linear_velocity: NDArray[np.float64],
-        angular_velocity: NDArray[np.float64],
-        last: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
-        selective: bool = False,
-    ) -> None:
-        """As `detect`, for arrays of the right type and shape, leaving the result in the detector's buffers.
-
-        Args:
-            position: As in `detect`, as the next five.
-            orientation: See there.
-            vertices: See there.
-            triangles: See there.
-            linear_velocity: See there.
-            angular_velocity: See there.
-            last: Position, orientation and vertices at the last query. If given, whether a node leads is decided by
-                its motion since then relative to the surface that it would be in contact with, and the velocities
-                do not matter.
-            selective: Needs `last`. A node's contact with a triangle is refused if another face of the tool opposes
-                the triangle clearly better, or if the node was already behind the triangle's plane at the last query
-                and so has not come in through it, unless `look_again` found that it was inside. If nothing at all
-                would be in contact then, nothing is refused.
-        """
-        if self._codes.shape[0] != vertices.shape[0]:
-            self._local = np.zeros((3, vertices.shape[0]))
-            self._codes = np.zeros(vertices.shape[0], dtype=np.uint8)
+        place = _float_array(position, "position", (3,))
+        turned = _float_array(orientation, "orientation", (4,))
+        surface = _float_array(vertices, "vertices", (None, 3))
+        corners = _index_array(triangles)
+        linear = _float_array(linear_velocity, "linear_velocity", (3,))
+        angular = _float_array(angular_velocity, "angular_velocity", (3,))
+        if self.memory.vertices != surface.shape[0]:
+            self.memory.resize(surface.shape[0], 0)
         status = detect_contacts(
-            position,
-            orientation,
-            linear_velocity,
-            angular_velocity,
-            vertices,
-            triangles,
-            *(last or (position, orientation, vertices)),
-            *self._tool_arrays,
-            self._first_step_code,
-            self.exclusive,
-            self._face_normals,
-            last is not None,
-            selective,
-            *self._columns,
-            self._local,
-            self._codes,
-            self._hits,
-            self._distances,
-            self._states,
-            self._triangle,
-            self._record,
-        )
-        if status != 0:
-            _raise_for_status(status, position, orientation, vertices, triangles, linear_velocity, angular_velocity)
-
-    def look_again(
-        self,
-        position: NDArray[np.float64],
-        orientation: NDArray[np.float64],
-        vertices: NDArray[np.float64],
-        triangles: NDArray[np.int32],
-    ) -> None:
-        """Note which nodes the response has left inside, for an `update` that is told the last query.
-
-        Args:
-            position: (3,) of the last query.
-            orientation: (4,) of the last query.
-            vertices: (V, 3) after the response [u].
-            triangles: (T, 3).
-        """
-        cast_columns(
-            position, rotation_matrix(orientation).ravel(), vertices, triangles, *self._columns, self._local,
-            self._codes, self._hits, self._distances,
+            place, turned, linear, angular, surface, corners, self.shape, self.memory.structure,
+            self._first_step_code, self.exclusive,
         )  # fmt: skip
-        np.greater(self._hits[:, 0, 1], 0, out=self._states[5])
-
-    @property
-    def buffers(self) -> tuple[NDArray[np.bool_], NDArray[np.int32], NDArray[np.float64]]:
-        """The last query's states (3, n), triangles (n,) and records (n, 10), which the next query overwrites."""
-        return self._states, self._triangle, self._record
-
-    @property
-    def workspace(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Arrays (3, V) and (V,) that hold nothing between queries."""
-        return self._local, self._codes
-
-    @property
-    def deepest(self) -> float:
-        """Greatest depth of the last query [u]; zero without contact."""
-        return float(self._record[:, 3].max())
+        if status != 0:
+            _raise_for_status(status, place, turned, surface, corners, linear, angular)
+        return self.contacts
 
     @property
     def contacts(self) -> Contacts:
         """The result of the last query; arrays of their own."""
-        return Contacts(self._states, self._triangle, self._record)
+        return Contacts(self.memory.states, self.memory.triangle, self.memory.record)
+
+
+def _remake(tool: Tool, first_step: FirstStep, exclusive: bool, flags: NDArray[np.bool_]) -> FlaggedDetector:
+    detector = FlaggedDetector(tool, first_step, exclusive)
+    detector.flags = flags
+    return detector
 
 
 def _float_array(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:

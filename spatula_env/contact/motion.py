@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import kernel
+from spatula_env._kernels import inline_kernel, kernel
 
 
 @kernel("f8(f8[:,::1], f8[:,::1])")
@@ -51,3 +51,24 @@ def tool_passes(
         if min(start_position[axis], position[axis]) - radius > high:
             return False
     return True
+
+
+@inline_kernel
+def turn_between(first: np.ndarray, second: np.ndarray, fraction: float, result: np.ndarray) -> None:
+    """Write the orientation at a fraction of the turn from one unit quaternion (4,) to another, the short way."""
+    if fraction == 0.0 or fraction == 1.0:
+        result[:] = first if fraction == 0.0 else second
+        return
+    cosine = first[0] * second[0] + first[1] * second[1] + first[2] * second[2] + first[3] * second[3]
+    sign = -1.0 if cosine < 0.0 else 1.0
+    angle = np.arccos(min(abs(cosine), 1.0))
+    if angle < 1e-8:
+        a, b = 1.0 - fraction, sign * fraction
+    else:
+        a, b = np.sin((1.0 - fraction) * angle) / np.sin(angle), sign * np.sin(fraction * angle) / np.sin(angle)
+    length = 0.0
+    for k in range(4):
+        result[k] = a * first[k] + b * second[k]
+        length += result[k] * result[k]
+    for k in range(4):
+        result[k] /= np.sqrt(length)

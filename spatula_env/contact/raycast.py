@@ -15,11 +15,15 @@ the triangles around a vertex or an edge that it crosses, and at a silhouette bo
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numba import types
 
-from spatula_env._kernels import inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.structures import MEMORY, NO_HIT, TOOL
 
-NO_HIT = -1
+F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
 
 MOELLER_TRUMBORE_EPSILON = 1e-12
 """A ray whose determinant is smaller than this times the lengths involved is parallel to the triangle."""
@@ -244,27 +248,9 @@ def _cast_past_grazes(
                     _record_hit(hits, distances, node, side, distance, towards, k, tie)
 
 
-@kernel(
-    "i4(f8[::1], f8[::1], f8[:,::1], i4[:,::1], f8[:,:,::1], f8[:,::1], i4[::1], f8[::1], i4[::1], f8[::1],"
-    " i4[:,::1], f8[::1], f8[:,::1], u1[::1], i4[:,:,::1], f8[:,::1])"
-)
+@kernel(types.int32(F8, F8, F8_2, I4_2, TOOL, MEMORY))
 def cast_columns(
-    position: np.ndarray,
-    rotation: np.ndarray,
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    frames: np.ndarray,
-    bounds: np.ndarray,
-    group_rows: np.ndarray,
-    row_u: np.ndarray,
-    row_columns: np.ndarray,
-    column_v: np.ndarray,
-    column_nodes: np.ndarray,
-    node_height: np.ndarray,
-    local: np.ndarray,
-    codes: np.ndarray,
-    hits: np.ndarray,
-    distances: np.ndarray,
+    position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, tool: Any, memory: Any
 ) -> int:
     """Cast every contact node's inward and outward ray at a surface.
 
@@ -273,23 +259,18 @@ def cast_columns(
         rotation: (9,) its rotation matrix, row by row.
         vertices: (V, 3) of the surface [u].
         triangles: (T, 3).
-        frames: See `columns.RayColumns`, as the next seven.
-        bounds: See there.
-        group_rows: See there.
-        row_u: See there.
-        row_columns: See there.
-        column_v: See there.
-        column_nodes: See there.
-        node_height: See there.
-        local: (3, V) workspace, the vertices in a group's frame.
-        codes: (V,) workspace, on which sides of a group's rectangle a vertex lies.
-        hits: (n, 2, 2) result; for each node the inward ray (0) and the outward ray (1): the triangle, or -1; and the
-            facing, positive where the ray leaves the body, negative where it enters, 0 where it meets nothing.
-        distances: (n, 2) result: distance along the ray [u], infinite where it meets nothing.
+        tool: `ToolShape`.
+        memory: `PairMemory`. Its `hits` (n, 2, 2) are the result: for each node the inward ray (0) and the outward ray
+            (1), the triangle, or `NO_HIT`; and the facing, positive where the ray leaves the body, negative where it
+            enters, 0 where it meets nothing. `distances` (n, 2): along the ray [u], infinite where it meets nothing.
 
     Returns:
         0; 1 if a vertex or the pose is not finite; 2 if a triangle names a vertex that does not exist.
     """
+    frames, bounds, group_rows, row_u = tool.frames, tool.bounds, tool.group_rows, tool.row_u
+    row_columns, column_v, column_nodes = tool.row_columns, tool.column_v, tool.column_nodes
+    node_height, hits, distances = tool.node_height, memory.hits, memory.distances
+    local, codes = memory.ray_local, memory.codes
     vertex_count, triangle_count = vertices.shape[0], triangles.shape[0]
     for i in range(node_height.shape[0]):
         for side in range(2):

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from spatula_env import scenes
 from spatula_env.demo.measure import footprint, is_inside, surface_heights
 from spatula_env.demo.verdict import Verdict, judge
-from spatula_env.sim.simulation import ContactName, Report, Simulation, SimulationDiverged
+from spatula_env.sim.report import Report
+from spatula_env.sim.simulation import ContactName, Simulation, SimulationDiverged
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

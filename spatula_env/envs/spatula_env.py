@@ -21,7 +21,7 @@ from spatula_env.tasks.base import Evaluation, FloatArray, Setting, Situation, T
 if TYPE_CHECKING:
     from spatula_env.render.scene_view import SceneView
     from spatula_env.scenes import Scene
-    from spatula_env.sim.simulation import Report
+    from spatula_env.sim.report import Report
 
 CONTROLS = ("velocity",)
 """What an action can mean."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from spatula_env.sim.simulation import Report, Simulation, SimulationDiverged, SimulationState
+from spatula_env.sim.report import Report
+from spatula_env.sim.simulation import Simulation, SimulationDiverged, SimulationState
 
 __all__ = ["Report", "Simulation", "SimulationDiverged", "SimulationState"]

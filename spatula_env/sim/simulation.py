@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from spatula_env.contact.model import ContactModel, Motion, Wrench
+from spatula_env.contact.model import ContactModel, Motions
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, integrate_rotation
 from spatula_env.sim.bullet import BulletWorld
+from spatula_env.sim.report import Report
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from spatula_env.contact.flags import Contacts, FirstStep
-    from spatula_env.scenes import Scale, Scene
+    from spatula_env.contact.flags import FirstStep
+    from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]
 
@@ -35,54 +36,6 @@ LONGEST_SETTLING = 4.0
 
 class SimulationDiverged(RuntimeError):
     """Positions are no longer finite; reset() or restore() makes the simulation usable again."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """What happened in one step, in scene units.
-
-    Attributes:
-        wrenches: What the organs do to each tool, averaged over the step.
-        nodal_impulses: (V, 3) what the tools gave the organs' nodes [kg u/s]; NaN with `contact="bullet"`, where
-            Bullet does not tell.
-        ground_force: (3,) what the ground does to the organs, averaged over the step [kg u/s2].
-        contacts: What the detector of the first tool and the first organ found, before correction.
-        all_contacts: The same for each tool (outer) and organ (inner).
-        penetration: Greatest depth of a contact node before correction [u].
-        residual: Greatest violation of a contact constraint after correction [u].
-        queries: How many times each detector was asked: more than once where something moved too far at once.
-        scale: From scene units to SI.
-    """
-
-    wrenches: tuple[Wrench, ...]
-    nodal_impulses: FloatArray
-    ground_force: FloatArray
-    contacts: Contacts
-    all_contacts: tuple[tuple[Contacts, ...], ...]
-    penetration: float
-    residual: float
-    queries: int
-    scale: Scale
-
-    @property
-    def force(self) -> FloatArray:
-        """(3,) what the organs do to the first tool, averaged over the step [kg u/s2]."""
-        return self.wrenches[0].force
-
-    @property
-    def torque(self) -> FloatArray:
-        """(3,) about the first tool's origin, world frame [kg u2/s2]."""
-        return self.wrenches[0].torque
-
-    @property
-    def force_newtons(self) -> FloatArray:
-        """(3,) `force` in newtons."""
-        return self.force * self.scale.force
-
-    @property
-    def torque_newton_metres(self) -> FloatArray:
-        """(3,) `torque` in newton-metres."""
-        return self.torque * self.scale.torque
 
 
 @dataclass(frozen=True)
@@ -155,7 +108,7 @@ class Simulation:
         self._nodes: FloatArray = np.concatenate([placed.vertices for placed in scene.organs])
         self._velocities: FloatArray = np.zeros_like(self._nodes)
         self._velocity_changes: FloatArray = np.zeros_like(self._nodes)
-        self._changed: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        self._displacements: FloatArray = np.zeros_like(self._nodes)
         self._tool_positions: FloatArray = np.zeros((len(scene.tools), 3))
         self._tool_orientations: FloatArray = np.zeros((len(scene.tools), 4))
         self._time = 0.0
@@ -194,6 +147,7 @@ class Simulation:
             as_vector3(position, "position"),
             as_quaternion(orientation, "orientation"),
         )
+        self._tool_positions, self._tool_orientations = self._tool_positions.copy(), self._tool_orientations.copy()
         self._tool_positions[index] = new_position
         self._tool_orientations[index] = new_orientation
         self._model.forget(index)
@@ -220,34 +174,29 @@ class Simulation:
         shape = self._tool_positions.shape
         linear = _as_velocities(linear_velocity, "linear_velocity", shape)
         angular = _as_velocities(angular_velocity, "angular_velocity", shape)
-        motions = [self._move_tool(index, linear[index], angular[index]) for index in range(shape[0])]
-        tools = self._world.tools
+        motions = self._move_tools(linear, angular)
+        tools, model = self._world.tools, self._model
         if tools is not None:
-            for index, motion in enumerate(motions):
-                tools.move(index, motion.position, motion.orientation, linear[index], angular[index])
-        wrenches = self._advance(motions, respond=tools is None)
+            for index in range(shape[0]):
+                tools.move(index, motions.positions[index], motions.orientations[index], linear[index], angular[index])
+        self._advance(motions, respond=tools is None)
         if tools is not None:
-            wrenches = []
-            for index, placed in enumerate(self.scene.tools):
-                impulse, moment = tools.impulse(index, linear[index], angular[index])
-                unknown = np.full((len(placed.tool.nodes), 3), np.nan)
-                wrenches.append(Wrench(impulse / self.dt, moment / self.dt, unknown))
-            self._model.nodal_impulses[:] = np.nan
-        for index, motion in enumerate(motions):
-            self._tool_positions[index] = motion.position
-            self._tool_orientations[index] = motion.orientation
+            impulses = [tools.impulse(index, linear[index], angular[index]) for index in range(shape[0])]
+            model.wrenches = np.array([np.concatenate(pair) for pair in impulses]) / self.dt
+            model.nodal_impulses[:] = np.nan
+        self._tool_positions, self._tool_orientations = motions.positions, motions.orientations
         self._time += self.dt
-        all_contacts = tuple(tuple(detector.contacts for detector in row) for row in self._model.detectors)
         return Report(
-            wrenches=tuple(wrenches),
-            nodal_impulses=self._model.nodal_impulses.copy(),
-            ground_force=self._model.ground_force.copy(),
-            contacts=all_contacts[0][0],
-            all_contacts=all_contacts,
-            penetration=self._model.penetration,
-            residual=self._model.residual,
-            queries=self._model.queries,
-            scale=self.scene.scale,
+            scene=self.scene,
+            motions=motions,
+            loads=model.wrenches,
+            nodal_impulses=model.nodal_impulses.copy(),
+            ground_force=model.ground_force,
+            all_contacts=tuple(tuple(detector.contacts for detector in row) for row in model.detectors),
+            table=model.contact_table() if tools is None else None,
+            penetration=model.penetration,
+            residual=model.residual,
+            queries=model.queries,
         )
 
     def save(self) -> SimulationState:
@@ -358,37 +307,32 @@ class Simulation:
         if self._closed:
             raise RuntimeError("this simulation is closed; make a new one")
 
-    def _move_tool(self, index: int, linear: FloatArray, angular: FloatArray) -> Motion:
-        position, orientation = self._tool_positions[index].copy(), self._tool_orientations[index].copy()
-        return Motion(
-            position=position + linear * self.dt,
-            orientation=integrate_rotation(orientation, angular, self.dt) if angular.any() else orientation,
-            start_position=position,
-            start_orientation=orientation,
-            linear_velocity=linear,
-            angular_velocity=angular,
-        )
+    def _move_tools(self, linear: FloatArray, angular: FloatArray) -> Motions:
+        positions, orientations = self._tool_positions, self._tool_orientations
+        turned = orientations
+        if angular.any():
+            turned = np.stack([integrate_rotation(*pair, self.dt) for pair in zip(orientations, angular, strict=True)])
+        return Motions(positions, orientations, positions + linear * self.dt, turned, linear, angular)
 
-    def _advance(self, motions: list[Motion], *, respond: bool) -> list[Wrench]:
+    def _advance(self, motions: Motions | None, *, respond: bool) -> None:
         """Step the organs and resolve contact with the ground and, if `respond`, with the tools."""
         start = self._nodes
-        nodes, free_velocities = self._world.step(self._velocity_changes, self._changed)
-        if not np.isfinite(nodes).all():
+        nodes, velocities = self._world.step(self._velocity_changes, self._displacements)
+        if not math.isfinite(float(nodes.sum())):
             raise SimulationDiverged(f"positions are not finite after {self._time + self.dt:.4f} s")
-        corrected, velocities = nodes.copy(), free_velocities.copy()
-        wrenches = self._model.resolve(start, corrected, velocities, motions if respond else [])
-        if not respond:
-            self._model.observe(start, corrected, motions)
-        self._world.move_nodes(corrected, np.flatnonzero((corrected != nodes).any(axis=1)))
-        self._velocity_changes = velocities - free_velocities
-        self._changed = np.flatnonzero(self._velocity_changes.any(axis=1))
-        self._nodes, self._velocities = corrected, velocities
-        return wrenches
+        np.negative(nodes, out=self._displacements)
+        np.negative(velocities, out=self._velocity_changes)
+        self._model.resolve(start, nodes, velocities, motions if respond else None)
+        if motions is not None and not respond:
+            self._model.observe(nodes, motions)
+        self._displacements += nodes
+        self._velocity_changes += velocities
+        self._nodes, self._velocities = nodes, velocities
 
     def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
         self._nodes, self._velocities = nodes.copy(), velocities.copy()
         self._velocity_changes = np.zeros_like(nodes)
-        self._changed = np.zeros(0, dtype=np.intp)
+        self._displacements = np.zeros_like(nodes)
         self._world.set_state(nodes, velocities)
 
     def _settle(self) -> FloatArray:
@@ -400,7 +344,7 @@ class Simulation:
         masses = np.where(np.isfinite(self.node_masses), self.node_masses, 0.0)
         energy_before = 0.0
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
-            self._advance([], respond=True)
+            self._advance(None, respond=True)
             energy = float(masses @ (self._velocities**2).sum(axis=1))
             if energy < energy_before:
                 if np.abs(self._velocities).max() < SETTLED_SPEED:
@@ -414,11 +358,12 @@ class Simulation:
 def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> FloatArray:
     """A velocity for each tool (N, 3), from one for all (3,) or one for each."""
     try:
-        array = np.asarray(value, dtype=np.float64)
+        array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers, got {value!r}") from error
     if array.shape not in ((3,), shape):
         raise ValueError(f"{name} must have shape (3,) or {shape}, got {array.shape}")
-    if not np.isfinite(array).all():
+    # The sum is finite if all are; it may overflow otherwise.
+    if not math.isfinite(float(array.sum())) and not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array.tolist()}")
-    return np.broadcast_to(array, shape).copy()
+    return array.reshape(1, 3).repeat(shape[0], axis=0) if array.ndim == 1 else array

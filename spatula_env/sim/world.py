@@ -20,23 +20,15 @@ class SoftWorld(Protocol):
     def inverse_masses(self) -> FloatArray:
         """(V,) of the nodes [1/kg]; zero for a node that is held fixed."""
 
-    def step(self, velocity_changes: FloatArray, changed: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    def step(self, velocity_changes: FloatArray, displacements: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Advance by one time step.
 
         Args:
             velocity_changes: (V, 3) added to the nodes' velocities before the step [u/s].
-            changed: Indices of the nodes whose entry is not zero.
+            displacements: (V, 3) added to their positions, leaving velocities as they are [u].
 
         Returns:
             Positions (V, 3) [u] and velocities (V, 3) [u/s] at the end of the step; arrays of the caller's own.
-        """
-
-    def move_nodes(self, positions: FloatArray, changed: NDArray[np.intp]) -> None:
-        """Put nodes elsewhere, velocities as they are.
-
-        Args:
-            positions: (V, 3) of all nodes [u].
-            changed: Indices of those that differ from what `step` returned.
         """
 
     def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:

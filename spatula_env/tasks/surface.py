@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spatula_env._kernels import kernel
-from spatula_env.contact.raycast import NO_HIT, cast_ray
+from spatula_env.contact.raycast import cast_ray
+from spatula_env.contact.structures import NO_HIT
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -165,7 +165,6 @@ def test_presses_with_nodes_on_all_faces(speed):
     simulation.close()
 
 
-@pytest.mark.xfail(reason="a wedge whose faces are all oblique to the press is not held steadily yet", strict=False)
 @pytest.mark.parametrize("speed", [2.0, 10.0])
 def test_a_polyhedron_presses_with_all_its_faces(speed):
     # A wedge, its edge down: no face is perpendicular to the motion.
@@ -191,12 +190,7 @@ def test_a_polyhedron_presses_with_all_its_faces(speed):
 # Release -----------------------------------------------------------------------------------------------------------
 
 
-FAST_RELEASE = pytest.mark.xfail(
-    reason="released at the speed where impulses give way to displacements, the organ gains energy", strict=False
-)
-
-
-@pytest.mark.parametrize("speed", [0.5, 2.0, 5.0, 10.0, pytest.param(20.0, marks=FAST_RELEASE), 40.0, 100.0])
+@pytest.mark.parametrize("speed", [0.5, 2.0, 5.0, 10.0, 20.0, 40.0, 100.0])
 def test_no_energy_is_gained_on_release(simulation, speed):
     # Kinetic energy and energy of height cannot exceed the work that the tool has done; the springs' energy, which
     # cannot be asked for, only makes the left side smaller than it is.
@@ -241,29 +235,34 @@ def small_organ_scene():
     )
 
 
-@pytest.mark.parametrize("jump", [1.6, 4.0])
+@pytest.mark.parametrize("jump", [0.9, 1.6, 4.0])
 def test_a_jump_clean_through_an_organ_is_seen(jump):
-    # One step from well above the ball to well beneath it. A query at the end sees nothing.
+    # One step from well above the ball into its lower half, or to well beneath it, where a query sees nothing.
     scene = small_organ_scene()
     simulation = Simulation(scene)
     tool = scene.tools[0].tool
-    at_end = FlaggedDetector(tool).detect(
-        (0.0, 0.0, 0.8 - jump), (0.0, 0.0, 0.0, 1.0), simulation.nodes, simulation.triangles, (0.0, 0.0, -1.0)
-    )
-    assert not at_end.flags.any()
     report = simulation.step((0.0, 0.0, -jump / simulation.dt))
     assert simulation.tool_position[2] == pytest.approx(0.8 - jump)
-    assert report.contacts.flags[tool.face == 0].any()
+    # All of the ball is before the plate's lower face: none of it has been passed.
+    assert simulation.nodes[:, 2].max() <= 0.8 - jump - 0.0625 + 1e-4
     assert not report.contacts.flags[tool.face == 1].any()
     assert report.force[2] > 0.0
     assert report.residual < 0.003
+    if jump > 1.2:
+        at_end = FlaggedDetector(tool).detect(
+            (0.0, 0.0, 0.8 - jump),
+            (0.0, 0.0, 0.0, 1.0),
+            icosphere(0.3, 2).vertices,
+            icosphere(0.3, 2).triangles,
+            (0.0, 0.0, -1.0),
+        )
+        assert not at_end.flags.any()
+    else:
+        assert report.contacts.flags[tool.face == 0].any()
     simulation.close()
 
 
-BALL_SLIPS = pytest.mark.xfail(reason="at this speed the ball ends around the plate", strict=False)
-
-
-@pytest.mark.parametrize("speed", [5.0, 20.0, pytest.param(384.0, marks=BALL_SLIPS)])
+@pytest.mark.parametrize("speed", [5.0, 20.0, 384.0])
 def test_a_ball_smaller_than_the_plate_is_taken_along(speed):
     simulation = Simulation(small_organ_scene())
     driver = Driver(simulation)
@@ -395,7 +394,7 @@ def test_second_step_alone_lets_both_faces_push():
     driver = press(simulation, DEPTH, 20.0, 0.5)
     tool = simulation.scene.tools[0].tool
     flags = np.array(driver.record.flags)
-    assert (flags & flags[:, tool.opposite]).any(axis=1).sum() > 60
+    assert (flags & flags[:, tool.opposite]).any(axis=1).sum() > 30
     # The press has failed: nothing of the force is left, or it is shaken to pieces.
     forces = np.array(driver.record.forces[-60:])[:, 2]
     assert forces.mean() < 500.0 or forces.std() > 0.5 * forces.mean()

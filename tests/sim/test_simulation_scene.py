@@ -227,7 +227,8 @@ def test_place_tool_refuses_a_tool_that_is_not_there(fresh):
 
 
 def test_turning_a_pressed_tool_is_resisted():
-    simulation = Simulation(scenes.seed(friction=0.0))
+    # A plate whose rim stays clear of the organ, so that only its face pushes.
+    simulation = Simulation(scenes.seed(tool_size=(4.0, 4.0, 0.125), friction=0.0))
     driver = press(simulation, 0.8, 5.0, 0.25)
     torques = []
     for _ in range(60):
@@ -247,7 +248,8 @@ def test_turning_a_pressed_tool_is_resisted():
 
 @pytest.mark.parametrize("friction", [0.0, 0.1])
 def test_dragging_a_pressed_tool(friction):
-    simulation = Simulation(scenes.seed(friction=friction))
+    # A plate whose rim stays clear of the organ: a rim ploughs, and is held back without friction too.
+    simulation = Simulation(scenes.seed(tool_size=(4.0, 4.0, 0.125), friction=friction))
     driver = press(simulation, 0.8, 5.0, 0.25)
     for _ in range(60):
         driver.step((2.0, 0.0, 0.0))

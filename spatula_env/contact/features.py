@@ -1,0 +1,593 @@
+"""Which points of an organ's surface a tool pushes, and where to: the constraints of one query.
+
+A convex tool and a triangle surface that are apart meet first at a vertex of the organ and a face of the tool, a corner
+of the tool and a triangle, or an edge of each. Constraints at all of these keep the surface out of the tool, however
+coarse both are. The flagged contact nodes add theirs, which is the published method; between nodes, at the tool's rim,
+and on faces that carry no nodes the other three do its work.
+
+Which face has met a point is told by `path.entry_plane`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spatula_env._kernels import inline_kernel
+from spatula_env.contact.flags import fill_local_normal, triangle_weights
+from spatula_env.contact.path import MARGIN, SLACK, entry_plane
+from spatula_env.contact.structures import (
+    DISPLACEMENT,
+    FRICTION,
+    GROUND,
+    IMPULSE,
+    NORMAL,
+    ORIGIN,
+    OWNER,
+    PLANE,
+    POINT,
+    VELOCITY,
+    WEIGHTS,
+)
+
+ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND = 0, 1, 2, 3, 4
+"""Kinds of constraints, in their names."""
+
+EDGE_PART = 0.5
+"""An edge that moves farther than this part of the tool's thickness is looked at at times in between."""
+
+MOST_SAMPLES = 16
+"""Most such times."""
+
+BISECTIONS = 8
+"""Steps of bisection to find when an edge met the tool."""
+
+OUTSIDE_TRIANGLE = 0.02
+"""How far outside of a triangle, in its size, a corner may be and still be kept from going through it: the triangle
+has moved since they met."""
+
+MEETING_STEPS = 4
+"""Most steps of false position to find when a corner and a triangle met."""
+
+PARALLEL = 1e-6
+"""Edges whose directions have a smaller sine than this are parallel."""
+
+
+@inline_kernel
+def constraint_name(kind: int, of_tool: int, first: int, second: int) -> int:
+    """A number that tells features apart: of the tool (up to 2**20), and two vertices of the organ (up to 2**20)."""
+    name: int = (kind << 60) | (of_tool << 40) | (first << 20) | second
+    return name
+
+
+@inline_kernel
+def append_constraint(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    corners: tuple[int, int, int],
+    weights: tuple[float, float, float],
+    normal: tuple[float, float, float],
+    point: tuple[float, float, float],
+    memory_last: np.ndarray,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+    plane: int,
+    name: int,
+) -> int:
+    """Append a constraint; normal and point are in the tool's frame. Returns the new count."""
+    row = rows[count]
+    a, b, c = corners
+    features[count, 0], features[count, 1], features[count, 2] = a + first_vertex, b + first_vertex, c + first_vertex
+    features[count, OWNER], features[count, PLANE] = owner, plane
+    names[count] = name
+    row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = weights
+    for axis in range(3):
+        arm = rotation[3 * axis] * point[0] + rotation[3 * axis + 1] * point[1] + rotation[3 * axis + 2] * point[2]
+        row[NORMAL + axis] = (
+            rotation[3 * axis] * normal[0] + rotation[3 * axis + 1] * normal[1] + rotation[3 * axis + 2] * normal[2]
+        )
+        row[POINT + axis] = position[axis] + arm
+        row[VELOCITY + axis] = arm
+    rx, ry, rz = row[VELOCITY], row[VELOCITY + 1], row[VELOCITY + 2]
+    row[VELOCITY] = linear_velocity[0] + angular_velocity[1] * rz - angular_velocity[2] * ry
+    row[VELOCITY + 1] = linear_velocity[1] + angular_velocity[2] * rx - angular_velocity[0] * rz
+    row[VELOCITY + 2] = linear_velocity[2] + angular_velocity[0] * ry - angular_velocity[1] * rx
+    x = weights[0] * memory_last[0, a] + weights[1] * memory_last[0, b] + weights[2] * memory_last[0, c]
+    y = weights[0] * memory_last[1, a] + weights[1] * memory_last[1, b] + weights[2] * memory_last[1, c]
+    z = weights[0] * memory_last[2, a] + weights[1] * memory_last[2, b] + weights[2] * memory_last[2, c]
+    for axis in range(3):
+        row[ORIGIN + axis] = (
+            position[axis] + rotation[3 * axis] * x + rotation[3 * axis + 1] * y + rotation[3 * axis + 2] * z
+        )
+        row[DISPLACEMENT + axis] = 0.0
+        row[IMPULSE + axis] = 0.0
+    row[FRICTION] = friction
+    return count + 1
+
+
+@inline_kernel
+def gather_ground(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    vertices: np.ndarray,
+    reference: np.ndarray,
+    inverse_mass: np.ndarray,
+    height: float,
+    friction: float,
+) -> int:
+    """Append one constraint for each vertex that is below the ground or touches it. Returns the new count."""
+    for i in range(vertices.shape[0]):
+        if vertices[i, 2] > height + MARGIN or inverse_mass[i] == 0.0:
+            continue
+        row = rows[count]
+        row[:] = 0.0
+        features[count, 0], features[count, 1], features[count, 2] = i, i, i
+        features[count, OWNER], features[count, PLANE] = GROUND, -1
+        names[count] = constraint_name(ON_GROUND, 0, i, i)
+        row[WEIGHTS], row[NORMAL + 2], row[FRICTION] = 1.0, 1.0, friction
+        row[POINT], row[POINT + 1], row[POINT + 2] = vertices[i, 0], vertices[i, 1], height
+        for axis in range(3):
+            row[ORIGIN + axis] = reference[i, axis]
+        count += 1
+    return count
+
+
+@inline_kernel
+def gather_nodes(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append one constraint for each flagged node: its contact point stays before the node's face."""
+    flags, triangle, record, last = memory.states[0], memory.triangle, memory.record, memory.last_local
+    nodes, normals, face = tool.nodes, tool.normals, tool.face
+    for i in range(nodes.shape[0]):
+        if flags[i]:
+            t = triangle[i]
+            count = append_constraint(
+                rows, features, names, count,
+                (triangles[t, 0], triangles[t, 1], triangles[t, 2]),
+                (record[i, 0], record[i, 1], record[i, 2]),
+                (normals[i, 0], normals[i, 1], normals[i, 2]),
+                (nodes[i, 0], nodes[i, 1], nodes[i, 2]),
+                last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, face[i],
+                constraint_name(ON_NODE, i, first_vertex, 0),
+            )  # fmt: skip
+    return count
+
+
+@inline_kernel
+def find_candidates(tool: Any, memory: Any, triangles: np.ndarray) -> int:
+    """List the triangles whose way since the last query may have met the tool. Returns how many."""
+    local, last, codes, extent = memory.local, memory.last_local, memory.codes, tool.extent
+    candidates = memory.candidates
+    for i in range(local.shape[1]):
+        code = 0
+        for axis in range(3):
+            low, high = extent[axis] - MARGIN, extent[3 + axis] + MARGIN
+            code |= ((local[axis, i] < low) & (last[axis, i] < low)) << (2 * axis)
+            code |= ((local[axis, i] > high) & (last[axis, i] > high)) << (2 * axis + 1)
+        codes[i] = code
+    found = 0
+    for t in range(triangles.shape[0]):
+        if codes[triangles[t, 0]] & codes[triangles[t, 1]] & codes[triangles[t, 2]] == 0:
+            candidates[found] = t
+            found += 1
+    return found
+
+
+@inline_kernel
+def gather_vertices(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    tool: Any,
+    memory: Any,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append one constraint for each vertex of the organ that came into the tool or touches it."""
+    local, last, codes = memory.local, memory.last_local, memory.codes
+    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    for i in range(local.shape[1]):
+        if codes[i] != 0:
+            continue
+        x, y, z = local[0, i], local[1, i], local[2, i]
+        p = entry_plane(last[0, i], last[1, i], last[2, i], x, y, z, plane_normals, plane_offsets, MARGIN)
+        if p < 0:
+            continue
+        nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
+        height = nx * x + ny * y + nz * z - plane_offsets[p]
+        count = append_constraint(
+            rows, features, names, count, (i, i, i), (1.0, 0.0, 0.0), (nx, ny, nz),
+            (x - height * nx, y - height * ny, z - height * nz),
+            last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, p,
+            constraint_name(ON_VERTEX, 0, i + first_vertex, 0),
+        )  # fmt: skip
+    return count
+
+
+@inline_kernel
+def best_plane(tool: Any, nx: float, ny: float, nz: float) -> int:
+    """The face of the tool whose normal is nearest to a direction."""
+    best, largest = 0, -np.inf
+    for p in range(tool.plane_offsets.shape[0]):
+        along = tool.plane_normals[p, 0] * nx + tool.plane_normals[p, 1] * ny + tool.plane_normals[p, 2] * nz
+        if along > largest:
+            best, largest = p, along
+    return best
+
+
+@inline_kernel
+def meeting_weights(
+    last: np.ndarray,
+    local: np.ndarray,
+    a: int,
+    b: int,
+    c: int,
+    x: float,
+    y: float,
+    z: float,
+    last_height: float,
+    height: float,
+) -> tuple[float, float, float]:
+    """Barycentric weights of a point where the plane of a moving triangle met it.
+
+    Args:
+        last: (3, V) vertices before [u].
+        local: (3, V) vertices now [u].
+        a: First corner.
+        b: Second corner.
+        c: Third corner.
+        x: The point.
+        y: The point.
+        z: The point.
+        last_height: Of the point over the plane before [u].
+        height: Now, not greater than `MARGIN` [u].
+
+    Returns:
+        Weights of the corners, as the triangle was then.
+    """
+    moving = np.empty((3, 3))
+    low, high = 0.0, 1.0
+    at_low, at_high = max(last_height, 0.0), min(height, 0.0)
+    wa, wb, wc = 0.0, 0.0, 0.0
+    for _ in range(MEETING_STEPS):
+        # The height is a cubic of time; false position closes in on its root.
+        time = low + (high - low) * at_low / (at_low - at_high) if at_low > at_high else high
+        for axis in range(3):
+            moving[axis, 0] = last[axis, a] + time * (local[axis, a] - last[axis, a])
+            moving[axis, 1] = last[axis, b] + time * (local[axis, b] - last[axis, b])
+            moving[axis, 2] = last[axis, c] + time * (local[axis, c] - last[axis, c])
+        wa, wb, wc = triangle_weights(moving, 0, 1, 2, x, y, z)
+        ux, uy, uz = moving[0, 1] - moving[0, 0], moving[1, 1] - moving[1, 0], moving[2, 1] - moving[2, 0]
+        vx, vy, vz = moving[0, 2] - moving[0, 0], moving[1, 2] - moving[1, 0], moving[2, 2] - moving[2, 0]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        above = (nx * (x - moving[0, 0]) + ny * (y - moving[1, 0]) + nz * (z - moving[2, 0])) / np.sqrt(
+            nx * nx + ny * ny + nz * nz
+        )
+        if abs(above) <= MARGIN or time >= 1.0:
+            break
+        if above > 0.0:
+            low, at_low = time, above
+        else:
+            high, at_high = time, above
+    return wa, wb, wc
+
+
+@inline_kernel
+def gather_corners(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    room: int,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    found: int,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append one constraint for each corner of the tool that came through a triangle or touches it."""
+    local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
+    normal, last_normal = np.empty(3), np.empty(3)
+    for k in range(found):
+        t = candidates[k]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        has_normals = False
+        for corner in range(corners.shape[0]):
+            outside = False
+            for axis in range(3):
+                place = corners[corner, axis]
+                low = min(local[axis, a], local[axis, b], local[axis, c], last[axis, a], last[axis, b], last[axis, c])
+                high = max(local[axis, a], local[axis, b], local[axis, c], last[axis, a], last[axis, b], last[axis, c])
+                outside |= place < low - MARGIN or place > high + MARGIN
+            if outside:
+                continue
+            if not has_normals:
+                fill_local_normal(local, triangles[t], normal)
+                fill_local_normal(last, triangles[t], last_normal)
+                has_normals = True
+            x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
+            # Heights of the corner over the triangle's plane, on the organ's outer side.
+            height = normal[0] * (x - local[0, a]) + normal[1] * (y - local[1, a]) + normal[2] * (z - local[2, a])
+            last_height = (
+                last_normal[0] * (x - last[0, a])
+                + last_normal[1] * (y - last[1, a])
+                + last_normal[2] * (z - last[2, a])
+            )
+            if height > MARGIN or last_height < -SLACK or count == room:
+                continue
+            wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height)
+            if min(wa, wb, wc) < -OUTSIDE_TRIANGLE:
+                continue
+            count = append_constraint(
+                rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
+                (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+                best_plane(tool, -normal[0], -normal[1], -normal[2]),
+                constraint_name(ON_CORNER, corner, first_vertex, t),
+            )  # fmt: skip
+    return count
+
+
+@inline_kernel
+def ridge_contact(tool: Any, f: int, g: int, local: np.ndarray, a: int, b: int, result: np.ndarray) -> bool:
+    """Contact of an edge of the organ with the tool's edge between faces f and g.
+
+    Args:
+        tool: `ToolShape`.
+        f: A face.
+        g: Another.
+        local: (3, V).
+        a: First vertex of the organ's edge.
+        b: Second vertex.
+        result: (7,) written: the place on the organ's edge as a part of its length, the normal, and the point of the
+            tool's edge.
+
+    Returns:
+        Whether the faces share an edge that the organ's edge crosses: not so if they are parallel, or if the common
+        normal is not between those of the faces.
+    """
+    if tool.ridges[f, g, 0] < 0:
+        return False
+    start, end = tool.corners[tool.ridges[f, g, 0]], tool.corners[tool.ridges[f, g, 1]]
+    ux, uy, uz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    wx, wy, wz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
+    nx, ny, nz = wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    ridge_length = np.sqrt(ux * ux + uy * uy + uz * uz)
+    if length <= PARALLEL * ridge_length * np.sqrt(wx * wx + wy * wy + wz * wz):
+        return False
+    nf, ng = tool.plane_normals[f], tool.plane_normals[g]
+    along_f = nx * nf[0] + ny * nf[1] + nz * nf[2]
+    along_g = nx * ng[0] + ny * ng[1] + nz * ng[2]
+    sign = 1.0 if along_f + along_g > 0.0 else -1.0
+    along_f, along_g = sign * along_f, sign * along_g
+    cosine = nf[0] * ng[0] + nf[1] * ng[1] + nf[2] * ng[2]
+    # n = alpha nf + beta ng; both must push.
+    if along_f - cosine * along_g < 0.0 or along_g - cosine * along_f < 0.0:
+        return False
+    scale = sign / length
+    nx, ny, nz = nx * scale, ny * scale, nz * scale
+    mx, my, mz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+    across = wx * mx + wy * my + wz * mz
+    to_ridge = (start[0] - local[0, a]) * mx + (start[1] - local[1, a]) * my + (start[2] - local[2, a]) * mz
+    place = min(max(to_ridge / across, 0.0), 1.0)
+    px, py, pz = local[0, a] + place * wx, local[1, a] + place * wy, local[2, a] + place * wz
+    part = ((px - start[0]) * ux + (py - start[1]) * uy + (pz - start[2]) * uz) / (ridge_length * ridge_length)
+    part = min(max(part, 0.0), 1.0)
+    result[0] = place
+    result[1], result[2], result[3] = nx, ny, nz
+    result[4], result[5], result[6] = start[0] + part * ux, start[1] + part * uy, start[2] + part * uz
+    return True
+
+
+@inline_kernel
+def clip_edge(
+    tool: Any, last: np.ndarray, local: np.ndarray, a: int, b: int, time: float
+) -> tuple[float, float, int, int]:
+    """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
+
+    Args:
+        tool: `ToolShape`.
+        last: (3, V) vertices at time 0 [u].
+        local: (3, V) vertices at time 1 [u].
+        a: First vertex of the edge.
+        b: Second vertex.
+        time: From 0 to 1; vertices move on straight lines.
+
+    Returns:
+        (first, end, plane_in, plane_out): where the edge comes in and goes out, as parts of its length, first > end
+        if it stays outside; and through which faces, -1 where it begins or ends inside.
+    """
+    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    ax, ay, az = (
+        last[0, a] + time * (local[0, a] - last[0, a]),
+        last[1, a] + time * (local[1, a] - last[1, a]),
+        last[2, a] + time * (local[2, a] - last[2, a]),
+    )
+    bx, by, bz = (
+        last[0, b] + time * (local[0, b] - last[0, b]),
+        last[1, b] + time * (local[1, b] - last[1, b]),
+        last[2, b] + time * (local[2, b] - last[2, b]),
+    )
+    first, end = 0.0, 1.0
+    plane_in, plane_out = -1, -1
+    for p in range(plane_offsets.shape[0]):
+        nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
+        limit = plane_offsets[p] + MARGIN
+        at_start, at_end = nx * ax + ny * ay + nz * az - limit, nx * bx + ny * by + nz * bz - limit
+        if at_start > 0.0 and at_end > 0.0:
+            return 2.0, 0.0, -1, -1
+        if at_start > 0.0:
+            place = at_start / (at_start - at_end)
+            if place > first:
+                first, plane_in = place, p
+        elif at_end > 0.0:
+            place = at_start / (at_start - at_end)
+            if place < end:
+                end, plane_out = place, p
+        if first > end:
+            return 2.0, 0.0, -1, -1
+    return first, end, plane_in, plane_out
+
+
+@inline_kernel
+def touched_plane(tool: Any, last: np.ndarray, local: np.ndarray, i: int, time: float) -> int:
+    """The face that a vertex inside the tool touches at a time between two queries, -1 if it is deeper."""
+    best, highest = -1, -2.0 * MARGIN
+    for p in range(tool.plane_offsets.shape[0]):
+        height = -tool.plane_offsets[p]
+        for axis in range(3):
+            height += tool.plane_normals[p, axis] * (last[axis, i] + time * (local[axis, i] - last[axis, i]))
+        if height > highest:
+            best, highest = p, height
+    return best
+
+
+@inline_kernel
+def meeting_time(tool: Any, last: np.ndarray, local: np.ndarray, a: int, b: int) -> float:
+    """When, between two queries, an edge of the organ first touched the tool: from 0 to 1, or 2 if it did not."""
+    first, end, _, _ = clip_edge(tool, last, local, a, b, 0.0)
+    if first <= end:
+        return 0.0
+    way = 0.0
+    for axis in range(3):
+        way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
+    samples = min(1 + int(way / (EDGE_PART * tool.extent[7])), MOST_SAMPLES)
+    low, high = 0.0, 2.0
+    for sample in range(1, samples + 1):
+        first, end, _, _ = clip_edge(tool, last, local, a, b, sample / samples)
+        if first <= end:
+            high = sample / samples
+            break
+        low = sample / samples
+    if high > 1.0:
+        return 2.0
+    for _ in range(BISECTIONS):
+        time = 0.5 * (low + high)
+        first, end, _, _ = clip_edge(tool, last, local, a, b, time)
+        if first <= end:
+            high = time
+        else:
+            low = time
+    return high
+
+
+@inline_kernel
+def gather_edges(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    found: int,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append constraints for each edge of the organ that came into the tool or touches it.
+
+    When an edge first touches the tool, hardly any of it is inside, and between which faces tells what it lies over: an
+    edge of the tool that two faces share, or one face between two of the edges around it.
+    """
+    local, last, candidates = memory.local, memory.last_local, memory.candidates
+    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    contact = np.empty(7)
+    for k in range(found):
+        t = candidates[k]
+        for side in range(3):
+            a, b = triangles[t, side], triangles[t, (side + 1) % 3]
+            # Two triangles share an edge, in opposite directions.
+            if a > b or memory.codes[a] & memory.codes[b] != 0:
+                continue
+            time = meeting_time(tool, last, local, a, b)
+            if time > 1.0:
+                continue
+            first, end, plane_in, plane_out = clip_edge(tool, last, local, a, b, time)
+            # An end that touches a face has come in by it.
+            if plane_in < 0:
+                plane_in = touched_plane(tool, last, local, a, time)
+            if plane_out < 0:
+                plane_out = touched_plane(tool, last, local, b, time)
+            # The face over which the edge lay: where it is least deep.
+            met, least = -1, np.inf
+            for p in range(plane_offsets.shape[0]):
+                deepest = -np.inf
+                for which in range(2):
+                    place = first if which == 0 else end
+                    height = -plane_offsets[p]
+                    for axis in range(3):
+                        at_a = last[axis, a] + time * (local[axis, a] - last[axis, a])
+                        at_b = last[axis, b] + time * (local[axis, b] - last[axis, b])
+                        height += plane_normals[p, axis] * (at_a + place * (at_b - at_a))
+                    deepest = max(deepest, -height)
+                if deepest < least:
+                    met, least = p, deepest
+            nx, ny, nz = plane_normals[met, 0], plane_normals[met, 1], plane_normals[met, 2]
+            for which in range(2):
+                border = plane_in if which == 0 else plane_out
+                if border < 0 or border == met:
+                    continue
+                if ridge_contact(tool, border, met, local, a, b, contact):
+                    s = contact[0]
+                    along = contact[1] * nx + contact[2] * ny + contact[3] * nz
+                    count = append_constraint(
+                        rows, features, names, count, (a, b, b), (1.0 - s, s, 0.0),
+                        (contact[1], contact[2], contact[3]), (contact[4], contact[5], contact[6]),
+                        last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+                        met if along > 0.7 else border,
+                        constraint_name(ON_EDGE, which, a + first_vertex, b + first_vertex),
+                    )  # fmt: skip
+                else:
+                    place = first if which == 0 else end
+                    x = local[0, a] + place * (local[0, b] - local[0, a])
+                    y = local[1, a] + place * (local[1, b] - local[1, a])
+                    z = local[2, a] + place * (local[2, b] - local[2, a])
+                    depth = nx * x + ny * y + nz * z - plane_offsets[met]
+                    count = append_constraint(
+                        rows, features, names, count, (a, b, b), (1.0 - place, place, 0.0), (nx, ny, nz),
+                        (x - depth * nx, y - depth * ny, z - depth * nz),
+                        last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+                        met, constraint_name(ON_EDGE, 2 + which, a + first_vertex, b + first_vertex),
+                    )  # fmt: skip
+    return count

@@ -1,0 +1,393 @@
+"""All contacts of one physics step, in one call: divide the step, detect, constrain, solve, and sum up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.features import (
+    find_candidates,
+    gather_corners,
+    gather_edges,
+    gather_ground,
+    gather_nodes,
+    gather_vertices,
+)
+from spatula_env.contact.flags import decide_flags, fill_local, fill_record, fill_rotation, lead_by_motion
+from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
+from spatula_env.contact.raycast import cast_columns
+from spatula_env.contact.response import measure_gaps, solve_positions, solve_velocities
+from spatula_env.contact.structures import (
+    CONSTRAINTS,
+    DISPLACEMENT,
+    FRICTION,
+    GROUND,
+    IMPULSE,
+    MEMORIES,
+    NORMAL,
+    ORIGIN,
+    OWNER,
+    POINT,
+    SURFACES,
+    TOOLS,
+    WEIGHTS,
+    reserve,
+)
+
+F8, F8_2 = ARRAYS["f8"], ARRAYS["f8_2"]
+
+POSITION_TOLERANCE = 1e-5
+"""The position solve ends when a sweep moves no constrained point farther than this [u]."""
+
+VELOCITY_TOLERANCE = 1e-4
+"""The velocity solve ends when a sweep changes no constrained point's velocity by more than this [u/s]."""
+
+RESIDUAL_TOLERANCE = 1e-3
+"""Contacts are looked for again, where the last solve has moved the organ to, until none is deeper than this [u]."""
+
+MOST_PASSES = 6
+"""Most times that contacts are looked for in one query."""
+
+MOST_SWEEPS = 50
+"""Most sweeps in one solve. More do not change forces or residuals of a press in the fourth digit."""
+
+PATH_PART = 0.5
+"""Greatest motion of a tool between two queries, in its thicknesses."""
+
+ORGAN_PART = 0.5
+"""Greatest motion of an organ's node between two queries, in mean edges of the organ."""
+
+COURANT_LIMIT = 0.125
+"""Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
+the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
+
+MOST_PASSED = 512
+"""Most contacts remembered from earlier queries of a step."""
+
+FLAGS, SECOND_STEP = 0, 1
+"""What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
+
+SETTINGS_LENGTH = 8
+DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION = 0, 1, 2, 3, 4
+"""Columns of the settings."""
+
+PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, STATUS = 0, 1, 2, 3, 4
+RESULT_LENGTH = 8
+"""Columns of the result."""
+
+
+@inline_kernel
+def _add_passed(
+    count: int,
+    passed: int,
+    constraints: Any,
+    earlier: Any,
+    positions: np.ndarray,
+) -> int:
+    """Append the contacts that pushed in an earlier query and are no longer there; without friction.
+
+    Their planes have moved on with the tools, to positions (N, 3). Returns the new count.
+    """
+    rows, features, names = constraints.rows, constraints.features, constraints.names
+    current = count
+    for e in range(passed):
+        known = False
+        for c in range(current):
+            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
+                known = True
+                break
+        if not known:
+            rows[count] = earlier.rows[e]
+            features[count] = earlier.features[e]
+            names[count] = earlier.names[e]
+            rows[count, FRICTION] = 0.0
+            for axis in range(3):
+                rows[count, IMPULSE + axis] = 0.0
+                rows[count, POINT + axis] += positions[features[count, OWNER], axis] - rows[count, ORIGIN + axis]
+            count += 1
+    return count
+
+
+@inline_kernel
+def _note_passed(count: int, passed: int, constraints: Any, earlier: Any, position: np.ndarray) -> int:
+    """Keep the tools' contacts that have just pushed, for the velocity solve at the end of the step.
+
+    Returns how many are kept. Their origin becomes the tool's position (N, 3) at this query.
+    """
+    rows, features, names = constraints.rows, constraints.features, constraints.names
+    for c in range(count):
+        pushed = 0.0
+        for axis in range(3):
+            pushed += rows[c, DISPLACEMENT + axis] * rows[c, NORMAL + axis]
+        if features[c, OWNER] == GROUND or pushed <= 0.0:
+            continue
+        place = passed
+        for e in range(passed):
+            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
+                place = e
+                break
+        if place == MOST_PASSED:
+            continue
+        earlier.rows[place] = rows[c]
+        earlier.features[place] = features[c]
+        earlier.names[place] = names[c]
+        for axis in range(3):
+            earlier.rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
+        passed = max(passed, place + 1)
+    return passed
+
+
+@inline_kernel
+def _sum_up(
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    tool_count: int,
+    positions: np.ndarray,
+    vertices: np.ndarray,
+    nodal_impulses: np.ndarray,
+    wrenches: np.ndarray,
+) -> None:
+    """Add up the impulses of a solve, for each node and each tool."""
+    nodal_impulses[:] = 0.0
+    wrenches[:] = 0.0
+    for c in range(count):
+        row = rows[c]
+        x, y, z = row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            continue
+        owner = features[c, OWNER]
+        into = wrenches[owner] if owner != GROUND else wrenches[tool_count]
+        into[0] -= x
+        into[1] -= y
+        into[2] -= z
+        if owner == GROUND:
+            continue
+        for axis in range(3):
+            row[POINT + axis] = 0.0
+        for corner in range(3):
+            weight, vertex = row[WEIGHTS + corner], features[c, corner]
+            for axis in range(3):
+                nodal_impulses[vertex, axis] += weight * row[IMPULSE + axis]
+                row[POINT + axis] += weight * vertices[vertex, axis]
+        ax, ay, az = (
+            row[POINT] - positions[owner, 0],
+            row[POINT + 1] - positions[owner, 1],
+            row[POINT + 2] - positions[owner, 2],
+        )
+        into[3] -= ay * z - az * y
+        into[4] -= az * x - ax * z
+        into[5] -= ax * y - ay * x
+
+
+@kernel(
+    types.int64(
+        TOOLS, MEMORIES, SURFACES, CONSTRAINTS, CONSTRAINTS, ARRAYS["i8"], F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8,
+        types.int64, types.int64, types.boolean, F8, F8, F8_2, F8_2, F8_2, F8_2, F8_2, F8,
+    )
+)  # fmt: skip
+def resolve_step(
+    tools: Any,
+    memories: Any,
+    surfaces: Any,
+    constraints: Any,
+    earlier: Any,
+    first_vertices: np.ndarray,
+    start_positions: np.ndarray,
+    start_orientations: np.ndarray,
+    positions: np.ndarray,
+    orientations: np.ndarray,
+    linear_velocities: np.ndarray,
+    angular_velocities: np.ndarray,
+    friction: np.ndarray,
+    mode: int,
+    first_step: int,
+    exclusive: bool,
+    settings: np.ndarray,
+    inverse_mass: np.ndarray,
+    start: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    nodal_impulses: np.ndarray,
+    wrenches: np.ndarray,
+    result: np.ndarray,
+) -> int:
+    """Resolve all contacts at the end of a step.
+
+    Args:
+        tools: `ToolShape` of the N tools; with none, only the ground counts.
+        memories: `PairMemory` of each tool (outer) and organ (inner).
+        surfaces: Triangles (T, 3) of each organ, counting its own vertices.
+        constraints: Room for constraints.
+        earlier: Room for `MOST_PASSED` constraints.
+        first_vertices: (O,) index of each organ's first vertex among all.
+        start_positions: (N, 3) of the tools at the start of the step [u].
+        start_orientations: (N, 4).
+        positions: (N, 3) at its end [u].
+        orientations: (N, 4).
+        linear_velocities: (N, 3) [u/s].
+        angular_velocities: (N, 3) [rad/s].
+        friction: (N,) coefficients.
+        mode: `FLAGS` or `SECOND_STEP`.
+        first_step: Code of the detectors' first step.
+        exclusive: As in the detectors.
+        settings: (8,) by the column names of this module.
+        inverse_mass: (V,) [1/kg].
+        start: (V, 3) nodes at the start of the step [u].
+        vertices: (V, 3) nodes at its end; corrected [u].
+        velocities: (V, 3) of the nodes; changed by the contacts' impulses [u/s].
+        nodal_impulses: (V, 3) written: what the tools gave the nodes [kg u/s].
+        wrenches: (N + 1, 6) written: impulse and its moment about each tool's origin, that the organs give the tool;
+            last what they give the ground [kg u/s, kg u2/s].
+        result: (8,) written, by the column names of this module.
+
+    Returns:
+        0; otherwise what `raycast.cast_columns` returned.
+    """
+    dt, mean_edge = settings[DT], settings[MEAN_EDGE]
+    tool_count, organ_count = len(tools), len(surfaces)
+    vertex_count = vertices.shape[0]
+    result[:] = 0.0
+    # Divide the step so that nothing moves too far between two queries for the flags to follow.
+    parts, organ_parts = 1, 1
+    for k in range(tool_count):
+        tool = tools[k]
+        radius = tool.extent[6]
+        if tool_passes(start_positions[k], positions[k], radius, start, vertices):
+            speed = np.sqrt((linear_velocities[k] ** 2).sum()) + radius * np.sqrt((angular_velocities[k] ** 2).sum())
+            parts = max(parts, int(np.ceil(speed * dt / (PATH_PART * tool.extent[7]))))
+    if tool_count > 0:
+        organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
+    queries = organ_parts + parts - 1 + (1 if parts > 1 else 0)
+    if parts == 1:
+        queries = organ_parts
+    result[QUERIES] = queries
+    reference = start
+    shift = start
+    if queries > 1:
+        shift = vertices - start
+        vertices[:] = start
+    position, rotation, last_position, last_rotation = (
+        np.empty((tool_count, 3)),
+        np.empty((tool_count, 9)),
+        np.empty((tool_count, 3)),
+        np.empty((tool_count, 9)),
+    )
+    orientation = np.empty(4)
+    linear, angular = np.empty((tool_count, 3)), np.empty((tool_count, 3))
+    for k in range(tool_count):
+        speed = np.sqrt((linear_velocities[k] ** 2).sum()) + tools[k].extent[6] * np.sqrt(
+            (angular_velocities[k] ** 2).sum()
+        )
+        greatest = COURANT_LIMIT * mean_edge / dt
+        limit = greatest / speed if speed > greatest else 1.0
+        for axis in range(3):
+            linear[k, axis] = limit * linear_velocities[k, axis]
+            angular[k, axis] = limit * angular_velocities[k, axis]
+            last_position[k, axis] = start_positions[k, axis]
+        fill_rotation(start_orientations[k], 1.0, last_rotation[k])
+    count, passed = 0, 0
+    organ_done = 0.0
+    for query in range(queries):
+        # The organs move first, against the tools where they were; then the tools.
+        organ_part = min((query + 1) / organ_parts, 1.0) if query < organ_parts else 1.0
+        tool_part = 1.0
+        if parts > 1:
+            tool_part = max(query + 1 - organ_parts, 0) / parts
+        elif query < organ_parts - 1:
+            tool_part = 0.0
+        if queries > 1:
+            reference = vertices.copy()
+            for i in range(vertex_count):
+                for axis in range(3):
+                    vertices[i, axis] += (organ_part - organ_done) * shift[i, axis]
+            organ_done = organ_part
+        for k in range(tool_count):
+            tool = tools[k]
+            for axis in range(3):
+                way = positions[k, axis] - start_positions[k, axis]
+                position[k, axis] = positions[k, axis] - (1.0 - tool_part) * way
+            turn_between(start_orientations[k], orientations[k], tool_part, orientation)
+            fill_rotation(orientation, 1.0, rotation[k])
+            for o in range(organ_count):
+                memory = memories[k * organ_count + o]
+                first = first_vertices[o]
+                own = vertices[first : first + memory.local.shape[1]]
+                status: int = cast_columns(position[k], rotation[k], own, surfaces[o], tool, memory)
+                if status != 0:
+                    return status
+                fill_local(last_position[k], last_rotation[k], reference, first, memory.last_local)
+                fill_local(position[k], rotation[k], own, 0, memory.local)
+                memory.states[3] = memory.states[0]
+                lead_by_motion(tool, memory, surfaces[o])
+                decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
+        for attempt in range(MOST_PASSES):
+            count = 0
+            if settings[HAS_GROUND] > 0.0:
+                reserve(constraints, count, vertex_count)
+                count = gather_ground(
+                    constraints.rows, constraints.features, constraints.names, count, vertices, reference,
+                    inverse_mass, settings[GROUND_HEIGHT], settings[GROUND_FRICTION],
+                )  # fmt: skip
+            for k in range(tool_count):
+                tool = tools[k]
+                for o in range(organ_count):
+                    memory, first, triangles = memories[k * organ_count + o], first_vertices[o], surfaces[o]
+                    found = 0
+                    if mode == FLAGS:
+                        if attempt > 0:
+                            fill_local(position[k], rotation[k], vertices, first, memory.local)
+                        found = find_candidates(tool, memory, triangles)
+                    nodes, corners = tool.nodes.shape[0], tool.corners.shape[0]
+                    reserve(constraints, count, count + nodes + 9 * found + 8 * corners)
+                    rows, features, names = constraints.rows, constraints.features, constraints.names
+                    before = count
+                    if found > 0:
+                        count = gather_vertices(
+                            rows, features, names, count, tool, memory, first, position[k], rotation[k], linear[k],
+                            angular[k], friction[k], k,
+                        )  # fmt: skip
+                        count = gather_corners(
+                            rows, features, names, count, count + 8 * corners, tool, memory, triangles, found, first,
+                            position[k], rotation[k], linear[k], angular[k], friction[k], k,
+                        )  # fmt: skip
+                        count = gather_edges(
+                            rows, features, names, count, tool, memory, triangles, found, first, position[k],
+                            rotation[k], linear[k], angular[k], friction[k], k,
+                        )  # fmt: skip
+                    if attempt == 0:
+                        # A tool that was put into an organ came through no face. Then the published method decides.
+                        if mode == FLAGS and count == before and not memory.states[0].any():
+                            for grade in (1, 0):
+                                if decide_flags(tool, memory, triangles, first_step, exclusive, grade)[0] > 0:
+                                    break
+                        fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k])
+                        result[PENETRATION] = max(result[PENETRATION], memory.record[:, 3].max())
+                    count = gather_nodes(
+                        rows, features, names, count, tool, memory, triangles, first, position[k], rotation[k],
+                        linear[k], angular[k], friction[k], k,
+                    )  # fmt: skip
+            rows, features = constraints.rows, constraints.features
+            violation = measure_gaps(count, rows, features, inverse_mass, vertices)
+            # The first solve is there for friction too, which holds a surface that only touches.
+            if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
+                break
+            solve_positions(count, rows, features, inverse_mass, vertices, MOST_SWEEPS, POSITION_TOLERANCE)
+            if query < queries - 1:
+                passed = _note_passed(count, passed, constraints, earlier, position)
+        for k in range(tool_count):
+            last_position[k] = position[k]
+            last_rotation[k] = rotation[k]
+    result[RESIDUAL] = measure_gaps(count, constraints.rows, constraints.features, inverse_mass, vertices)
+    if passed > 0:
+        reserve(constraints, count, count + passed)
+        count = _add_passed(count, passed, constraints, earlier, positions)
+        measure_gaps(count, constraints.rows, constraints.features, inverse_mass, vertices)
+    rows, features = constraints.rows, constraints.features
+    solve_velocities(count, rows, features, inverse_mass, velocities, dt, MOST_SWEEPS, VELOCITY_TOLERANCE)
+    result[CONTACT_COUNT] = count
+    _sum_up(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
+    return 0

@@ -1,0 +1,137 @@
+"""What a physics step tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spatula_env.contact.pressure import spread_forces
+from spatula_env.geometry.transforms import rotation_matrix
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from spatula_env.contact.flags import Contacts
+    from spatula_env.contact.model import Motions
+    from spatula_env.scenes import Scene
+
+    FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """What the organs do to one tool, averaged over a step.
+
+    Attributes:
+        force: (3,) [kg u/s2].
+        torque: (3,) about the tool's origin, world frame [kg u2/s2].
+        node_forces: (n, 3) spread over the contact nodes; they sum to `force` [kg u/s2]. NaN with `contact="bullet"`,
+            where Bullet does not tell.
+        pressures: (n,) the part of each node's force against its face, over the node's share of the face [kg/(u s2)].
+    """
+
+    force: FloatArray
+    torque: FloatArray
+    node_forces: FloatArray
+    pressures: FloatArray
+
+
+@dataclass(frozen=True)
+class Report:
+    """What happened in one step, in scene units.
+
+    Attributes:
+        scene: Which scene it happened in.
+        motions: How the tools moved.
+        loads: (N, 6) force and torque on each of the N tools, averaged over the step [kg u/s2, kg u2/s2].
+        nodal_impulses: (V, 3) what the tools gave the organs' nodes [kg u/s]; NaN with `contact="bullet"`, where
+            Bullet does not tell.
+        ground_force: (3,) what the ground does to the organs, averaged over the step [kg u/s2].
+        all_contacts: What the detector of each tool (outer) and organ (inner) found, before correction.
+        table: (C, 8) all points where something pushed; see `contact.pressure`. None with `contact="bullet"`.
+        penetration: Greatest depth of a contact node before correction [u].
+        residual: How far the tools are still in the organs after correction [u].
+        queries: How many times each detector was asked: more than once where something moved too far at once.
+    """
+
+    scene: Scene
+    motions: Motions
+    loads: FloatArray
+    nodal_impulses: FloatArray
+    ground_force: FloatArray
+    all_contacts: tuple[tuple[Contacts, ...], ...]
+    table: FloatArray | None
+    penetration: float
+    residual: float
+    queries: int
+
+    @property
+    def force(self) -> FloatArray:
+        """(3,) what the organs do to the first tool, averaged over the step [kg u/s2]."""
+        return self.loads[0, :3]
+
+    @property
+    def torque(self) -> FloatArray:
+        """(3,) about the first tool's origin, world frame [kg u2/s2]."""
+        return self.loads[0, 3:]
+
+    @property
+    def contacts(self) -> Contacts:
+        """What the detector of the first tool and the first organ found, before correction."""
+        return self.all_contacts[0][0]
+
+    @property
+    def force_newtons(self) -> FloatArray:
+        """(3,) `force` in newtons."""
+        return self.force * self.scene.scale.force
+
+    @property
+    def torque_newton_metres(self) -> FloatArray:
+        """(3,) `torque` in newton-metres."""
+        return self.torque * self.scene.scale.torque
+
+    @cached_property
+    def wrenches(self) -> tuple[Wrench, ...]:
+        """What the organs do to each tool, and how it is spread over the contact nodes."""
+        return tuple(self._wrench(index) for index in range(len(self.loads)))
+
+    @cached_property
+    def pressures_pascals(self) -> FloatArray:
+        """(n,) contact pressure on each node of the first tool [Pa]."""
+        return self.wrenches[0].pressures * self.scene.scale.pressure
+
+    @cached_property
+    def peak_pressure_pascals(self) -> float:
+        """Greatest contact pressure on any node of any tool [Pa]."""
+        return max(float(wrench.pressures.max()) for wrench in self.wrenches) * self.scene.scale.pressure
+
+    def _wrench(self, index: int) -> Wrench:
+        tool = self.scene.tools[index].tool
+        forces = np.full((len(tool.nodes), 3), np.nan)
+        rotation = rotation_matrix(self.motions.orientations[index])
+        if self.table is not None:
+            flags = np.any([contacts.flags for contacts in self.all_contacts[index]], axis=0)
+            reach = min(float(placed.organ.edge_lengths.mean()) for placed in self.scene.organs)
+            spread_forces(
+                self.table,
+                index,
+                self.motions.positions[index],
+                rotation.ravel(),
+                np.array(tool.nodes),
+                np.array(tool.face),
+                np.array(tool.areas),
+                flags,
+                reach,
+                self.scene.dt,
+                forces,
+            )
+        against = -np.einsum("ij,ij->i", forces, tool.normals @ rotation.T)
+        return Wrench(
+            force=self.loads[index, :3],
+            torque=self.loads[index, 3:],
+            node_forces=forces,
+            pressures=np.maximum(against, 0.0) / tool.areas,
+        )
