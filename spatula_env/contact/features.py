@@ -182,16 +182,21 @@ def find_candidates(tool: Any, memory: Any, triangles: np.ndarray) -> int:
     """List the triangles whose way since the last query may have met the tool. Returns how many."""
     local, last, codes, extent = memory.local, memory.last_local, memory.codes, tool.extent
     candidates = memory.candidates
+    low_x, low_y, low_z = extent[0] - MARGIN, extent[1] - MARGIN, extent[2] - MARGIN
+    high_x, high_y, high_z = extent[3] + MARGIN, extent[4] + MARGIN, extent[5] + MARGIN
     for i in range(local.shape[1]):
-        code = 0
-        for axis in range(3):
-            low, high = extent[axis] - MARGIN, extent[3 + axis] + MARGIN
-            code |= ((local[axis, i] < low) & (last[axis, i] < low)) << (2 * axis)
-            code |= ((local[axis, i] > high) & (last[axis, i] > high)) << (2 * axis + 1)
-        codes[i] = code
+        codes[i] = (
+            (max(local[0, i], last[0, i]) < low_x)
+            | ((max(local[1, i], last[1, i]) < low_y) << 1)
+            | ((max(local[2, i], last[2, i]) < low_z) << 2)
+            | ((min(local[0, i], last[0, i]) > high_x) << 3)
+            | ((min(local[1, i], last[1, i]) > high_y) << 4)
+            | ((min(local[2, i], last[2, i]) > high_z) << 5)
+        )
     found = 0
     for t in range(triangles.shape[0]):
-        if codes[triangles[t, 0]] & codes[triangles[t, 1]] & codes[triangles[t, 2]] == 0:
+        a, b, c = np.uint32(triangles[t, 0]), np.uint32(triangles[t, 1]), np.uint32(triangles[t, 2])
+        if codes[a] & codes[b] & codes[c] == 0:
             candidates[found] = t
             found += 1
     return found
@@ -303,6 +308,14 @@ def meeting_weights(
 
 
 @inline_kernel
+def _swept_range(local: np.ndarray, last: np.ndarray, axis: int, a: int, b: int, c: int) -> tuple[float, float]:
+    """Least and greatest coordinate of a triangle between two queries, with a margin."""
+    low = min(min(local[axis, a], local[axis, b], local[axis, c]), min(last[axis, a], last[axis, b], last[axis, c]))
+    high = max(max(local[axis, a], local[axis, b], local[axis, c]), max(last[axis, a], last[axis, b], last[axis, c]))
+    return low - MARGIN, high + MARGIN
+
+
+@inline_kernel
 def gather_corners(
     rows: np.ndarray,
     features: np.ndarray,
@@ -328,13 +341,13 @@ def gather_corners(
         t = candidates[k]
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         has_normals = False
+        low_x, high_x = _swept_range(local, last, 0, a, b, c)
+        low_y, high_y = _swept_range(local, last, 1, a, b, c)
+        low_z, high_z = _swept_range(local, last, 2, a, b, c)
         for corner in range(corners.shape[0]):
-            outside = False
-            for axis in range(3):
-                place = corners[corner, axis]
-                low = min(local[axis, a], local[axis, b], local[axis, c], last[axis, a], last[axis, b], last[axis, c])
-                high = max(local[axis, a], local[axis, b], local[axis, c], last[axis, a], last[axis, b], last[axis, c])
-                outside |= place < low - MARGIN or place > high + MARGIN
+            outside = (corners[corner, 0] < low_x) | (corners[corner, 0] > high_x)
+            outside |= (corners[corner, 1] < low_y) | (corners[corner, 1] > high_y)
+            outside |= (corners[corner, 2] < low_z) | (corners[corner, 2] > high_z)
             if outside:
                 continue
             if not has_normals:
@@ -481,12 +494,16 @@ def touched_plane(tool: Any, last: np.ndarray, local: np.ndarray, i: int, time: 
 @inline_kernel
 def meeting_time(tool: Any, last: np.ndarray, local: np.ndarray, a: int, b: int) -> float:
     """When, between two queries, an edge of the organ first touched the tool: from 0 to 1, or 2 if it did not."""
+    way = 0.0
+    for axis in range(3):
+        low = min(min(local[axis, a], local[axis, b]), min(last[axis, a], last[axis, b]))
+        high = max(max(local[axis, a], local[axis, b]), max(last[axis, a], last[axis, b]))
+        if low > tool.extent[3 + axis] + MARGIN or high < tool.extent[axis] - MARGIN:
+            return 2.0
+        way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
     first, end, _, _ = clip_edge(tool, last, local, a, b, 0.0)
     if first <= end:
         return 0.0
-    way = 0.0
-    for axis in range(3):
-        way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
     samples = min(1 + int(way / (EDGE_PART * tool.extent[7])), MOST_SAMPLES)
     low, high = 0.0, 2.0
     for sample in range(1, samples + 1):

@@ -136,8 +136,9 @@ def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray)
     area_b = (c[u] - point[u]) * (a[v] - point[v]) - (c[v] - point[v]) * (a[u] - point[u])
     area_c = (a[u] - point[u]) * (b[v] - point[v]) - (a[v] - point[v]) * (b[u] - point[u])
     scale = 1.0 / (area_a + area_b + area_c)
-    record[0], record[1] = max(area_a * scale, 0.0), max(area_b * scale, 0.0)
-    record[2] = max(1.0 - record[0] - record[1], 0.0)
+    record[0] = min(max(area_a * scale, 0.0), 1.0)
+    record[1] = min(max(area_b * scale, 0.0), 1.0 - record[0])
+    record[2] = 1.0 - record[0] - record[1]
 
 
 @inline_kernel
@@ -192,7 +193,7 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
     point of the surface that the node would push. `PairMemory.local` and `last_local` hold that motion.
     """
     nodes, normals, face, hits, distances = tool.nodes, tool.normals, tool.face, memory.hits, memory.distances
-    leading, came_through, last = memory.states[2], memory.states[5], memory.last_local
+    leading, came_through, last, record = memory.states[2], memory.states[5], memory.last_local, memory.record
     for i in range(nodes.shape[0]):
         came_through[i] = False
         if hits[i, 0, 1] <= 0:
@@ -203,6 +204,11 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
         y = nodes[i, 1] - distances[i, 0] * normals[i, 1]
         z = nodes[i, 2] - distances[i, 0] * normals[i, 2]
         wa, wb, wc = triangle_weights(memory.local, a, b, c, x, y, z)
+        # A triangle seen edge-on may round to anything.
+        wa = min(max(wa, 0.0), 1.0)
+        wb = min(max(wb, 0.0), 1.0 - wa)
+        wc = 1.0 - wa - wb
+        record[i, 0], record[i, 1], record[i, 2] = wa, wb, wc
         last_x = wa * last[0, a] + wb * last[0, b] + wc * last[0, c]
         last_y = wa * last[1, a] + wb * last[1, b] + wc * last[1, c]
         last_z = wa * last[2, a] + wb * last[2, b] + wc * last[2, c]
@@ -274,8 +280,12 @@ def fill_record(
     triangles: np.ndarray,
     position: np.ndarray,
     rotation: np.ndarray,
+    has_weights: bool,
 ) -> None:
-    """Write triangle and record of all nodes, after the flags have been decided."""
+    """Write triangle and record of all nodes, after the flags have been decided.
+
+    Weights of flagged nodes may be there already.
+    """
     nodes, normals, flags, hits, distances = tool.nodes, tool.normals, memory.states[0], memory.hits, memory.distances
     triangle, record = memory.triangle, memory.record
     corners = np.empty(3, np.int32)
@@ -283,9 +293,9 @@ def fill_record(
         triangle[i] = NO_HIT
         rx, ry, rz = turn(rotation, nodes[i])
         record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
-        for k in range(7):
-            record[i, k] = 0.0
         if not flags[i]:
+            for k in range(7):
+                record[i, k] = 0.0
             continue
         triangle[i] = hits[i, 0, 0]
         for k in range(3):
@@ -296,7 +306,8 @@ def fill_record(
         record[i, 7] -= nx * distances[i, 0]
         record[i, 8] -= ny * distances[i, 0]
         record[i, 9] -= nz * distances[i, 0]
-        _fill_weights(record[i], vertices, corners)
+        if not has_weights:
+            _fill_weights(record[i], vertices, corners)
 
 
 @kernel(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
@@ -329,7 +340,7 @@ def detect_contacts(
     memory.states[3] = memory.states[0]
     lead_by_velocity(tool, memory, rotation, linear_velocity, angular_velocity)
     decide_flags(tool, memory, triangles, first_step, exclusive, 0)
-    fill_record(tool, memory, vertices, 0, triangles, position, rotation)
+    fill_record(tool, memory, vertices, 0, triangles, position, rotation, False)
     return 0
 
 

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spatula_env.contact import step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
 from spatula_env.contact.pressure import contact_table
-from spatula_env.contact.structures import make_constraints, memory_list, surface_list, tool_list
+from spatula_env.contact.structures import (
+    copy_constraints,
+    make_constraints,
+    memory_list,
+    restore_constraints,
+    surface_list,
+    tool_list,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,6 +48,38 @@ class Motions:
     orientations: FloatArray
     linear_velocities: FloatArray
     angular_velocities: FloatArray
+
+
+@dataclass(frozen=True)
+class ContactMemory:
+    """What a contact model remembers from one step to the next.
+
+    Attributes:
+        flags: Of each tool (outer) and organ (inner).
+        multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
+        ledger: Of the energy that the tools put in; see `step`.
+    """
+
+    flags: tuple[tuple[NDArray[np.bool_], ...], ...]
+    multipliers: tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], ...]
+    ledger: FloatArray
+
+
+@dataclass
+class Resolved:
+    """Nodes after contact.
+
+    Attributes:
+        nodes: (V, 3) positions [u].
+        velocities: (V, 3) [u/s].
+        displacements: (V, 3) what contact added to the positions [u].
+        velocity_changes: (V, 3) what it added to the velocities [u/s].
+    """
+
+    nodes: FloatArray
+    velocities: FloatArray
+    displacements: FloatArray
+    velocity_changes: FloatArray
 
 
 class ContactModel:
@@ -79,6 +118,8 @@ class ContactModel:
         self._surfaces = surface_list(self._triangles)
         self._constraints = make_constraints(256)
         self._earlier = make_constraints(step.MOST_PASSED)
+        self._warm = make_constraints(256), make_constraints(256)
+        self._warm_counts = np.zeros(2, dtype=np.int64)
         self._first_vertices = starts[:-1].astype(np.int64)
         self._friction = np.array([placed.friction for placed in scene.tools])
         self._mode = step.SECOND_STEP if first_step == "off" else step.FLAGS
@@ -86,6 +127,13 @@ class ContactModel:
         self._settings = np.zeros(step.SETTINGS_LENGTH)
         self._settings[step.DT] = scene.dt
         self._settings[step.MEAN_EDGE] = min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
+        self._settings[step.GRAVITY] = scene.gravity
+        # The kinetic energy of all organs at a mean edge per second.
+        mass = sum(placed.mass for placed in scene.organs)
+        self._settings[step.LEAST_ENERGY] = 0.5 * mass * self._settings[step.MEAN_EDGE] ** 2
+        self._ledger = np.zeros(step.LEDGER_LENGTH)
+        free = inverse_masses[inverse_masses > 0.0]
+        self._settings[step.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
         if scene.ground is not None:
             self._settings[step.HAS_GROUND] = 1.0
             self._settings[step.GROUND_HEIGHT] = scene.ground.height
@@ -108,15 +156,38 @@ class ContactModel:
         """Forget all contacts."""
         for index in range(len(self.detectors)):
             self.forget(index)
-        self.nodal_impulses[:] = 0.0
+        self.nodal_impulses = np.zeros_like(self.nodal_impulses)
         self.wrenches = np.zeros_like(self.wrenches)
         self.ground_force = np.zeros(3)
         self.penetration = self.residual = 0.0
+        self._warm_counts[:] = 0
+        self._ledger[:] = 0.0
 
     def forget(self, tool: int) -> None:
         """Clear the flags of one tool."""
         for detector in self.detectors[tool]:
             detector.reset()
+
+    def save(self) -> ContactMemory:
+        """Everything that is remembered, as arrays of its own."""
+        return ContactMemory(
+            flags=tuple(tuple(detector.flags for detector in row) for row in self.detectors),
+            multipliers=tuple(
+                copy_constraints(warm, count)
+                for warm, count in zip(self._warm, self._warm_counts.tolist(), strict=True)
+            ),
+            ledger=self._ledger.copy(),
+        )
+
+    def restore(self, memory: ContactMemory) -> None:
+        """Go back to what was remembered, here or by another model of the same scene."""
+        for row, saved in zip(self.detectors, memory.flags, strict=True):
+            for detector, flags in zip(row, saved, strict=True):
+                detector.flags = flags
+        for index, (warm, parts) in enumerate(zip(self._warm, memory.multipliers, strict=True)):
+            restore_constraints(warm, *(part.copy() for part in parts))
+            self._warm_counts[index] = len(parts[0])
+        self._ledger[:] = memory.ledger
 
     def observe(self, vertices: FloatArray, motions: Motions) -> None:
         """Detect the tools' contacts at the end of a step without resolving them."""
@@ -135,25 +206,33 @@ class ContactModel:
         self.queries = 1
         self.residual = self.penetration = deepest
 
-    def resolve(self, start: FloatArray, vertices: FloatArray, velocities: FloatArray, motions: Motions | None) -> None:
-        """Resolve all contacts at the end of a step; the results are this object's attributes.
+    def resolve(
+        self, start: FloatArray, free_nodes: FloatArray, free_velocities: FloatArray, motions: Motions | None
+    ) -> Resolved:
+        """Resolve all contacts at the end of a step; what it comes to is in this object's attributes as well.
 
         Args:
             start: (V, 3) nodes at the start of the step [u].
-            vertices: (V, 3) nodes at its end; corrected in place [u].
-            velocities: (V, 3) of the nodes; changed in place by the contacts' impulses [u/s].
+            free_nodes: (V, 3) nodes at its end, without contact [u].
+            free_velocities: (V, 3) of the nodes, without contact [u/s].
             motions: What the tools did meanwhile; None if only the ground counts.
+
+        Returns:
+            Where the nodes are and how fast; arrays of their own.
         """
         result = self._result
         tools = self._tools
         if motions is None:
             motions, tools = self._nothing, self._no_tools
+        resolved, self.nodal_impulses = Resolved(*(room := np.empty((5, *start.shape)))[:4]), room[4]
         status = step.resolve_step(
             tools,
             self._memories,
             self._surfaces,
             self._constraints,
             self._earlier,
+            *self._warm,
+            self._warm_counts,
             self._first_vertices,
             motions.start_positions,
             motions.start_orientations,
@@ -167,9 +246,14 @@ class ContactModel:
             True,
             self._settings,
             self._inverse_masses,
+            self._ledger,
             start,
-            vertices,
-            velocities,
+            free_nodes,
+            free_velocities,
+            resolved.nodes,
+            resolved.velocities,
+            resolved.displacements,
+            resolved.velocity_changes,
             self.nodal_impulses,
             self._impulses,
             result,
@@ -184,6 +268,7 @@ class ContactModel:
         self.ground_force = -impulses[len(motions.positions), :3]
         if tools is self._tools:
             self.wrenches = impulses[:-1]
+        return resolved
 
     def contact_table(self) -> FloatArray:
         """(C, 8) where something pushed in the last step; see `pressure.contact_table`."""

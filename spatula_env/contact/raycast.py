@@ -272,6 +272,12 @@ def cast_columns(
     node_height, hits, distances = tool.node_height, memory.hits, memory.distances
     local, codes = memory.ray_local, memory.codes
     vertex_count, triangle_count = vertices.shape[0], triangles.shape[0]
+    least, greatest = 0, 0
+    indices = triangles.reshape(-1)
+    for k in range(3 * triangle_count):
+        least, greatest = min(least, indices[k]), max(greatest, indices[k])
+    if least < 0 or greatest >= max(vertex_count, 1):
+        return 2
     for i in range(node_height.shape[0]):
         for side in range(2):
             hits[i, side, 0] = NO_HIT
@@ -302,9 +308,8 @@ def cast_columns(
             return 1
         first_row, last_row = group_rows[group], group_rows[group + 1]
         for k in range(triangle_count):
-            a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-            if group == 0 and (a < 0 or b < 0 or c < 0 or a >= vertex_count or b >= vertex_count or c >= vertex_count):
-                return 2
+            # Unsigned, so that no index is taken to count from the end.
+            a, b, c = np.uint32(triangles[k, 0]), np.uint32(triangles[k, 1]), np.uint32(triangles[k, 2])
             if codes[a] & codes[b] & codes[c]:
                 continue
             au, bu, cu = local[0, a], local[0, b], local[0, c]

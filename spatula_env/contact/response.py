@@ -69,9 +69,18 @@ def _push(
 
 @inline_kernel
 def measure_gaps(
-    count: int, rows: np.ndarray, features: np.ndarray, inverse_mass: np.ndarray, vertices: np.ndarray
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    inverse_mass: np.ndarray,
+    mean_inverse_mass: float,
+    vertices: np.ndarray,
 ) -> float:
-    """Write gap and inertia of all constraints, and return the greatest violation [u]."""
+    """Write gap and inertia of all constraints, and return the greatest violation [u].
+
+    Beside a fixed vertex a point of a triangle hardly moves however far the free vertices are moved. The inertia is
+    therefore reckoned as if fixed vertices were like others: what cannot be moved is not thrown.
+    """
     worst = 0.0
     for c in range(count):
         row = rows[c]
@@ -83,10 +92,34 @@ def measure_gaps(
             gap += (s - row[POINT + axis]) * row[NORMAL + axis]
         row[GAP] = gap
         mobility = a * a * inverse_mass[i] + b * b * inverse_mass[j] + d * d * inverse_mass[k]
-        row[INERTIA] = 1.0 / mobility if mobility > 0.0 else 0.0
+        row[INERTIA] = 0.0
         if mobility > 0.0:
             worst = max(worst, -gap)
+            mobility += a * a * mean_inverse_mass if inverse_mass[i] == 0.0 else 0.0
+            mobility += b * b * mean_inverse_mass if inverse_mass[j] == 0.0 else 0.0
+            mobility += d * d * mean_inverse_mass if inverse_mass[k] == 0.0 else 0.0
+            row[INERTIA] = 1.0 / mobility
     return worst
+
+
+@inline_kernel
+def start_pushed(
+    count: int, rows: np.ndarray, features: np.ndarray, inverse_mass: np.ndarray, column: int, of: np.ndarray
+) -> None:
+    """Begin a solve with multipliers that are there already, in three columns from `column`.
+
+    They are brought into the friction cone of the present normal and applied to positions or velocities (V, 3).
+    """
+    for c in range(count):
+        row = rows[c]
+        x, y, z = row[column], row[column + 1], row[column + 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            continue
+        nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+        along = max(x * nx + y * ny + z * nz, 0.0)
+        x, y, z = _project_onto_cone(x, y, z, nx, ny, nz, along, row[FRICTION])
+        row[column], row[column + 1], row[column + 2] = x, y, z
+        _push(row, features[c, 0], features[c, 1], features[c, 2], inverse_mass, x, y, z, of)
 
 
 @inline_kernel
@@ -204,3 +237,76 @@ def solve_velocities(
         if moved <= tolerance * tolerance:
             return sweep + 1
     return sweeps
+
+
+@inline_kernel
+def limit_energy(
+    first_vertices: np.ndarray,
+    inverse_mass: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    gravity: float,
+    rest_height: float,
+    allowed: float,
+) -> float:
+    """Take from the organs' motion what energy they cannot have.
+
+    A tool too fast to hand on its speed moves the organ by displacements, which stretch it without the tool feeling
+    it; let go, the organ would give that back as motion. As a passivity controller does (Hannaford and Ryu, IEEE
+    Transactions on Robotics and Automation 18(1), 2002), what exceeds the work that was put in is dissipated: the
+    nodes' velocities relative to each organ's mean are scaled down, which leaves its momentum alone.
+
+    Args:
+        first_vertices: (O,) index of each organ's first vertex.
+        inverse_mass: (V,) [1/kg]; fixed nodes have zero.
+        vertices: (V, 3) [u].
+        velocities: (V, 3); changed [u/s].
+        gravity: [u/s2].
+        rest_height: Sum of mass times height when nothing had been done yet [kg u].
+        allowed: Kinetic energy and energy of height that the organs may have [kg u2/s2].
+
+    Returns:
+        What was dissipated [kg u2/s2].
+    """
+    height, of_means, of_nodes = -rest_height, 0.0, 0.0
+    organs = first_vertices.shape[0]
+    mean = np.zeros((organs, 3))
+    for o in range(organs):
+        end = first_vertices[o + 1] if o + 1 < organs else vertices.shape[0]
+        mass, squares = 0.0, 0.0
+        for i in range(first_vertices[o], end):
+            if inverse_mass[i] == 0.0:
+                continue
+            m = 1.0 / inverse_mass[i]
+            mass += m
+            height += m * vertices[i, 2]
+            for axis in range(3):
+                mean[o, axis] += m * velocities[i, axis]
+                squares += m * velocities[i, axis] * velocities[i, axis]
+        if mass > 0.0:
+            for axis in range(3):
+                mean[o, axis] /= mass
+                squares -= mass * mean[o, axis] ** 2
+                of_means += 0.5 * mass * mean[o, axis] ** 2
+        of_nodes += 0.5 * max(squares, 0.0)
+    excess = of_means + of_nodes + gravity * height - allowed
+    if excess <= 0.0 or of_nodes == 0.0:
+        return 0.0
+    excess = min(excess, of_nodes)
+    scale = np.sqrt(1.0 - excess / of_nodes)
+    for o in range(organs):
+        end = first_vertices[o + 1] if o + 1 < organs else vertices.shape[0]
+        for i in range(first_vertices[o], end):
+            for axis in range(3):
+                velocities[i, axis] = mean[o, axis] + scale * (velocities[i, axis] - mean[o, axis])
+    return excess
+
+
+@inline_kernel
+def sum_heights(inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
+    """Sum of mass times height of all free nodes [kg u]."""
+    total = 0.0
+    for i in range(vertices.shape[0]):
+        if inverse_mass[i] > 0.0:
+            total += vertices[i, 2] / inverse_mass[i]
+    return total

@@ -19,7 +19,14 @@ from spatula_env.contact.features import (
 from spatula_env.contact.flags import decide_flags, fill_local, fill_record, fill_rotation, lead_by_motion
 from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
 from spatula_env.contact.raycast import cast_columns
-from spatula_env.contact.response import measure_gaps, solve_positions, solve_velocities
+from spatula_env.contact.response import (
+    limit_energy,
+    measure_gaps,
+    solve_positions,
+    solve_velocities,
+    start_pushed,
+    sum_heights,
+)
 from spatula_env.contact.structures import (
     CONSTRAINTS,
     DISPLACEMENT,
@@ -37,7 +44,7 @@ from spatula_env.contact.structures import (
     reserve,
 )
 
-F8, F8_2 = ARRAYS["f8"], ARRAYS["f8_2"]
+F8, F8_2, I8 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i8"]
 
 POSITION_TOLERANCE = 1e-5
 """The position solve ends when a sweep moves no constrained point farther than this [u]."""
@@ -71,12 +78,60 @@ FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
 
 SETTINGS_LENGTH = 8
-DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION = 0, 1, 2, 3, 4
+DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION, MEAN_INVERSE_MASS, GRAVITY, LEAST_ENERGY = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+)
 """Columns of the settings."""
 
+WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
+LEDGER_LENGTH = 4
+"""Columns of the ledger: work of the tools so far and the greatest it was [kg u2/s2], the sum of mass times height
+where counting began [kg u], and whether it has begun."""
+
+ENERGY_TOLERANCE = 0.002
+"""Part of the greatest work so far that the organs may have more than was put in: rounding and friction of a solve."""
+
 PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, STATUS = 0, 1, 2, 3, 4
-RESULT_LENGTH = 8
+RESULT_LENGTH = 5
 """Columns of the result."""
+
+
+@inline_kernel
+def _start_warm(
+    count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, column: int, known: int, warm: Any
+) -> None:
+    """Give constraints the multipliers, in three columns from `column`, that they had in the last step."""
+    hint = 0
+    for c in range(count):
+        for k in range(known):
+            e = hint + k if hint + k < known else hint + k - known
+            if names[c] == warm.names[e] and features[c, OWNER] == warm.features[e, OWNER]:
+                for axis in range(3):
+                    rows[c, column + axis] = warm.rows[e, column + axis]
+                hint = e + 1 if e + 1 < known else 0
+                break
+
+
+@inline_kernel
+def _keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, column: int, warm: Any) -> int:
+    """Note the multipliers for the next step; returns how many."""
+    reserve(warm, 0, count)
+    kept = 0
+    for c in range(count):
+        if rows[c, column] != 0.0 or rows[c, column + 1] != 0.0 or rows[c, column + 2] != 0.0:
+            warm.names[kept] = names[c]
+            warm.features[kept, OWNER] = features[c, OWNER]
+            for axis in range(3):
+                warm.rows[kept, column + axis] = rows[c, column + axis]
+            kept += 1
+    return kept
 
 
 @inline_kernel
@@ -185,16 +240,20 @@ def _sum_up(
 
 @kernel(
     types.int64(
-        TOOLS, MEMORIES, SURFACES, CONSTRAINTS, CONSTRAINTS, ARRAYS["i8"], F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8,
-        types.int64, types.int64, types.boolean, F8, F8, F8_2, F8_2, F8_2, F8_2, F8_2, F8,
+        *(TOOLS, MEMORIES, SURFACES, CONSTRAINTS, CONSTRAINTS, CONSTRAINTS, CONSTRAINTS, I8, I8),
+        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8, types.int64, types.int64, types.boolean, F8, F8, F8),
+        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8),
     )
-)  # fmt: skip
+)
 def resolve_step(
     tools: Any,
     memories: Any,
     surfaces: Any,
     constraints: Any,
     earlier: Any,
+    warm_positions: Any,
+    warm_velocities: Any,
+    warm_counts: np.ndarray,
     first_vertices: np.ndarray,
     start_positions: np.ndarray,
     start_orientations: np.ndarray,
@@ -208,9 +267,14 @@ def resolve_step(
     exclusive: bool,
     settings: np.ndarray,
     inverse_mass: np.ndarray,
+    ledger: np.ndarray,
     start: np.ndarray,
+    free_vertices: np.ndarray,
+    free_velocities: np.ndarray,
     vertices: np.ndarray,
     velocities: np.ndarray,
+    displacements: np.ndarray,
+    velocity_changes: np.ndarray,
     nodal_impulses: np.ndarray,
     wrenches: np.ndarray,
     result: np.ndarray,
@@ -223,6 +287,9 @@ def resolve_step(
         surfaces: Triangles (T, 3) of each organ, counting its own vertices.
         constraints: Room for constraints.
         earlier: Room for `MOST_PASSED` constraints.
+        warm_positions: Displacements of the last step's constraints, from which the position solve starts.
+        warm_velocities: Impulses of the last step's constraints, from which the velocity solve starts.
+        warm_counts: (2,) how many of each; written.
         first_vertices: (O,) index of each organ's first vertex among all.
         start_positions: (N, 3) of the tools at the start of the step [u].
         start_orientations: (N, 4).
@@ -236,13 +303,18 @@ def resolve_step(
         exclusive: As in the detectors.
         settings: (8,) by the column names of this module.
         inverse_mass: (V,) [1/kg].
+        ledger: (4,) by the column names of this module; goes on from step to step.
         start: (V, 3) nodes at the start of the step [u].
-        vertices: (V, 3) nodes at its end; corrected [u].
-        velocities: (V, 3) of the nodes; changed by the contacts' impulses [u/s].
+        free_vertices: (V, 3) nodes at its end, without contact [u].
+        free_velocities: (V, 3) [u/s].
+        vertices: (V, 3) written: nodes at the end of the step [u].
+        velocities: (V, 3) written [u/s].
+        displacements: (V, 3) written: what contact adds to positions [u].
+        velocity_changes: (V, 3) written: what contact adds to velocities [u/s].
         nodal_impulses: (V, 3) written: what the tools gave the nodes [kg u/s].
         wrenches: (N + 1, 6) written: impulse and its moment about each tool's origin, that the organs give the tool;
             last what they give the ground [kg u/s, kg u2/s].
-        result: (8,) written, by the column names of this module.
+        result: (5,) written, by the column names of this module.
 
     Returns:
         0; otherwise what `raycast.cast_columns` returned.
@@ -251,12 +323,17 @@ def resolve_step(
     tool_count, organ_count = len(tools), len(surfaces)
     vertex_count = vertices.shape[0]
     result[:] = 0.0
+    for i in range(vertex_count):
+        for axis in range(3):
+            vertices[i, axis], velocities[i, axis] = free_vertices[i, axis], free_velocities[i, axis]
     # Divide the step so that nothing moves too far between two queries for the flags to follow.
     parts, organ_parts = 1, 1
+    passes = np.zeros(tool_count, np.bool_)
     for k in range(tool_count):
         tool = tools[k]
         radius = tool.extent[6]
-        if tool_passes(start_positions[k], positions[k], radius, start, vertices):
+        passes[k] = tool_passes(start_positions[k], positions[k], radius, start, vertices)
+        if passes[k]:
             speed = np.sqrt((linear_velocities[k] ** 2).sum()) + radius * np.sqrt((angular_velocities[k] ** 2).sum())
             parts = max(parts, int(np.ceil(speed * dt / (PATH_PART * tool.extent[7]))))
     if tool_count > 0:
@@ -316,6 +393,9 @@ def resolve_step(
                 memory = memories[k * organ_count + o]
                 first = first_vertices[o]
                 own = vertices[first : first + memory.local.shape[1]]
+                if not passes[k] and not memory.states[0].any():
+                    memory.states[1] = False
+                    continue
                 status: int = cast_columns(position[k], rotation[k], own, surfaces[o], tool, memory)
                 if status != 0:
                     return status
@@ -337,6 +417,9 @@ def resolve_step(
                 for o in range(organ_count):
                     memory, first, triangles = memories[k * organ_count + o], first_vertices[o], surfaces[o]
                     found = 0
+                    if not passes[k] and not memory.states[0].any():
+                        fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
+                        continue
                     if mode == FLAGS:
                         if attempt > 0:
                             fill_local(position[k], rotation[k], vertices, first, memory.local)
@@ -364,30 +447,56 @@ def resolve_step(
                             for grade in (1, 0):
                                 if decide_flags(tool, memory, triangles, first_step, exclusive, grade)[0] > 0:
                                     break
-                        fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k])
+                        fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
                         result[PENETRATION] = max(result[PENETRATION], memory.record[:, 3].max())
                     count = gather_nodes(
                         rows, features, names, count, tool, memory, triangles, first, position[k], rotation[k],
                         linear[k], angular[k], friction[k], k,
                     )  # fmt: skip
             rows, features = constraints.rows, constraints.features
-            violation = measure_gaps(count, rows, features, inverse_mass, vertices)
+            violation = measure_gaps(count, rows, features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
             # The first solve is there for friction too, which holds a surface that only touches.
             if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
                 break
+            if attempt == 0 and queries == 1:
+                _start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_counts[0], warm_positions)
+                start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
             solve_positions(count, rows, features, inverse_mass, vertices, MOST_SWEEPS, POSITION_TOLERANCE)
+            if attempt == 0:
+                warm_counts[0] = _keep_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_positions)
             if query < queries - 1:
                 passed = _note_passed(count, passed, constraints, earlier, position)
         for k in range(tool_count):
             last_position[k] = position[k]
             last_rotation[k] = rotation[k]
-    result[RESIDUAL] = measure_gaps(count, constraints.rows, constraints.features, inverse_mass, vertices)
+    result[RESIDUAL] = measure_gaps(
+        count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices
+    )
     if passed > 0:
         reserve(constraints, count, count + passed)
         count = _add_passed(count, passed, constraints, earlier, positions)
-        measure_gaps(count, constraints.rows, constraints.features, inverse_mass, vertices)
+        measure_gaps(count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
     rows, features = constraints.rows, constraints.features
+    _start_warm(count, rows, features, constraints.names, IMPULSE, warm_counts[1], warm_velocities)
+    start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
     solve_velocities(count, rows, features, inverse_mass, velocities, dt, MOST_SWEEPS, VELOCITY_TOLERANCE)
+    warm_counts[1] = _keep_warm(count, rows, features, constraints.names, IMPULSE, warm_velocities)
     result[CONTACT_COUNT] = count
     _sum_up(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
+    if tool_count > 0 and mode == FLAGS:
+        if ledger[IS_COUNTING] == 0.0:
+            ledger[REST_HEIGHT], ledger[IS_COUNTING] = sum_heights(inverse_mass, start), 1.0
+        for k in range(tool_count):
+            for axis in range(3):
+                ledger[WORK] -= wrenches[k, axis] * linear_velocities[k, axis]
+                ledger[WORK] -= wrenches[k, 3 + axis] * angular_velocities[k, axis]
+        ledger[GREATEST_WORK] = max(ledger[GREATEST_WORK], ledger[WORK])
+        limit_energy(
+            first_vertices, inverse_mass, vertices, velocities, settings[GRAVITY], ledger[REST_HEIGHT],
+            ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], settings[LEAST_ENERGY]),
+        )  # fmt: skip
+    for i in range(vertex_count):
+        for axis in range(3):
+            displacements[i, axis] = vertices[i, axis] - free_vertices[i, axis]
+            velocity_changes[i, axis] = velocities[i, axis] - free_velocities[i, axis]
     return 0

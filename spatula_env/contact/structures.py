@@ -181,6 +181,21 @@ def reserve(constraints: Any, count: int, capacity: int) -> None:
     constraints.rows, constraints.features, constraints.names = more.rows, more.features, more.names
 
 
+@kernel(types.Tuple((ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))(CONSTRAINTS, types.int64))
+def copy_constraints(constraints: Any, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Names, features and rows of the first `count` constraints, copied."""
+    return constraints.names[:count].copy(), constraints.features[:count].copy(), constraints.rows[:count].copy()
+
+
+@kernel(types.void(CONSTRAINTS, ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))
+def restore_constraints(constraints: Any, names: np.ndarray, features: np.ndarray, rows: np.ndarray) -> None:
+    """Write constraints that were copied."""
+    reserve(constraints, 0, names.shape[0])
+    constraints.names[: names.shape[0]] = names
+    constraints.features[: names.shape[0]] = features
+    constraints.rows[: names.shape[0]] = rows
+
+
 @kernel(TOOLS())
 def _no_tools() -> Any:
     return List.empty_list(TOOL)

@@ -7,19 +7,24 @@ frames.
 
 from __future__ import annotations
 
+from spatula_env.geometry.blocks import FissuredBlock, RidgedBlock, fissured_block, ridged_block
 from spatula_env.geometry.hull import convex_hull
 from spatula_env.geometry.meshes import Organ, box_surface, icosphere, load_organ, seed_sphere, torus
 from spatula_env.geometry.surface import check_surface
 from spatula_env.geometry.tools import Tool
 
 __all__ = [
+    "FissuredBlock",
     "Organ",
+    "RidgedBlock",
     "Tool",
     "box_surface",
     "check_surface",
     "convex_hull",
+    "fissured_block",
     "icosphere",
     "load_organ",
+    "ridged_block",
     "seed_sphere",
     "torus",
 ]

@@ -139,10 +139,11 @@ class BulletWorld:
         positions = np.empty_like(self._positions)
         self._read(positions)
         velocities = np.empty_like(positions)
-        velocities_of_positions(self._positions, displacements, positions, self._dt, velocities)
+        if not velocities_of_positions(self._positions, displacements, positions, self._dt, velocities):
+            raise FloatingPointError("Bullet's nodes are not finite")
         self._positions, self._velocities = positions, velocities
-        self._displacements[:] = displacements
-        return positions.copy(), velocities.copy()
+        self._displacements = displacements
+        return positions, velocities
 
     def _read(self, positions: FloatArray) -> None:
         """Get the positions of all nodes."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from spatula_env.contact.model import ContactModel, Motions
+from spatula_env.contact.model import ContactMemory, ContactModel, Motions
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, integrate_rotation
 from spatula_env.sim.bullet import BulletWorld
 from spatula_env.sim.report import Report
@@ -47,7 +47,7 @@ class SimulationState:
         node_velocities: (V, 3) [u/s].
         tool_positions: (N, 3) of the N tools [u].
         tool_orientations: (N, 4).
-        flags: Of each tool (outer) and organ (inner).
+        contact: What the contact model remembers.
         time: [s].
     """
 
@@ -55,8 +55,13 @@ class SimulationState:
     node_velocities: FloatArray
     tool_positions: FloatArray
     tool_orientations: FloatArray
-    flags: tuple[tuple[NDArray[np.bool_], ...], ...]
+    contact: ContactMemory
     time: float
+
+    @property
+    def flags(self) -> tuple[tuple[NDArray[np.bool_], ...], ...]:
+        """Contact flags of each tool (outer) and organ (inner)."""
+        return self.contact.flags
 
 
 class Simulation:
@@ -183,14 +188,14 @@ class Simulation:
         if tools is not None:
             impulses = [tools.impulse(index, linear[index], angular[index]) for index in range(shape[0])]
             model.wrenches = np.array([np.concatenate(pair) for pair in impulses]) / self.dt
-            model.nodal_impulses[:] = np.nan
+            model.nodal_impulses = np.full_like(self._nodes, np.nan)
         self._tool_positions, self._tool_orientations = motions.positions, motions.orientations
         self._time += self.dt
         return Report(
             scene=self.scene,
             motions=motions,
             loads=model.wrenches,
-            nodal_impulses=model.nodal_impulses.copy(),
+            nodal_impulses=model.nodal_impulses,
             ground_force=model.ground_force,
             all_contacts=tuple(tuple(detector.contacts for detector in row) for row in model.detectors),
             table=model.contact_table() if tools is None else None,
@@ -207,7 +212,7 @@ class Simulation:
             node_velocities=self._velocities.copy(),
             tool_positions=self._tool_positions.copy(),
             tool_orientations=self._tool_orientations.copy(),
-            flags=tuple(tuple(detector.flags for detector in row) for row in self._model.detectors),
+            contact=self._model.save(),
             time=self._time,
         )
 
@@ -239,9 +244,7 @@ class Simulation:
         self._model.reset()
         for index in range(len(self._tool_positions)):
             self.place_tool(state.tool_positions[index], state.tool_orientations[index], index=index)
-        for row, saved in zip(self._model.detectors, state.flags, strict=True):
-            for detector, flags in zip(row, saved, strict=True):
-                detector.flags = flags
+        self._model.restore(state.contact)
         self._set_nodes(state.nodes, state.node_velocities)
         self._time = state.time
 
@@ -310,24 +313,21 @@ class Simulation:
     def _move_tools(self, linear: FloatArray, angular: FloatArray) -> Motions:
         positions, orientations = self._tool_positions, self._tool_orientations
         turned = orientations
-        if angular.any():
+        if any(map(any, angular.tolist())):
             turned = np.stack([integrate_rotation(*pair, self.dt) for pair in zip(orientations, angular, strict=True)])
         return Motions(positions, orientations, positions + linear * self.dt, turned, linear, angular)
 
     def _advance(self, motions: Motions | None, *, respond: bool) -> None:
         """Step the organs and resolve contact with the ground and, if `respond`, with the tools."""
-        start = self._nodes
-        nodes, velocities = self._world.step(self._velocity_changes, self._displacements)
-        if not math.isfinite(float(nodes.sum())):
-            raise SimulationDiverged(f"positions are not finite after {self._time + self.dt:.4f} s")
-        np.negative(nodes, out=self._displacements)
-        np.negative(velocities, out=self._velocity_changes)
-        self._model.resolve(start, nodes, velocities, motions if respond else None)
+        try:
+            nodes, velocities = self._world.step(self._velocity_changes, self._displacements)
+        except FloatingPointError:
+            raise SimulationDiverged(f"positions are not finite after {self._time + self.dt:.4f} s") from None
+        resolved = self._model.resolve(self._nodes, nodes, velocities, motions if respond else None)
         if motions is not None and not respond:
-            self._model.observe(nodes, motions)
-        self._displacements += nodes
-        self._velocity_changes += velocities
-        self._nodes, self._velocities = nodes, velocities
+            self._model.observe(resolved.nodes, motions)
+        self._nodes, self._velocities = resolved.nodes, resolved.velocities
+        self._displacements, self._velocity_changes = resolved.displacements, resolved.velocity_changes
 
     def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
         self._nodes, self._velocities = nodes.copy(), velocities.copy()
@@ -363,7 +363,6 @@ def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> Float
         raise ValueError(f"{name} must be numbers, got {value!r}") from error
     if array.shape not in ((3,), shape):
         raise ValueError(f"{name} must have shape (3,) or {shape}, got {array.shape}")
-    # The sum is finite if all are; it may overflow otherwise.
-    if not math.isfinite(float(array.sum())) and not np.isfinite(array).all():
+    if not all(map(math.isfinite, array.ravel().tolist())):
         raise ValueError(f"{name} must be finite, got {array.tolist()}")
-    return array.reshape(1, 3).repeat(shape[0], axis=0) if array.ndim == 1 else array
+    return array if array.ndim == 2 else array.reshape(1, 3).repeat(shape[0], axis=0) if shape[0] > 1 else array[None]

@@ -28,7 +28,10 @@ class SoftWorld(Protocol):
             displacements: (V, 3) added to their positions, leaving velocities as they are [u].
 
         Returns:
-            Positions (V, 3) [u] and velocities (V, 3) [u/s] at the end of the step; arrays of the caller's own.
+            Positions (V, 3) [u] and velocities (V, 3) [u/s] at the end of the step; not to be written to.
+
+        Raises:
+            FloatingPointError: If they are not finite.
         """
 
     def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from spatula_env import scenes
-from spatula_env.geometry import Tool, box_surface
+from spatula_env.geometry import FissuredBlock, RidgedBlock, Tool, box_surface
+from spatula_env.geometry.transforms import rotate
 
 ORGAN = box_surface((1.0, 1.0, 1.0), 0.5)
 TOOL = Tool.box(nodes_per_edge=2)
@@ -84,6 +85,109 @@ def test_the_seed_refuses(name, value):
 def test_the_seed_refuses_tool_sizes(value):
     with pytest.raises(ValueError, match="size"):
         scenes.seed(tool_size=value)
+
+
+# Fissure and clamp -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [scenes.fissure, scenes.clamp])
+@pytest.mark.parametrize("mass", [10.0, 3.0])
+def test_other_scenes_have_the_density_of_brain_tissue_too(make, mass):
+    scene = make(mass=mass)
+    kilograms = scene.organs[0].mass * scene.scale.mass
+    assert kilograms / (scene.organs[0].organ.volume * scene.scale.length**3) == pytest.approx(1040.0)
+    assert scene.scale.length == 0.02
+    assert scene.dt == 1.0 / 240.0
+
+
+def test_the_scene_of_the_fissure():
+    scene = scenes.fissure()
+    (organ,), (tool,) = scene.organs, scene.tools
+    block = organ.organ
+    assert isinstance(block, FissuredBlock)
+    assert 600 <= len(block.vertices) <= 1200
+    assert set(organ.fixed_nodes) == {*block.base.tolist(), *block.floor.tolist()}
+    # The spatula stands on edge, thin across the fissure, above it.
+    corners = rotate(np.array(tool.orientation), tool.tool.vertices) + tool.position
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [1.0, 0.06, 2.0], atol=1e-12)
+    assert corners[:, 2].min() == pytest.approx(block.vertices[:, 2].max() + 0.3)
+    assert len(tool.tool.face_normals) == 6
+
+
+def test_options_of_the_fissure():
+    scene = scenes.fissure(
+        (7.0, 6.0, 3.5), 5.0, 1.0 / 120.0, depth=2.0, width=0.4, fixed_floor=False, tool_size=(0.8, 2.5, 0.1),
+        faces="largest", friction=0.1, edge_length=0.4, base_edge_length=None,
+    )  # fmt: skip
+    (organ,), (tool,) = scene.organs, scene.tools
+    assert organ.mass == 5.0
+    assert scene.dt == 1.0 / 120.0
+    assert organ.fixed_nodes == tuple(organ.organ.base.tolist())
+    assert organ.organ.floor_height == 1.5
+    np.testing.assert_array_equal(tool.tool.size, [0.8, 2.5, 0.1])
+    assert len(tool.tool.face_normals) == 2
+    assert tool.friction == 0.1
+
+
+def test_the_scene_of_the_clamp():
+    scene = scenes.clamp()
+    (organ,) = scene.organs
+    block = organ.organ
+    assert isinstance(block, RidgedBlock)
+    assert organ.fixed_nodes == ()
+    assert len(scene.tools) == 2
+    for placed, side in zip(scene.tools, (-1.0, 1.0), strict=True):
+        corners = rotate(np.array(placed.orientation), placed.tool.vertices) + placed.position
+        np.testing.assert_allclose(np.ptp(corners, axis=0), [1.2, 0.12, 0.8], atol=1e-12)
+        # Beside the ridge, and above its foot.
+        assert (side * corners[:, 1]).min() == pytest.approx(0.4 + scenes.JAW_CLEARANCE)
+        assert block.foot_height < corners[:, 2].min()
+        assert corners[:, 2].max() < block.vertices[:, 2].max()
+        assert placed.friction == 0.6
+
+
+def test_options_of_the_clamp():
+    scene = scenes.clamp(mass=4.0, fixed_base=True, ridge_width=0.6, jaw_size=(1.0, 0.5, 0.1), friction=0.9)
+    (organ,) = scene.organs
+    assert organ.mass == 4.0
+    assert set(organ.fixed_nodes) == set(organ.organ.base.tolist())
+    for placed in scene.tools:
+        assert abs(placed.position[1]) == pytest.approx(0.3 + scenes.JAW_CLEARANCE + 0.05)
+        np.testing.assert_array_equal(placed.tool.size, [1.0, 0.5, 0.1])
+        assert placed.friction == 0.9
+
+
+@pytest.mark.parametrize("make", [scenes.fissure, scenes.clamp])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *[("mass", value) for value in NOT_POSITIVE],
+        *[("dt", value) for value in NOT_POSITIVE],
+        *[("edge_length", value) for value in NOT_POSITIVE],
+        *[("base_edge_length", value) for value in NOT_POSITIVE],
+        *[("node_spacing", value) for value in NOT_POSITIVE],
+        ("size", (1.0, 1.0)),
+        ("friction", -0.1),
+        ("faces", "some"),
+    ],
+)
+def test_other_scenes_refuse(make, name, value):
+    check_refused(name, make, value)
+
+
+@pytest.mark.parametrize("value", [0.5 * np.pi, -2.0, np.nan, np.inf])
+def test_the_clamp_refuses_tilts(value):
+    check_refused("jaw_tilt", scenes.clamp, value)
+
+
+def test_fissure_and_clamp_can_be_compared_hashed_and_sent():
+    for make in (scenes.fissure, scenes.clamp):
+        scene = make()
+        assert scene == make()
+        assert scene != make(edge_length=0.3)
+        sent = pickle.loads(pickle.dumps(scene))
+        assert sent == scene
+        np.testing.assert_array_equal(sent.organs[0].organ.base, scene.organs[0].organ.base)
 
 
 # The parts ---------------------------------------------------------------------------------------------------------
