@@ -76,6 +76,7 @@ NODE_COUNTS = (328, 772, 1814, 4262, 10002)
 CURVE_STYLES = {
     "detector": ("this package", "#c0392b", "o", 2.6),
     "brute_force": ("brute force", "#2c3e50", "s", 2.0),
+    "brute_force_by_lines": ("brute force, a line at a time", "#566573", "s", 1.3),
     "brute_force_by_lanes": ("brute force, vector instructions", "#7f8c8d", "s", 1.3),
     "warp": ("Warp, refit", "#2980b9", "^", 1.3),
     "open3d": ("Open3D, rebuilt", "#27ae60", "v", 1.3),

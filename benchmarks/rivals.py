@@ -170,6 +170,56 @@ def cast_lines(
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
+def cast_rays(
+    nodes: np.ndarray,
+    normals: np.ndarray,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    edges: np.ndarray,
+    hits: np.ndarray,
+    distances: np.ndarray,
+) -> None:
+    """Both rays of every node, each by Möller and Trumbore's test of it against every triangle, as published.
+
+    Args:
+        nodes: As in `cast_lines`, as all others.
+        normals: See there.
+        vertices: See there.
+        triangles: See there.
+        edges: See there.
+        hits: See there.
+        distances: See there.
+    """
+    fill_edges(vertices, triangles, edges)
+    for i in range(nodes.shape[0]):
+        ox, oy, oz = nodes[i, 0], nodes[i, 1], nodes[i, 2]
+        for side in range(2):
+            sign = -1.0 if side == 0 else 1.0
+            dx, dy, dz = sign * normals[i, 0], sign * normals[i, 1], sign * normals[i, 2]
+            hit, distance = -1, FAR
+            for k in range(triangles.shape[0]):
+                e1x, e1y, e1z = edges[k, 3], edges[k, 4], edges[k, 5]
+                e2x, e2y, e2z = edges[k, 6], edges[k, 7], edges[k, 8]
+                px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+                determinant = e1x * px + e1y * py + e1z * pz
+                if determinant == 0.0:
+                    continue
+                inverse = 1.0 / determinant
+                tx, ty, tz = ox - edges[k, 0], oy - edges[k, 1], oz - edges[k, 2]
+                v = (tx * px + ty * py + tz * pz) * inverse
+                if v < 0.0 or v > 1.0:
+                    continue
+                qx, qy, qz = ty * e1z - tz * e1y, tz * e1x - tx * e1z, tx * e1y - ty * e1x
+                w = (dx * qx + dy * qy + dz * qz) * inverse
+                if w < 0.0 or v + w > 1.0:
+                    continue
+                t = (e2x * qx + e2y * qy + e2z * qz) * inverse
+                if 0.0 <= t < distance:
+                    hit, distance = k, t
+            hits[i, side], distances[i, side] = hit, distance
+
+
+@numba.njit(cache=True, fastmath=True, error_model="numpy")
 def cast_lines_by_lanes(
     nodes: np.ndarray,
     normals: np.ndarray,
@@ -237,7 +287,7 @@ def cast_lines_by_lanes(
 
 
 class BruteForce(Rival):
-    """Every node's line against every triangle, one after the other, in Numba and double precision."""
+    """Every ray against every triangle, one after the other, in Numba and double precision: the method as published."""
 
     name = "brute_force"
     precision: type[np.floating[Any]] = np.float64
@@ -256,7 +306,7 @@ class BruteForce(Rival):
 
     def query(self, index: int) -> None:
         """See `Rival.query`."""
-        cast_lines(
+        cast_rays(
             self._nodes, self._normals, self._shapes[index], self._triangles, self._edges, self._hits, self._distances
         )
 
@@ -264,6 +314,18 @@ class BruteForce(Rival):
         """See `Rival.answer`."""
         hits = self._hits.ravel().copy()
         return hits, np.where(hits >= 0, self._distances.ravel().astype(np.float64), np.inf)
+
+
+class BruteForceByLines(BruteForce):
+    """Both rays of a node by one test of their common line, and divisions only where a line meets a triangle."""
+
+    name = "brute_force_by_lines"
+
+    def query(self, index: int) -> None:
+        """See `Rival.query`."""
+        cast_lines(
+            self._nodes, self._normals, self._shapes[index], self._triangles, self._edges, self._hits, self._distances
+        )
 
 
 class BruteForceByLanes(BruteForce):
@@ -459,5 +521,5 @@ class BulletRays(Rival):
         self._bullet.disconnect(physicsClientId=self._client)
 
 
-WRITTEN_HERE: tuple[type[Rival], ...] = (BruteForce, BruteForceByLanes)
+WRITTEN_HERE: tuple[type[Rival], ...] = (BruteForce, BruteForceByLines, BruteForceByLanes)
 LIBRARIES: tuple[type[Rival], ...] = (WarpMesh, Open3DScene, EmbreeScene, BulletRays)

@@ -32,7 +32,11 @@ FIRST_STEP_CODES: dict[str, int] = {"off": 0, "any_hit": 1, "inside": 2}
 
 F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
 
-_VERTEX_NOT_FINITE, _TRIANGLE_OUT_OF_RANGE, _MOTION_NOT_VALID = 1, 2, 3
+_VERTEX_NOT_FINITE, _TRIANGLE_OUT_OF_RANGE, _MOTION_NOT_VALID, WRONG_SHAPE = 1, 2, 3, 4
+
+STILL = (0.0, 0.0, 0.0)
+"""The velocity of a tool that nothing is said about [u/s], [rad/s]."""
+
 _UNIT_TOLERANCE = 1.0000001e-6
 """Allowed difference of a quaternion's length from one; a rounding error more than `as_quaternion` allows."""
 
@@ -324,6 +328,12 @@ def detect_contacts(
     exclusive: bool,
 ) -> int:
     """One query of the flags method by itself; `FlaggedDetector.detect` says what it takes and gives."""
+    if (
+        position.shape[0] != 3 or orientation.shape[0] != 4 or linear_velocity.shape[0] != 3
+        or angular_velocity.shape[0] != 3 or vertices.shape[1] != 3 or triangles.shape[1] != 3
+        or vertices.shape[0] != memory.codes.shape[0]
+    ):  # fmt: skip
+        return WRONG_SHAPE
     length_squared, finite = 0.0, True
     for k in range(4):
         length_squared += orientation[k] * orientation[k]
@@ -392,6 +402,7 @@ class FlaggedDetector:
         self._first_step_code = FIRST_STEP_CODES[first_step]
         self.shape = tool_shape(tool)
         self.memory = Memory(len(tool.nodes))
+        self._still = np.zeros(3)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles hold what is remembered; a kernel's structures are made anew."""
@@ -422,8 +433,8 @@ class FlaggedDetector:
         orientation: ArrayLike,
         vertices: ArrayLike,
         triangles: ArrayLike,
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        linear_velocity: ArrayLike = STILL,
+        angular_velocity: ArrayLike = STILL,
     ) -> Contacts:
         """Query the contacts at a pose of the tool, and remember the flags.
 
@@ -442,20 +453,35 @@ class FlaggedDetector:
             ValueError: If an argument has the wrong shape, is not finite, is not a unit quaternion, or names a vertex
                 that does not exist. The remembered flags are then as they were.
         """
-        place = _float_array(position, "position", (3,))
-        turned = _float_array(orientation, "orientation", (4,))
-        surface = _float_array(vertices, "vertices", (None, 3))
-        corners = _index_array(triangles)
-        linear = _float_array(linear_velocity, "linear_velocity", (3,))
-        angular = _float_array(angular_velocity, "angular_velocity", (3,))
-        if self.memory.vertices != surface.shape[0]:
-            self.memory.resize(surface.shape[0], 0)
-        status = detect_contacts(
-            place, turned, linear, angular, surface, corners, self.shape, self.memory.structure,
-            self._first_step_code, self.exclusive,
-        )  # fmt: skip
+        arguments = (
+            position,
+            orientation,
+            self._still if linear_velocity is STILL else linear_velocity,
+            self._still if angular_velocity is STILL else angular_velocity,
+            vertices,
+            triangles,
+        )
+        memory = self.memory
+        try:
+            # Arrays of the right type go straight to the kernel, which looks at their shapes: checking them here takes
+            # a fifth of a query.
+            status = detect_contacts(*arguments, self.shape, memory.structure, self._first_step_code, self.exclusive)
+        except TypeError:
+            status = WRONG_SHAPE
+        if status == WRONG_SHAPE:
+            arguments = (
+                _float_array(position, "position", (3,)),
+                _float_array(orientation, "orientation", (4,)),
+                _float_array(linear_velocity, "linear_velocity", (3,)),
+                _float_array(angular_velocity, "angular_velocity", (3,)),
+                _float_array(vertices, "vertices", (None, 3)),
+                _index_array(triangles),
+            )
+            if memory.vertices != arguments[4].shape[0]:
+                memory.resize(arguments[4].shape[0], memory.triangles)
+            status = detect_contacts(*arguments, self.shape, memory.structure, self._first_step_code, self.exclusive)
         if status != 0:
-            _raise_for_status(status, place, turned, surface, corners, linear, angular)
+            _raise_for_status(status, *arguments)
         return self.contacts
 
     @property
@@ -503,10 +529,10 @@ def _raise_for_status(
     status: int,
     position: NDArray[np.float64],
     orientation: NDArray[np.float64],
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int32],
     linear_velocity: NDArray[np.float64],
     angular_velocity: NDArray[np.float64],
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
 ) -> None:
     """Say which argument a kernel refused."""
     as_vector3(position, "position")

@@ -295,15 +295,18 @@ def cast_columns(
                 )
         least_u, greatest_u = bounds[group, 0], bounds[group, 1]
         least_v, greatest_v = bounds[group, 2], bounds[group, 3]
-        broken = False
+        # Loops this plain become vector instructions.
+        along_u, along_v, along_w = local[0], local[1], local[2]
         for i in range(vertex_count):
             x, y, z = vertices[i, 0] - position[0], vertices[i, 1] - position[1], vertices[i, 2] - position[2]
-            u = axes[0] * x + axes[1] * y + axes[2] * z
-            v = axes[3] * x + axes[4] * y + axes[5] * z
-            w = axes[6] * x + axes[7] * y + axes[8] * z
-            local[0, i], local[1, i], local[2, i] = u, v, w
+            along_u[i] = axes[0] * x + axes[1] * y + axes[2] * z
+            along_v[i] = axes[3] * x + axes[4] * y + axes[5] * z
+            along_w[i] = axes[6] * x + axes[7] * y + axes[8] * z
+        broken = False
+        for i in range(vertex_count):
+            u, v = along_u[i], along_v[i]
             codes[i] = (u < least_u) | ((u > greatest_u) << 1) | ((v < least_v) << 2) | ((v > greatest_v) << 3)
-            broken |= not abs(u + v + w) < np.inf
+            broken |= not abs(u + v + along_w[i]) < np.inf
         if broken:
             return 1
         first_row, last_row = group_rows[group], group_rows[group + 1]

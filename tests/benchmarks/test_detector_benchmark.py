@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from benchmarks import detector as benchmark
-from benchmarks.rivals import BruteForce, BruteForceByLanes
+from benchmarks.rivals import BruteForce, BruteForceByLanes, BruteForceByLines
 from spatula_env.geometry import Tool, box_surface, seed_sphere
 
-BOTH = pytest.mark.parametrize("kind", [BruteForce, BruteForceByLanes])
+EACH = pytest.mark.parametrize("kind", [BruteForce, BruteForceByLines, BruteForceByLanes])
 
 
 def sphere_question(nodes_per_edge=4, depth=benchmark.SPHERE_DEPTH):
@@ -53,7 +53,7 @@ class Absent(BruteForce):
         raise ImportError("No module named 'absent'")
 
 
-@BOTH
+@EACH
 def test_brute_force_finds_the_walls_of_a_box(kind):
     """A tool inside a box of 4 u, near its lower wall: every distance is known."""
     box = box_surface((4.0, 4.0, 4.0), 0.9)
@@ -70,7 +70,7 @@ def test_brute_force_finds_the_walls_of_a_box(kind):
     np.testing.assert_allclose(places, np.repeat(target[:, None], 3, axis=1))
 
 
-@BOTH
+@EACH
 def test_brute_force_says_where_there_is_nothing(kind):
     question = sphere_question(depth=-1.0)
     rival = kind(question)
