@@ -29,6 +29,7 @@ from spatula_env.contact.structures import (
     POINT,
     VELOCITY,
     WEIGHTS,
+    reserve,
 )
 
 ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND = 0, 1, 2, 3, 4
@@ -608,3 +609,39 @@ def gather_edges(
                         met, constraint_name(ON_EDGE, 2 + which, a + first_vertex, b + first_vertex),
                     )  # fmt: skip
     return count
+
+
+@inline_kernel
+def gather_features(
+    constraints: Any,
+    count: int,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append constraints where vertices, corners and edges have met, making room for them. Returns the new count."""
+    found = find_candidates(tool, memory, triangles)
+    if found == 0:
+        return count
+    corners = tool.corners.shape[0]
+    reserve(constraints, count, count + 9 * found + 8 * corners)
+    rows, features, names = constraints.rows, constraints.features, constraints.names
+    count = gather_vertices(
+        rows, features, names, count, tool, memory, first_vertex, position, rotation, linear_velocity,
+        angular_velocity, friction, owner,
+    )  # fmt: skip
+    count = gather_corners(
+        rows, features, names, count, count + 8 * corners, tool, memory, triangles, found, first_vertex, position,
+        rotation, linear_velocity, angular_velocity, friction, owner,
+    )  # fmt: skip
+    return gather_edges(
+        rows, features, names, count, tool, memory, triangles, found, first_vertex, position, rotation,
+        linear_velocity, angular_velocity, friction, owner,
+    )  # fmt: skip

@@ -453,7 +453,7 @@ class FlaggedDetector:
             ValueError: If an argument has the wrong shape, is not finite, is not a unit quaternion, or names a vertex
                 that does not exist. The remembered flags are then as they were.
         """
-        arguments = (
+        arguments: tuple[Any, ...] = (
             position,
             orientation,
             self._still if linear_velocity is STILL else linear_velocity,

@@ -10,6 +10,7 @@ import numpy as np
 
 from spatula_env.contact import step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
+from spatula_env.contact.multipliers import MOST_PASSED
 from spatula_env.contact.pressure import contact_table
 from spatula_env.contact.structures import (
     copy_constraints,
@@ -117,7 +118,7 @@ class ContactModel:
         self._memories = memory_list([detector.memory.structure for row in self.detectors for detector in row])
         self._surfaces = surface_list(self._triangles)
         self._constraints = make_constraints(256)
-        self._earlier = make_constraints(step.MOST_PASSED)
+        self._earlier = make_constraints(MOST_PASSED)
         self._warm = make_constraints(256), make_constraints(256)
         self._warm_counts = np.zeros(2, dtype=np.int64)
         self._first_vertices = starts[:-1].astype(np.int64)

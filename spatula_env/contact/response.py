@@ -23,10 +23,12 @@ from spatula_env.contact.structures import (
     DISPLACEMENT,
     FRICTION,
     GAP,
+    GROUND,
     IMPULSE,
     INERTIA,
     NORMAL,
     ORIGIN,
+    OWNER,
     POINT,
     VELOCITY,
     WEIGHTS,
@@ -310,3 +312,46 @@ def sum_heights(inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
         if inverse_mass[i] > 0.0:
             total += vertices[i, 2] / inverse_mass[i]
     return total
+
+
+@inline_kernel
+def sum_impulses(
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    tool_count: int,
+    positions: np.ndarray,
+    vertices: np.ndarray,
+    nodal_impulses: np.ndarray,
+    wrenches: np.ndarray,
+) -> None:
+    """Add up the impulses of a solve, for each node and each tool."""
+    nodal_impulses[:] = 0.0
+    wrenches[:] = 0.0
+    for c in range(count):
+        row = rows[c]
+        x, y, z = row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            continue
+        owner = features[c, OWNER]
+        into = wrenches[owner] if owner != GROUND else wrenches[tool_count]
+        into[0] -= x
+        into[1] -= y
+        into[2] -= z
+        if owner == GROUND:
+            continue
+        for axis in range(3):
+            row[POINT + axis] = 0.0
+        for corner in range(3):
+            weight, vertex = row[WEIGHTS + corner], features[c, corner]
+            for axis in range(3):
+                nodal_impulses[vertex, axis] += weight * row[IMPULSE + axis]
+                row[POINT + axis] += weight * vertices[vertex, axis]
+        ax, ay, az = (
+            row[POINT] - positions[owner, 0],
+            row[POINT + 1] - positions[owner, 1],
+            row[POINT + 2] - positions[owner, 2],
+        )
+        into[3] -= ay * z - az * y
+        into[4] -= az * x - ax * z
+        into[5] -= ax * y - ay * x

@@ -29,13 +29,6 @@ def turn(rotation: np.ndarray, vector: np.ndarray) -> tuple[float, float, float]
 
 
 @inline_kernel
-def turn_back(rotation: np.ndarray, vector: np.ndarray, result: np.ndarray) -> None:
-    """Write the transposed rotation matrix (9,) times vector (3,) into result (3,)."""
-    for axis in range(3):
-        result[axis] = rotation[axis] * vector[0] + rotation[3 + axis] * vector[1] + rotation[6 + axis] * vector[2]
-
-
-@inline_kernel
 def opposes_best(normal: np.ndarray, face_normal: np.ndarray, face_normals: np.ndarray) -> bool:
     """Whether no face of a tool opposes a triangle clearly better than this one.
 

@@ -8,16 +8,10 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
-from spatula_env.contact.features import (
-    find_candidates,
-    gather_corners,
-    gather_edges,
-    gather_ground,
-    gather_nodes,
-    gather_vertices,
-)
+from spatula_env.contact.features import gather_features, gather_ground, gather_nodes
 from spatula_env.contact.flags import decide_flags, fill_local, fill_record, fill_rotation, lead_by_motion
 from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
+from spatula_env.contact.multipliers import add_passed, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
     limit_energy,
@@ -26,21 +20,15 @@ from spatula_env.contact.response import (
     solve_velocities,
     start_pushed,
     sum_heights,
+    sum_impulses,
 )
 from spatula_env.contact.structures import (
     CONSTRAINTS,
     DISPLACEMENT,
-    FRICTION,
-    GROUND,
     IMPULSE,
     MEMORIES,
-    NORMAL,
-    ORIGIN,
-    OWNER,
-    POINT,
     SURFACES,
     TOOLS,
-    WEIGHTS,
     reserve,
 )
 
@@ -70,9 +58,6 @@ ORGAN_PART = 0.5
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
-
-MOST_PASSED = 512
-"""Most contacts remembered from earlier queries of a step."""
 
 FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
@@ -104,138 +89,52 @@ RESULT_LENGTH = 5
 
 
 @inline_kernel
-def _start_warm(
-    count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, column: int, known: int, warm: Any
-) -> None:
-    """Give constraints the multipliers, in three columns from `column`, that they had in the last step."""
-    hint = 0
-    for c in range(count):
-        for k in range(known):
-            e = hint + k if hint + k < known else hint + k - known
-            if names[c] == warm.names[e] and features[c, OWNER] == warm.features[e, OWNER]:
-                for axis in range(3):
-                    rows[c, column + axis] = warm.rows[e, column + axis]
-                hint = e + 1 if e + 1 < known else 0
-                break
+def greatest_speed(tool: Any, linear_velocity: np.ndarray, angular_velocity: np.ndarray) -> float:
+    """Of any point of a tool [u/s]."""
+    speed: float = np.sqrt((linear_velocity**2).sum()) + tool.extent[6] * np.sqrt((angular_velocity**2).sum())
+    return speed
 
 
 @inline_kernel
-def _keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, column: int, warm: Any) -> int:
-    """Note the multipliers for the next step; returns how many."""
-    reserve(warm, 0, count)
-    kept = 0
-    for c in range(count):
-        if rows[c, column] != 0.0 or rows[c, column + 1] != 0.0 or rows[c, column + 2] != 0.0:
-            warm.names[kept] = names[c]
-            warm.features[kept, OWNER] = features[c, OWNER]
-            for axis in range(3):
-                warm.rows[kept, column + axis] = rows[c, column + axis]
-            kept += 1
-    return kept
-
-
-@inline_kernel
-def _add_passed(
-    count: int,
-    passed: int,
-    constraints: Any,
-    earlier: Any,
+def divide_step(
+    tools: Any,
+    start_positions: np.ndarray,
     positions: np.ndarray,
-) -> int:
-    """Append the contacts that pushed in an earlier query and are no longer there; without friction.
-
-    Their planes have moved on with the tools, to positions (N, 3). Returns the new count.
-    """
-    rows, features, names = constraints.rows, constraints.features, constraints.names
-    current = count
-    for e in range(passed):
-        known = False
-        for c in range(current):
-            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
-                known = True
-                break
-        if not known:
-            rows[count] = earlier.rows[e]
-            features[count] = earlier.features[e]
-            names[count] = earlier.names[e]
-            rows[count, FRICTION] = 0.0
-            for axis in range(3):
-                rows[count, IMPULSE + axis] = 0.0
-                rows[count, POINT + axis] += positions[features[count, OWNER], axis] - rows[count, ORIGIN + axis]
-            count += 1
-    return count
-
-
-@inline_kernel
-def _note_passed(count: int, passed: int, constraints: Any, earlier: Any, position: np.ndarray) -> int:
-    """Keep the tools' contacts that have just pushed, for the velocity solve at the end of the step.
-
-    Returns how many are kept. Their origin becomes the tool's position (N, 3) at this query.
-    """
-    rows, features, names = constraints.rows, constraints.features, constraints.names
-    for c in range(count):
-        pushed = 0.0
-        for axis in range(3):
-            pushed += rows[c, DISPLACEMENT + axis] * rows[c, NORMAL + axis]
-        if features[c, OWNER] == GROUND or pushed <= 0.0:
-            continue
-        place = passed
-        for e in range(passed):
-            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
-                place = e
-                break
-        if place == MOST_PASSED:
-            continue
-        earlier.rows[place] = rows[c]
-        earlier.features[place] = features[c]
-        earlier.names[place] = names[c]
-        for axis in range(3):
-            earlier.rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
-        passed = max(passed, place + 1)
-    return passed
-
-
-@inline_kernel
-def _sum_up(
-    count: int,
-    rows: np.ndarray,
-    features: np.ndarray,
-    tool_count: int,
-    positions: np.ndarray,
+    linear_velocities: np.ndarray,
+    angular_velocities: np.ndarray,
+    start: np.ndarray,
     vertices: np.ndarray,
-    nodal_impulses: np.ndarray,
-    wrenches: np.ndarray,
-) -> None:
-    """Add up the impulses of a solve, for each node and each tool."""
-    nodal_impulses[:] = 0.0
-    wrenches[:] = 0.0
-    for c in range(count):
-        row = rows[c]
-        x, y, z = row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2]
-        if x == 0.0 and y == 0.0 and z == 0.0:
-            continue
-        owner = features[c, OWNER]
-        into = wrenches[owner] if owner != GROUND else wrenches[tool_count]
-        into[0] -= x
-        into[1] -= y
-        into[2] -= z
-        if owner == GROUND:
-            continue
-        for axis in range(3):
-            row[POINT + axis] = 0.0
-        for corner in range(3):
-            weight, vertex = row[WEIGHTS + corner], features[c, corner]
-            for axis in range(3):
-                nodal_impulses[vertex, axis] += weight * row[IMPULSE + axis]
-                row[POINT + axis] += weight * vertices[vertex, axis]
-        ax, ay, az = (
-            row[POINT] - positions[owner, 0],
-            row[POINT + 1] - positions[owner, 1],
-            row[POINT + 2] - positions[owner, 2],
-        )
-        into[3] -= ay * z - az * y
-        into[4] -= az * x - ax * z
-        into[5] -= ax * y - ay * x
+    dt: float,
+    mean_edge: float,
+    passes: np.ndarray,
+) -> tuple[int, int]:
+    """Into how many parts a step is divided, so that nothing moves too far between two queries.
+
+    Args:
+        tools: As in `resolve_step`, as the next six.
+        start_positions: See there.
+        positions: See there.
+        linear_velocities: See there.
+        angular_velocities: See there.
+        start: See there.
+        vertices: (V, 3) nodes at the end of the step [u].
+        dt: [s].
+        mean_edge: Of the organ with the smallest [u].
+        passes: (N,) written: whether a tool comes near an organ.
+
+    Returns:
+        Parts of the tools' paths, and of the organs' motion.
+    """
+    parts, organ_parts = 1, 1
+    for k in range(len(tools)):
+        tool = tools[k]
+        passes[k] = tool_passes(start_positions[k], positions[k], tool.extent[6], start, vertices)
+        if passes[k]:
+            way = greatest_speed(tool, linear_velocities[k], angular_velocities[k]) * dt
+            parts = max(parts, int(np.ceil(way / (PATH_PART * tool.extent[7]))))
+    if len(tools) > 0:
+        organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
+    return parts, organ_parts
 
 
 @kernel(
@@ -326,21 +225,11 @@ def resolve_step(
     for i in range(vertex_count):
         for axis in range(3):
             vertices[i, axis], velocities[i, axis] = free_vertices[i, axis], free_velocities[i, axis]
-    # Divide the step so that nothing moves too far between two queries for the flags to follow.
-    parts, organ_parts = 1, 1
     passes = np.zeros(tool_count, np.bool_)
-    for k in range(tool_count):
-        tool = tools[k]
-        radius = tool.extent[6]
-        passes[k] = tool_passes(start_positions[k], positions[k], radius, start, vertices)
-        if passes[k]:
-            speed = np.sqrt((linear_velocities[k] ** 2).sum()) + radius * np.sqrt((angular_velocities[k] ** 2).sum())
-            parts = max(parts, int(np.ceil(speed * dt / (PATH_PART * tool.extent[7]))))
-    if tool_count > 0:
-        organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
-    queries = organ_parts + parts - 1 + (1 if parts > 1 else 0)
-    if parts == 1:
-        queries = organ_parts
+    parts, organ_parts = divide_step(
+        tools, start_positions, positions, linear_velocities, angular_velocities, start, vertices, dt, mean_edge, passes
+    )
+    queries = organ_parts + (parts if parts > 1 else 0)
     result[QUERIES] = queries
     reference = start
     shift = start
@@ -356,10 +245,8 @@ def resolve_step(
     orientation = np.empty(4)
     linear, angular = np.empty((tool_count, 3)), np.empty((tool_count, 3))
     for k in range(tool_count):
-        speed = np.sqrt((linear_velocities[k] ** 2).sum()) + tools[k].extent[6] * np.sqrt(
-            (angular_velocities[k] ** 2).sum()
-        )
         greatest = COURANT_LIMIT * mean_edge / dt
+        speed = greatest_speed(tools[k], linear_velocities[k], angular_velocities[k])
         limit = greatest / speed if speed > greatest else 1.0
         for axis in range(3):
             linear[k, axis] = limit * linear_velocities[k, axis]
@@ -416,30 +303,16 @@ def resolve_step(
                 tool = tools[k]
                 for o in range(organ_count):
                     memory, first, triangles = memories[k * organ_count + o], first_vertices[o], surfaces[o]
-                    found = 0
                     if not passes[k] and not memory.states[0].any():
                         fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
                         continue
-                    if mode == FLAGS:
-                        if attempt > 0:
-                            fill_local(position[k], rotation[k], vertices, first, memory.local)
-                        found = find_candidates(tool, memory, triangles)
-                    nodes, corners = tool.nodes.shape[0], tool.corners.shape[0]
-                    reserve(constraints, count, count + nodes + 9 * found + 8 * corners)
-                    rows, features, names = constraints.rows, constraints.features, constraints.names
+                    if attempt > 0:
+                        fill_local(position[k], rotation[k], vertices, first, memory.local)
                     before = count
-                    if found > 0:
-                        count = gather_vertices(
-                            rows, features, names, count, tool, memory, first, position[k], rotation[k], linear[k],
+                    if mode == FLAGS:
+                        count = gather_features(
+                            constraints, count, tool, memory, triangles, first, position[k], rotation[k], linear[k],
                             angular[k], friction[k], k,
-                        )  # fmt: skip
-                        count = gather_corners(
-                            rows, features, names, count, count + 8 * corners, tool, memory, triangles, found, first,
-                            position[k], rotation[k], linear[k], angular[k], friction[k], k,
-                        )  # fmt: skip
-                        count = gather_edges(
-                            rows, features, names, count, tool, memory, triangles, found, first, position[k],
-                            rotation[k], linear[k], angular[k], friction[k], k,
                         )  # fmt: skip
                     if attempt == 0:
                         # A tool that was put into an organ came through no face. Then the published method decides.
@@ -449,9 +322,10 @@ def resolve_step(
                                     break
                         fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
                         result[PENETRATION] = max(result[PENETRATION], memory.record[:, 3].max())
+                    reserve(constraints, count, count + tool.nodes.shape[0])
                     count = gather_nodes(
-                        rows, features, names, count, tool, memory, triangles, first, position[k], rotation[k],
-                        linear[k], angular[k], friction[k], k,
+                        constraints.rows, constraints.features, constraints.names, count, tool, memory, triangles,
+                        first, position[k], rotation[k], linear[k], angular[k], friction[k], k,
                     )  # fmt: skip
             rows, features = constraints.rows, constraints.features
             violation = measure_gaps(count, rows, features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
@@ -459,13 +333,13 @@ def resolve_step(
             if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
                 break
             if attempt == 0 and queries == 1:
-                _start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_counts[0], warm_positions)
+                start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_counts[0], warm_positions)
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
             solve_positions(count, rows, features, inverse_mass, vertices, MOST_SWEEPS, POSITION_TOLERANCE)
             if attempt == 0:
-                warm_counts[0] = _keep_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_positions)
+                warm_counts[0] = keep_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_positions)
             if query < queries - 1:
-                passed = _note_passed(count, passed, constraints, earlier, position)
+                passed = note_passed(count, passed, constraints, earlier, position)
         for k in range(tool_count):
             last_position[k] = position[k]
             last_rotation[k] = rotation[k]
@@ -474,15 +348,15 @@ def resolve_step(
     )
     if passed > 0:
         reserve(constraints, count, count + passed)
-        count = _add_passed(count, passed, constraints, earlier, positions)
+        count = add_passed(count, passed, constraints, earlier, positions)
         measure_gaps(count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
     rows, features = constraints.rows, constraints.features
-    _start_warm(count, rows, features, constraints.names, IMPULSE, warm_counts[1], warm_velocities)
+    start_warm(count, rows, features, constraints.names, IMPULSE, warm_counts[1], warm_velocities)
     start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
     solve_velocities(count, rows, features, inverse_mass, velocities, dt, MOST_SWEEPS, VELOCITY_TOLERANCE)
-    warm_counts[1] = _keep_warm(count, rows, features, constraints.names, IMPULSE, warm_velocities)
+    warm_counts[1] = keep_warm(count, rows, features, constraints.names, IMPULSE, warm_velocities)
     result[CONTACT_COUNT] = count
-    _sum_up(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
+    sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:
         if ledger[IS_COUNTING] == 0.0:
             ledger[REST_HEIGHT], ledger[IS_COUNTING] = sum_heights(inverse_mass, start), 1.0
