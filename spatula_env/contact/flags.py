@@ -34,6 +34,9 @@ F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
 
 _VERTEX_NOT_FINITE, _TRIANGLE_OUT_OF_RANGE, _MOTION_NOT_VALID, WRONG_SHAPE = 1, 2, 3, 4
 
+_ONLY_ARRAYS = {np.ndarray}
+_FLOAT, _INTEGER = np.dtype(np.float64), np.dtype(np.int32)
+
 STILL = (0.0, 0.0, 0.0)
 """The velocity of a tool that nothing is said about [u/s], [rad/s]."""
 
@@ -453,27 +456,30 @@ class FlaggedDetector:
             ValueError: If an argument has the wrong shape, is not finite, is not a unit quaternion, or names a vertex
                 that does not exist. The remembered flags are then as they were.
         """
-        arguments: tuple[Any, ...] = (
-            position,
-            orientation,
-            self._still if linear_velocity is STILL else linear_velocity,
-            self._still if angular_velocity is STILL else angular_velocity,
-            vertices,
-            triangles,
-        )
-        memory = self.memory
-        try:
-            # Arrays of the right type go straight to the kernel, which looks at their shapes: checking them here takes
-            # a fifth of a query.
-            status = detect_contacts(*arguments, self.shape, memory.structure, self._first_step_code, self.exclusive)
-        except TypeError:
-            status = WRONG_SHAPE
+        linear = self._still if linear_velocity is STILL else linear_velocity
+        angular = self._still if angular_velocity is STILL else angular_velocity
+        arguments: tuple[Any, ...] = (position, orientation, linear, angular, vertices, triangles)
+        memory, status = self.memory, WRONG_SHAPE
+        # Arrays of the right type go straight to the kernel, which looks at their shapes.
+        if (
+            {type(argument) for argument in arguments} == _ONLY_ARRAYS
+            and vertices.dtype is _FLOAT  # type: ignore[union-attr]
+            and triangles.dtype is _INTEGER  # type: ignore[union-attr]
+            and triangles.flags.writeable  # type: ignore[union-attr]
+        ):
+            try:
+                status = detect_contacts(
+                    *arguments, self.shape, memory.structure, self._first_step_code, self.exclusive
+                )
+            except TypeError:
+                # Numba's word for arrays that the kernel was not compiled for.
+                pass
         if status == WRONG_SHAPE:
             arguments = (
                 _float_array(position, "position", (3,)),
                 _float_array(orientation, "orientation", (4,)),
-                _float_array(linear_velocity, "linear_velocity", (3,)),
-                _float_array(angular_velocity, "angular_velocity", (3,)),
+                _float_array(linear, "linear_velocity", (3,)),
+                _float_array(angular, "angular_velocity", (3,)),
                 _float_array(vertices, "vertices", (None, 3)),
                 _index_array(triangles),
             )
