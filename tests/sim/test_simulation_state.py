@@ -154,10 +154,11 @@ def assert_next_steps_equal(simulation, others, steps=50):
         other.restore(state)
         seen = drive(other, steps)
         np.testing.assert_allclose(seen[:, :count], expected[:, :count], rtol=0.0, atol=EXACT)
-        # Velocities and forces are positions' differences divided by the time step once and twice.
+        # Velocities and forces are positions' differences divided by the time step once and twice. A rounding error of
+        # either position counts, and a solve that ends on a tolerance passes it on.
         dt = simulation.dt
         np.testing.assert_allclose(
-            seen[:, count : 2 * count], expected[:, count : 2 * count], rtol=0.0, atol=EXACT / dt
+            seen[:, count : 2 * count], expected[:, count : 2 * count], rtol=0.0, atol=4.0 * EXACT / dt
         )
         np.testing.assert_array_equal(seen[:, 2 * count : 2 * count + 8], expected[:, 2 * count : 2 * count + 8])
         force = slice(2 * count + 8, 2 * count + 14)
