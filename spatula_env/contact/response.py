@@ -299,6 +299,8 @@ def limit_energy(
     for o in range(organs):
         end = first_vertices[o + 1] if o + 1 < organs else vertices.shape[0]
         for i in range(first_vertices[o], end):
+            if inverse_mass[i] == 0.0:
+                continue
             for axis in range(3):
                 velocities[i, axis] = mean[o, axis] + scale * (velocities[i, axis] - mean[o, axis])
     return excess

@@ -478,9 +478,6 @@ def test_one_organ_is_not_slowed_towards_the_other():
     np.testing.assert_allclose(organs.velocities, before, atol=1e-7)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="limit_energy scales the velocities of fixed nodes too, towards their organ's mean"
-)
 def test_fixed_nodes_stay_at_rest_when_energy_is_taken():
     organs = Energies(1, fixed=(1, 7))
     least, all_of_it = organs.of_means(), organs.energy(organs.velocities)
