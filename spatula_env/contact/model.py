@@ -12,6 +12,7 @@ from spatula_env.contact import step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
 from spatula_env.contact.multipliers import MOST_PASSED
 from spatula_env.contact.pressure import contact_table
+from spatula_env.contact.response import LEDGER_LENGTH
 from spatula_env.contact.structures import (
     copy_constraints,
     make_constraints,
@@ -58,7 +59,7 @@ class ContactMemory:
     Attributes:
         flags: Of each tool (outer) and organ (inner).
         multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
-        ledger: Of the energy that the tools put in; see `step`.
+        ledger: (O, 4) of the energy that the tools put into each organ; see `response`.
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
@@ -129,10 +130,7 @@ class ContactModel:
         self._settings[step.DT] = scene.dt
         self._settings[step.MEAN_EDGE] = min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
         self._settings[step.GRAVITY] = scene.gravity
-        # The kinetic energy of all organs at a mean edge per second.
-        mass = sum(placed.mass for placed in scene.organs)
-        self._settings[step.LEAST_ENERGY] = 0.5 * mass * self._settings[step.MEAN_EDGE] ** 2
-        self._ledger = np.zeros(step.LEDGER_LENGTH)
+        self._ledger = np.zeros((len(scene.organs), LEDGER_LENGTH))
         free = inverse_masses[inverse_masses > 0.0]
         self._settings[step.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
         if scene.ground is not None:

@@ -34,6 +34,14 @@ from spatula_env.contact.structures import (
     WEIGHTS,
 )
 
+WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
+LEDGER_LENGTH = 4
+"""Columns of an organ's ledger: work of the tools on it so far and the greatest it was [kg u2/s2], the sum of mass
+times height where counting began [kg u], and whether it has begun."""
+
+ENERGY_TOLERANCE = 0.002
+"""Part of the greatest work so far that an organ may have more than was put in: rounding and friction of a solve."""
+
 
 @inline_kernel
 def _project_onto_cone(
@@ -243,77 +251,131 @@ def solve_velocities(
 
 @inline_kernel
 def limit_energy(
-    first_vertices: np.ndarray,
+    first: int,
+    end: int,
     inverse_mass: np.ndarray,
     vertices: np.ndarray,
     velocities: np.ndarray,
     gravity: float,
-    rest_height: float,
-    allowed: float,
+    mean_edge: float,
+    ledger: np.ndarray,
 ) -> float:
-    """Take from the organs' motion what energy they cannot have.
+    """Take from an organ's motion what energy it cannot have.
 
     A tool too fast to hand on its speed moves the organ by displacements, which stretch it without the tool feeling
     it; let go, the organ would give that back as motion. As a passivity controller does (Hannaford and Ryu, IEEE
     Transactions on Robotics and Automation 18(1), 2002), what exceeds the work that was put in is dissipated: the
-    nodes' velocities relative to each organ's mean are scaled down, which leaves its momentum alone.
+    nodes' velocities relative to the organ's mean are scaled down, which leaves its momentum alone.
 
     Args:
-        first_vertices: (O,) index of each organ's first vertex.
+        first: Index of the organ's first vertex.
+        end: Index after its last one.
         inverse_mass: (V,) [1/kg]; fixed nodes have zero.
         vertices: (V, 3) [u].
         velocities: (V, 3); changed [u/s].
         gravity: [u/s2].
-        rest_height: Sum of mass times height when nothing had been done yet [kg u].
-        allowed: Kinetic energy and energy of height that the organs may have [kg u2/s2].
+        mean_edge: Of the organ with the smallest [u].
+        ledger: (4,) the organ's, by the column names of this module.
 
     Returns:
         What was dissipated [kg u2/s2].
     """
-    height, of_means, of_nodes = -rest_height, 0.0, 0.0
-    organs = first_vertices.shape[0]
-    mean = np.zeros((organs, 3))
-    for o in range(organs):
-        end = first_vertices[o + 1] if o + 1 < organs else vertices.shape[0]
-        mass, squares = 0.0, 0.0
-        for i in range(first_vertices[o], end):
-            if inverse_mass[i] == 0.0:
-                continue
-            m = 1.0 / inverse_mass[i]
-            mass += m
-            height += m * vertices[i, 2]
-            for axis in range(3):
-                mean[o, axis] += m * velocities[i, axis]
-                squares += m * velocities[i, axis] * velocities[i, axis]
-        if mass > 0.0:
-            for axis in range(3):
-                mean[o, axis] /= mass
-                squares -= mass * mean[o, axis] ** 2
-                of_means += 0.5 * mass * mean[o, axis] ** 2
-        of_nodes += 0.5 * max(squares, 0.0)
-    excess = of_means + of_nodes + gravity * height - allowed
+    height, mass, squares = -ledger[REST_HEIGHT], 0.0, 0.0
+    mean = np.zeros(3)
+    for i in range(first, end):
+        if inverse_mass[i] == 0.0:
+            continue
+        m = 1.0 / inverse_mass[i]
+        mass += m
+        height += m * vertices[i, 2]
+        for axis in range(3):
+            mean[axis] += m * velocities[i, axis]
+            squares += m * velocities[i, axis] * velocities[i, axis]
+    if mass == 0.0:
+        return 0.0
+    of_mean = 0.0
+    for axis in range(3):
+        mean[axis] /= mass
+        of_mean += 0.5 * mass * mean[axis] ** 2
+    of_nodes = max(0.5 * squares - of_mean, 0.0)
+    least = 0.5 * mass * mean_edge**2
+    allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least)
+    excess = of_mean + of_nodes + gravity * height - allowed
     if excess <= 0.0 or of_nodes == 0.0:
         return 0.0
     excess = min(excess, of_nodes)
     scale = np.sqrt(1.0 - excess / of_nodes)
-    for o in range(organs):
-        end = first_vertices[o + 1] if o + 1 < organs else vertices.shape[0]
-        for i in range(first_vertices[o], end):
-            if inverse_mass[i] == 0.0:
-                continue
+    for i in range(first, end):
+        if inverse_mass[i] > 0.0:
             for axis in range(3):
-                velocities[i, axis] = mean[o, axis] + scale * (velocities[i, axis] - mean[o, axis])
-    return excess
+                velocities[i, axis] = mean[axis] + scale * (velocities[i, axis] - mean[axis])
+    dissipated: float = excess
+    return dissipated
 
 
 @inline_kernel
-def sum_heights(inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
-    """Sum of mass times height of all free nodes [kg u]."""
+def sum_heights(first: int, end: int, inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
+    """Sum of mass times height of an organ's free nodes [kg u]."""
     total = 0.0
-    for i in range(vertices.shape[0]):
+    for i in range(first, end):
         if inverse_mass[i] > 0.0:
             total += vertices[i, 2] / inverse_mass[i]
     return total
+
+
+@inline_kernel
+def keep_ledger(
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    first_vertices: np.ndarray,
+    inverse_mass: np.ndarray,
+    start: np.ndarray,
+    positions: np.ndarray,
+    linear_velocities: np.ndarray,
+    angular_velocities: np.ndarray,
+    ledger: np.ndarray,
+) -> None:
+    """Add to each organ's ledger the work of a step's impulses, which must have been summed up.
+
+    Args:
+        count: How many constraints.
+        rows: See `structures.Constraints`.
+        features: See there.
+        first_vertices: (O,) index of each organ's first vertex.
+        inverse_mass: (V,) [1/kg].
+        start: (V, 3) nodes at the start of the step [u].
+        positions: (N, 3) of the tools at the end of the step [u].
+        linear_velocities: (N, 3) [u/s].
+        angular_velocities: (N, 3) [rad/s].
+        ledger: (O, 4) written.
+    """
+    organs = first_vertices.shape[0]
+    for o in range(organs):
+        if ledger[o, IS_COUNTING] == 0.0:
+            end = first_vertices[o + 1] if o + 1 < organs else start.shape[0]
+            ledger[o, REST_HEIGHT], ledger[o, IS_COUNTING] = (
+                sum_heights(first_vertices[o], end, inverse_mass, start),
+                1.0,
+            )
+    for c in range(count):
+        owner = features[c, OWNER]
+        if owner == GROUND:
+            continue
+        row, o = rows[c], organs - 1
+        while features[c, 0] < first_vertices[o]:
+            o -= 1
+        v, w = linear_velocities[owner], angular_velocities[owner]
+        x, y, z = (
+            row[POINT] - positions[owner, 0],
+            row[POINT + 1] - positions[owner, 1],
+            row[POINT + 2] - positions[owner, 2],
+        )
+        ledger[o, WORK] += row[IMPULSE] * (v[0] + w[1] * z - w[2] * y)
+        ledger[o, WORK] += row[IMPULSE + 1] * (v[1] + w[2] * x - w[0] * z)
+        ledger[o, WORK] += row[IMPULSE + 2] * (v[2] + w[0] * y - w[1] * x)
+    for o in range(organs):
+        ledger[o, GREATEST_WORK] = max(ledger[o, GREATEST_WORK], ledger[o, WORK])
 
 
 @inline_kernel

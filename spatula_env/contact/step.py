@@ -14,12 +14,12 @@ from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
 from spatula_env.contact.multipliers import add_passed, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
+    keep_ledger,
     limit_energy,
     measure_gaps,
     solve_positions,
     solve_velocities,
     start_pushed,
-    sum_heights,
     sum_impulses,
 )
 from spatula_env.contact.structures import (
@@ -65,26 +65,9 @@ the organ by displacement alone: a node cannot carry more speed than its springs
 FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
 
-SETTINGS_LENGTH = 8
-DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION, MEAN_INVERSE_MASS, GRAVITY, LEAST_ENERGY = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-)
+SETTINGS_LENGTH = 7
+DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION, MEAN_INVERSE_MASS, GRAVITY = 0, 1, 2, 3, 4, 5, 6
 """Columns of the settings."""
-
-WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
-LEDGER_LENGTH = 4
-"""Columns of the ledger: work of the tools so far and the greatest it was [kg u2/s2], the sum of mass times height
-where counting began [kg u], and whether it has begun."""
-
-ENERGY_TOLERANCE = 0.002
-"""Part of the greatest work so far that the organs may have more than was put in: rounding and friction of a solve."""
 
 PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, STATUS = 0, 1, 2, 3, 4
 RESULT_LENGTH = 5
@@ -143,7 +126,7 @@ def divide_step(
 @kernel(
     types.int64(
         *(TOOLS, MEMORIES, SURFACES, CONSTRAINTS, CONSTRAINTS, CONSTRAINTS, CONSTRAINTS, I8, I8),
-        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8, types.int64, types.int64, types.boolean, F8, F8, F8),
+        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8, types.int64, types.int64, types.boolean, F8, F8, F8_2),
         *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8),
     )
 )
@@ -203,9 +186,9 @@ def resolve_step(
         mode: `FLAGS` or `SECOND_STEP`.
         first_step: Code of the detectors' first step.
         exclusive: As in the detectors.
-        settings: (8,) by the column names of this module.
+        settings: (7,) by the column names of this module.
         inverse_mass: (V,) [1/kg].
-        ledger: (4,) by the column names of this module; goes on from step to step.
+        ledger: (O, 4) by the column names of `response`; goes on from step to step.
         start: (V, 3) nodes at the start of the step [u].
         free_vertices: (V, 3) nodes at its end, without contact [u].
         free_velocities: (V, 3) [u/s].
@@ -365,17 +348,15 @@ def resolve_step(
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:
-        if ledger[IS_COUNTING] == 0.0:
-            ledger[REST_HEIGHT], ledger[IS_COUNTING] = sum_heights(inverse_mass, start), 1.0
-        for k in range(tool_count):
-            for axis in range(3):
-                ledger[WORK] -= wrenches[k, axis] * linear_velocities[k, axis]
-                ledger[WORK] -= wrenches[k, 3 + axis] * angular_velocities[k, axis]
-        ledger[GREATEST_WORK] = max(ledger[GREATEST_WORK], ledger[WORK])
-        limit_energy(
-            first_vertices, inverse_mass, vertices, velocities, settings[GRAVITY], ledger[REST_HEIGHT],
-            ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], settings[LEAST_ENERGY]),
+        keep_ledger(
+            count, rows, features, first_vertices, inverse_mass, start, positions, linear_velocities,
+            angular_velocities, ledger,
         )  # fmt: skip
+        for o in range(organ_count):
+            end = first_vertices[o + 1] if o + 1 < organ_count else vertex_count
+            limit_energy(
+                first_vertices[o], end, inverse_mass, vertices, velocities, settings[GRAVITY], mean_edge, ledger[o]
+            )
     for i in range(vertex_count):
         for axis in range(3):
             displacements[i, axis] = vertices[i, axis] - free_vertices[i, axis]

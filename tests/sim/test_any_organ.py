@@ -255,9 +255,6 @@ def test_organs_of_different_fineness_are_pressed_at_once(speed):
     simulation.close()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="what energy a fast tool must not give is taken from all organs, those it does not touch too"
-)
 def test_a_blow_to_one_organ_does_not_calm_another():
     # The second tool plucks the second organ, which rings; then the first tool hits the first organ very fast.
     tools = [(PLATE, (-1.2, 0.0, 1.2), (0, 0, 0, 1)), (PLATE, (5.0, 0.1, 1.2), (0, 0, 0, 1))]
@@ -271,7 +268,8 @@ def test_a_blow_to_one_organ_does_not_calm_another():
             simulation.step([[0.0, 0.0, blow if k == 0 else 0.0], [0.0, 0.0, 40.0]])
         runs.append(simulation.nodes[COUNT:])
         simulation.close()
-    np.testing.assert_array_equal(runs[0], runs[1])
+    # But for rounding: a step that is divided adds up its parts.
+    np.testing.assert_allclose(runs[0], runs[1], rtol=0.0, atol=1e-12)
 
 
 # Several tools -----------------------------------------------------------------------------------------------------
