@@ -4,28 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spatula_env.contact import step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
-from spatula_env.contact.multipliers import MOST_PASSED
 from spatula_env.contact.pressure import contact_table
-from spatula_env.contact.response import LEDGER_LENGTH
-from spatula_env.contact.structures import (
-    copy_constraints,
-    make_constraints,
-    memory_list,
-    restore_constraints,
-    surface_list,
-    tool_list,
-)
+from spatula_env.contact.structures import surface_list
+from spatula_env.contact.world import Workspace, World
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from spatula_env.contact.flags import FirstStep
+    from spatula_env.contact.world import Multipliers
     from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]
@@ -63,7 +56,7 @@ class ContactMemory:
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
-    multipliers: tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], ...]
+    multipliers: Multipliers
     ledger: FloatArray
 
 
@@ -114,30 +107,16 @@ class ContactModel:
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self._parts = [slice(int(a), int(b)) for a, b in pairwise(starts)]
         self._triangles = [np.array(placed.organ.triangles) for placed in scene.organs]
-        self._tools = tool_list([row[0].shape for row in self.detectors])
-        self._no_tools = tool_list([])
-        self._memories = memory_list([detector.memory.structure for row in self.detectors for detector in row])
-        self._surfaces = surface_list(self._triangles)
-        self._constraints = make_constraints(256)
-        self._earlier = make_constraints(MOST_PASSED)
-        self._warm = make_constraints(256), make_constraints(256)
-        self._warm_counts = np.zeros(2, dtype=np.int64)
-        self._first_vertices = starts[:-1].astype(np.int64)
-        self._friction = np.array([placed.friction for placed in scene.tools])
+        self._world = World(
+            scene,
+            [row[0].shape for row in self.detectors],
+            [detector.memory for row in self.detectors for detector in row],
+            surface_list(self._triangles),
+            inverse_masses,
+            Workspace(),
+        )
         self._mode = step.SECOND_STEP if first_step == "off" else step.FLAGS
         self._first_step_code = FIRST_STEP_CODES[first_step]
-        self._settings = np.zeros(step.SETTINGS_LENGTH)
-        self._settings[step.DT] = scene.dt
-        self._settings[step.MEAN_EDGE] = min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
-        self._settings[step.GRAVITY] = scene.gravity
-        self._ledger = np.zeros((len(scene.organs), LEDGER_LENGTH))
-        free = inverse_masses[inverse_masses > 0.0]
-        self._settings[step.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
-        if scene.ground is not None:
-            self._settings[step.HAS_GROUND] = 1.0
-            self._settings[step.GROUND_HEIGHT] = scene.ground.height
-            self._settings[step.GROUND_FRICTION] = scene.ground.friction
-        self._inverse_masses = inverse_masses
         self._dt = scene.dt
         count = len(scene.tools)
         self._nothing = Motions(*(np.zeros((0, width)) for width in (3, 4, 3, 4, 3, 3)))
@@ -159,8 +138,7 @@ class ContactModel:
         self.wrenches = np.zeros_like(self.wrenches)
         self.ground_force = np.zeros(3)
         self.penetration = self.residual = 0.0
-        self._warm_counts[:] = 0
-        self._ledger[:] = 0.0
+        self._world.forget_solves()
 
     def forget(self, tool: int) -> None:
         """Clear the flags of one tool."""
@@ -171,11 +149,8 @@ class ContactModel:
         """Everything that is remembered, as arrays of its own."""
         return ContactMemory(
             flags=tuple(tuple(detector.flags for detector in row) for row in self.detectors),
-            multipliers=tuple(
-                copy_constraints(warm, count)
-                for warm, count in zip(self._warm, self._warm_counts.tolist(), strict=True)
-            ),
-            ledger=self._ledger.copy(),
+            multipliers=self._world.copy_multipliers(),
+            ledger=self._world.ledger.copy(),
         )
 
     def restore(self, memory: ContactMemory) -> None:
@@ -183,10 +158,8 @@ class ContactModel:
         for row, saved in zip(self.detectors, memory.flags, strict=True):
             for detector, flags in zip(row, saved, strict=True):
                 detector.flags = flags
-        for index, (warm, parts) in enumerate(zip(self._warm, memory.multipliers, strict=True)):
-            restore_constraints(warm, *(part.copy() for part in parts))
-            self._warm_counts[index] = len(parts[0])
-        self._ledger[:] = memory.ledger
+        self._world.restore_multipliers(memory.multipliers)
+        self._world.ledger[:] = memory.ledger
 
     def observe(self, vertices: FloatArray, motions: Motions) -> None:
         """Detect the tools' contacts at the end of a step without resolving them."""
@@ -219,40 +192,26 @@ class ContactModel:
         Returns:
             Where the nodes are and how fast; arrays of their own.
         """
-        result = self._result
-        tools = self._tools
-        if motions is None:
-            motions, tools = self._nothing, self._no_tools
-        resolved, self.nodal_impulses = Resolved(*(room := np.empty((5, *start.shape)))[:4]), room[4]
+        result, with_tools = self._result, motions is not None
+        motions = self._nothing if motions is None else motions
+        nodes, velocities, self.nodal_impulses = np.empty((3, *start.shape))
         status = step.resolve_step(
-            tools,
-            self._memories,
-            self._surfaces,
-            self._constraints,
-            self._earlier,
-            *self._warm,
-            self._warm_counts,
-            self._first_vertices,
+            self._world.structure,
+            with_tools,
+            self._mode,
+            self._first_step_code,
+            True,
             motions.start_positions,
             motions.start_orientations,
             motions.positions,
             motions.orientations,
             motions.linear_velocities,
             motions.angular_velocities,
-            self._friction,
-            self._mode,
-            self._first_step_code,
-            True,
-            self._settings,
-            self._inverse_masses,
-            self._ledger,
             start,
             free_nodes,
             free_velocities,
-            resolved.nodes,
-            resolved.velocities,
-            resolved.displacements,
-            resolved.velocity_changes,
+            nodes,
+            velocities,
             self.nodal_impulses,
             self._impulses,
             result,
@@ -265,11 +224,11 @@ class ContactModel:
         self.queries = int(result[step.QUERIES])
         impulses = self._impulses / self._dt
         self.ground_force = -impulses[len(motions.positions), :3]
-        if tools is self._tools:
+        if with_tools:
             self.wrenches = impulses[:-1]
-        return resolved
+        return Resolved(nodes, velocities, nodes - free_nodes, velocities - free_velocities)
 
     def contact_table(self) -> FloatArray:
         """(C, 8) where something pushed in the last step; see `pressure.contact_table`."""
-        table: FloatArray = contact_table(self._constraints, self._contact_count)
+        table: FloatArray = contact_table(self._world.workspace.constraints, self._contact_count)
         return table

@@ -23,16 +23,13 @@ from spatula_env.contact.response import (
     sum_impulses,
 )
 from spatula_env.contact.structures import (
-    CONSTRAINTS,
     DISPLACEMENT,
     IMPULSE,
-    MEMORIES,
-    SURFACES,
-    TOOLS,
+    WORLD_CONTACTS,
     reserve,
 )
 
-F8, F8_2, I8 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i8"]
+F8, F8_2 = ARRAYS["f8"], ARRAYS["f8_2"]
 
 POSITION_TOLERANCE = 1e-5
 """The position solve ends when a sweep moves no constrained point farther than this [u]."""
@@ -67,7 +64,8 @@ FLAGS, SECOND_STEP = 0, 1
 
 SETTINGS_LENGTH = 7
 DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION, MEAN_INVERSE_MASS, GRAVITY = 0, 1, 2, 3, 4, 5, 6
-"""Columns of the settings."""
+"""Columns of the settings: length of a step [s], mean edge of the organ with the smallest [u], whether there is ground,
+its height [u] and friction, mean inverse mass of the free nodes [1/kg], gravity [u/s2]."""
 
 PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, STATUS = 0, 1, 2, 3, 4
 RESULT_LENGTH = 5
@@ -112,54 +110,41 @@ def divide_step(
         Parts of the tools' paths, and of the organs' motion.
     """
     parts, organ_parts = 1, 1
-    for k in range(len(tools)):
+    for k in range(passes.shape[0]):
         tool = tools[k]
         passes[k] = tool_passes(start_positions[k], positions[k], tool.extent[6], start, vertices)
         if passes[k]:
             way = greatest_speed(tool, linear_velocities[k], angular_velocities[k]) * dt
             parts = max(parts, int(np.ceil(way / (PATH_PART * tool.extent[7]))))
-    if len(tools) > 0:
+    if passes.shape[0] > 0:
         organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
     return parts, organ_parts
 
 
 @kernel(
     types.int64(
-        *(TOOLS, MEMORIES, SURFACES, CONSTRAINTS, CONSTRAINTS, CONSTRAINTS, CONSTRAINTS, I8, I8),
-        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8, types.int64, types.int64, types.boolean, F8, F8, F8_2),
-        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8),
+        *(WORLD_CONTACTS, types.boolean, types.int64, types.int64, types.boolean),
+        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2),
+        *(F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8_2, F8),
     )
 )
 def resolve_step(
-    tools: Any,
-    memories: Any,
-    surfaces: Any,
-    constraints: Any,
-    earlier: Any,
-    warm_positions: Any,
-    warm_velocities: Any,
-    warm_counts: np.ndarray,
-    first_vertices: np.ndarray,
+    world: Any,
+    with_tools: bool,
+    mode: int,
+    first_step: int,
+    exclusive: bool,
     start_positions: np.ndarray,
     start_orientations: np.ndarray,
     positions: np.ndarray,
     orientations: np.ndarray,
     linear_velocities: np.ndarray,
     angular_velocities: np.ndarray,
-    friction: np.ndarray,
-    mode: int,
-    first_step: int,
-    exclusive: bool,
-    settings: np.ndarray,
-    inverse_mass: np.ndarray,
-    ledger: np.ndarray,
     start: np.ndarray,
     free_vertices: np.ndarray,
     free_velocities: np.ndarray,
     vertices: np.ndarray,
     velocities: np.ndarray,
-    displacements: np.ndarray,
-    velocity_changes: np.ndarray,
     nodal_impulses: np.ndarray,
     wrenches: np.ndarray,
     result: np.ndarray,
@@ -167,48 +152,41 @@ def resolve_step(
     """Resolve all contacts at the end of a step.
 
     Args:
-        tools: `ToolShape` of the N tools; with none, only the ground counts.
-        memories: `PairMemory` of each tool (outer) and organ (inner).
-        surfaces: Triangles (T, 3) of each organ, counting its own vertices.
-        constraints: Room for constraints.
-        earlier: Room for `MOST_PASSED` constraints.
-        warm_positions: Displacements of the last step's constraints, from which the position solve starts.
-        warm_velocities: Impulses of the last step's constraints, from which the velocity solve starts.
-        warm_counts: (2,) how many of each; written.
-        first_vertices: (O,) index of each organ's first vertex among all.
+        world: `WorldContacts`; what it remembers is written.
+        with_tools: Whether there are tools; only the ground counts otherwise.
+        mode: `FLAGS` or `SECOND_STEP`.
+        first_step: Code of the detectors' first step.
+        exclusive: As in the detectors.
         start_positions: (N, 3) of the tools at the start of the step [u].
         start_orientations: (N, 4).
         positions: (N, 3) at its end [u].
         orientations: (N, 4).
         linear_velocities: (N, 3) [u/s].
         angular_velocities: (N, 3) [rad/s].
-        friction: (N,) coefficients.
-        mode: `FLAGS` or `SECOND_STEP`.
-        first_step: Code of the detectors' first step.
-        exclusive: As in the detectors.
-        settings: (7,) by the column names of this module.
-        inverse_mass: (V,) [1/kg].
-        ledger: (O, 4) by the column names of `response`; goes on from step to step.
         start: (V, 3) nodes at the start of the step [u].
         free_vertices: (V, 3) nodes at its end, without contact [u].
         free_velocities: (V, 3) [u/s].
         vertices: (V, 3) written: nodes at the end of the step [u].
         velocities: (V, 3) written [u/s].
-        displacements: (V, 3) written: what contact adds to positions [u].
-        velocity_changes: (V, 3) written: what contact adds to velocities [u/s].
         nodal_impulses: (V, 3) written: what the tools gave the nodes [kg u/s].
         wrenches: (N + 1, 6) written: impulse and its moment about each tool's origin, that the organs give the tool;
-            last what they give the ground [kg u/s, kg u2/s].
+            last what they give the ground [kg u/s, kg u2/s2].
         result: (5,) written, by the column names of this module.
 
     Returns:
         0; otherwise what `raycast.cast_columns` returned.
     """
+    tools, memories, surfaces, constraints, earlier = (
+        world.tools, world.memories, world.surfaces, world.constraints, world.earlier,
+    )  # fmt: skip
+    warm_positions, warm_velocities, warm_counts = world.warm_positions, world.warm_velocities, world.warm_counts
+    first_vertices, friction, settings = world.first_vertices, world.friction, world.settings
+    inverse_mass, ledger = world.inverse_mass, world.ledger
     dt, mean_edge = settings[DT], settings[MEAN_EDGE]
     if mode == SECOND_STEP:
         # Both faces of a tool push against each other; what they come to in one step is not carried into the next.
         warm_counts[:] = 0
-    tool_count, organ_count = len(tools), len(surfaces)
+    tool_count, organ_count = len(tools) if with_tools else 0, len(surfaces)
     vertex_count = vertices.shape[0]
     result[:] = 0.0
     for i in range(vertex_count):
@@ -357,8 +335,4 @@ def resolve_step(
             limit_energy(
                 first_vertices[o], end, inverse_mass, vertices, velocities, settings[GRAVITY], mean_edge, ledger[o]
             )
-    for i in range(vertex_count):
-        for axis in range(3):
-            displacements[i, axis] = vertices[i, axis] - free_vertices[i, axis]
-            velocity_changes[i, axis] = velocities[i, axis] - free_velocities[i, axis]
     return 0

@@ -46,6 +46,11 @@ class ConstraintsType(types.StructRef):
     """Numba type of `Constraints`."""
 
 
+@structref.register
+class WorldContactsType(types.StructRef):
+    """Numba type of `WorldContacts`."""
+
+
 class ToolShape(structref.StructRefProxy):
     """A tool, for kernels; everything in the tool's frame.
 
@@ -84,6 +89,26 @@ class Constraints(structref.StructRefProxy):
             the position solve applied [kg u]; IMPULSE, what the velocity solve applied to the organ [kg u/s].
         features (C, 5): the three vertices; OWNER, index of the tool or `GROUND`; PLANE, the tool's face.
         names (C,): tells which features touch, the same in the next query.
+    """
+
+
+class WorldContacts(structref.StructRefProxy):
+    """All that is known of contact in one world, for kernels: its tools and organs, and what is remembered.
+
+    Fields:
+        tools: `ToolShape` of the N tools.
+        memories: `PairMemory` of each tool (outer) and organ (inner).
+        surfaces: Triangles (T, 3) of each organ, counting its own vertices.
+        constraints: Workspace of a query.
+        earlier: Workspace: constraints of queries before the last one.
+        warm_positions: Displacements of the last step's constraints, from which the position solve starts.
+        warm_velocities: Impulses of the last step's constraints, from which the velocity solve starts.
+        warm_counts (2,): how many of each.
+        first_vertices (O,): index of each organ's first vertex among all.
+        friction (N,): coefficients.
+        settings: See `step`.
+        inverse_mass (V,): of the organs' nodes [1/kg].
+        ledger (O, 4): of the energy that the tools put into each organ; see `response`.
     """
 
 
@@ -138,6 +163,24 @@ MEMORIES = types.ListType(MEMORY)
 SURFACE = ARRAYS["i4_2"]
 SURFACES = types.ListType(SURFACE)
 
+WORLD_FIELDS = [
+    ("tools", TOOLS),
+    ("memories", MEMORIES),
+    ("surfaces", SURFACES),
+    ("constraints", CONSTRAINTS),
+    ("earlier", CONSTRAINTS),
+    ("warm_positions", CONSTRAINTS),
+    ("warm_velocities", CONSTRAINTS),
+    ("warm_counts", ARRAYS["i8"]),
+    ("first_vertices", ARRAYS["i8"]),
+    ("friction", ARRAYS["f8"]),
+    ("settings", ARRAYS["f8"]),
+    ("inverse_mass", ARRAYS["f8"]),
+    ("ledger", ARRAYS["f8_2"]),
+]
+structref.define_proxy(WorldContacts, WorldContactsType, [name for name, _ in WORLD_FIELDS])
+WORLD_CONTACTS = WorldContactsType(WORLD_FIELDS)
+
 
 @kernel(TOOL(*[kind for _, kind in TOOL_FIELDS]))
 def _make_tool(
@@ -158,6 +201,18 @@ def _make_memory(
 ) -> Any:  # fmt: skip
     return PairMemory(
         states, triangle, record, hits, distances, ray_local, codes, local, last_local, candidates
+    )  # fmt: skip
+
+
+@kernel(WORLD_CONTACTS(*[kind for _, kind in WORLD_FIELDS]))
+def make_world_contacts(
+    tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, warm_positions: Any, warm_velocities: Any,
+    warm_counts: Any, first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, ledger: Any,
+) -> Any:  # fmt: skip
+    """A `WorldContacts` of these fields."""
+    return WorldContacts(
+        tools, memories, surfaces, constraints, earlier, warm_positions, warm_velocities, warm_counts, first_vertices,
+        friction, settings, inverse_mass, ledger,
     )  # fmt: skip
 
 

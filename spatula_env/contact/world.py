@@ -1,0 +1,136 @@
+"""What the contact kernels are given of one world of a scene, and what they remember of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spatula_env.contact import step
+from spatula_env.contact.multipliers import MOST_PASSED
+from spatula_env.contact.response import LEDGER_LENGTH
+from spatula_env.contact.structures import (
+    copy_constraints,
+    make_constraints,
+    make_world_contacts,
+    memory_list,
+    restore_constraints,
+    tool_list,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from spatula_env.contact.structures import Memory
+    from spatula_env.scenes import Scene
+
+    FloatArray = NDArray[np.float64]
+
+FIRST_ROOM = 256
+"""Room for so many constraints to begin with."""
+
+Multipliers = tuple[tuple["NDArray[Any]", "NDArray[Any]", "NDArray[Any]"], ...]
+"""From which the position and the velocity solve start: names, features and rows of constraints."""
+
+
+class Workspace:
+    """Room for one query at a time, which worlds that are queried one after the other can share.
+
+    Attributes:
+        constraints: Of the query.
+        earlier: Of queries before it in the same step.
+    """
+
+    def __init__(self) -> None:
+        """Make room."""
+        self.constraints = make_constraints(FIRST_ROOM)
+        self.earlier = make_constraints(MOST_PASSED)
+
+
+class World:
+    """The contact of one world: a `WorldContacts` and the arrays in it.
+
+    Attributes:
+        memories: Of each tool (outer) and organ (inner).
+        friction: (N,) coefficients of the tools.
+        settings: (7,) by the column names of `step`.
+        inverse_masses: (V,) of the organs' nodes [1/kg].
+        ledger: (O, 4) of the energy that the tools put into each organ; see `response`.
+        workspace: Of a query.
+        structure: For kernels.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        shapes: Sequence[Any],
+        memories: Sequence[Memory],
+        surfaces: Any,
+        inverse_masses: FloatArray,
+        workspace: Workspace,
+    ) -> None:
+        """Prepare for a scene.
+
+        Args:
+            scene: Its tools, organs and ground.
+            shapes: `ToolShape` of each tool.
+            memories: Of each tool (outer) and organ (inner).
+            surfaces: List of the organs' triangles, for kernels.
+            inverse_masses: (V,) of the organs' nodes [1/kg].
+            workspace: Of a query.
+        """
+        starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
+        self.memories = tuple(memories)
+        self.friction = np.array([placed.friction for placed in scene.tools])
+        self.inverse_masses = inverse_masses.copy()
+        self.settings = np.zeros(step.SETTINGS_LENGTH)
+        self.settings[step.DT] = scene.dt
+        self.settings[step.MEAN_EDGE] = min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
+        self.settings[step.GRAVITY] = scene.gravity
+        if scene.ground is not None:
+            self.settings[step.HAS_GROUND] = 1.0
+            self.settings[step.GROUND_HEIGHT] = scene.ground.height
+            self.settings[step.GROUND_FRICTION] = scene.ground.friction
+        self.set_inverse_masses(inverse_masses)
+        self.ledger = np.zeros((len(scene.organs), LEDGER_LENGTH))
+        self.workspace = workspace
+        self._warm = make_constraints(FIRST_ROOM), make_constraints(FIRST_ROOM)
+        self._warm_counts = np.zeros(2, dtype=np.int64)
+        self.structure = make_world_contacts(
+            tool_list(list(shapes)),
+            memory_list([memory.structure for memory in memories]),
+            surfaces,
+            workspace.constraints,
+            workspace.earlier,
+            *self._warm,
+            self._warm_counts,
+            starts[:-1].astype(np.int64),
+            self.friction,
+            self.settings,
+            self.inverse_masses,
+            self.ledger,
+        )
+
+    def set_inverse_masses(self, inverse_masses: FloatArray) -> None:
+        """Change the masses of the organs' nodes (V,) [1/kg]."""
+        self.inverse_masses[:] = inverse_masses
+        free = inverse_masses[inverse_masses > 0.0]
+        self.settings[step.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
+
+    def forget_solves(self) -> None:
+        """Start the next step's solves from nothing, and count energy anew."""
+        self._warm_counts[:] = 0
+        self.ledger[:] = 0.0
+
+    def copy_multipliers(self) -> Multipliers:
+        """From where the next step's solves start, as arrays of their own."""
+        return tuple(
+            copy_constraints(warm, count) for warm, count in zip(self._warm, self._warm_counts.tolist(), strict=True)
+        )
+
+    def restore_multipliers(self, multipliers: Multipliers) -> None:
+        """Go back to what was copied."""
+        for index, (warm, parts) in enumerate(zip(self._warm, multipliers, strict=True)):
+            restore_constraints(warm, *(part.copy() for part in parts))
+            self._warm_counts[index] = len(parts[0])

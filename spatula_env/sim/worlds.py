@@ -1,0 +1,219 @@
+"""What a task needs of physics: some worlds of one scene, moved on together by one control step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.sim.simulation import Simulation, SimulationDiverged
+
+if TYPE_CHECKING:
+    from spatula_env.scenes import Scene
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What the tools felt during a control step of several physics steps, in scene units.
+
+    Rows of worlds that have diverged hold zeros.
+
+    Attributes:
+        forces: (W, N, 3) on each of the N tools, averaged over the control step [kg u/s2].
+        torques: (W, N, 3) about each tool's origin, averaged [kg u2/s2].
+        peak_forces: (W, N) greatest magnitude of the force in a physics step [kg u/s2].
+        flags: (W, n) for each tool: which of its n contact nodes are in contact with any organ at the end.
+        penetrations: (W,) greatest depth of a contact node in the last physics step, before correction [u].
+        residuals: (W,) how far tools were still in organs after correction, at most in any physics step [u].
+        ground_forces: (W, 3) what the ground does to the organs, averaged [kg u/s2].
+        diverged: (W,) whether positions are no longer finite.
+    """
+
+    forces: FloatArray
+    torques: FloatArray
+    peak_forces: FloatArray
+    flags: tuple[BoolArray, ...]
+    penetrations: FloatArray
+    residuals: FloatArray
+    ground_forces: FloatArray
+    diverged: BoolArray
+
+
+class Worlds(Protocol):
+    """W worlds of a scene with N tools and V nodes in all."""
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that all of them show."""
+
+    @property
+    def count(self) -> int:
+        """W."""
+
+    @property
+    def nodes(self) -> FloatArray:
+        """(W, V, 3) positions of the organs' nodes (a copy) [u]."""
+
+    @property
+    def triangles(self) -> NDArray[np.int32]:
+        """(T, 3) of all organs, counter-clockwise from outside (a copy)."""
+
+    @property
+    def tool_positions(self) -> FloatArray:
+        """(W, N, 3) (a copy) [u]."""
+
+    @property
+    def tool_orientations(self) -> FloatArray:
+        """(W, N, 4) quaternions xyzw (a copy)."""
+
+    @property
+    def times(self) -> FloatArray:
+        """(W,) since each world's reset (a copy) [s]."""
+
+    def reset(self, worlds: IntArray) -> None:
+        """Start some worlds again: organs at rest, tools where the scene has them, no contact, time zero.
+
+        Args:
+            worlds: (n,) which.
+        """
+
+    def place_tools(self, positions: FloatArray, orientations: FloatArray, worlds: IntArray) -> None:
+        """Put the tools of some worlds somewhere at once; flags are cleared and organs feel nothing of the way.
+
+        Args:
+            positions: (n, N, 3) [u].
+            orientations: (n, N, 4) unit quaternions xyzw.
+            worlds: (n,) which.
+        """
+
+    def advance(self, linear_velocities: FloatArray, angular_velocities: FloatArray, steps: int) -> Loads:
+        """Move all worlds on by some physics steps, the tools moving with constant velocity.
+
+        Args:
+            linear_velocities: (W, N, 3) [u/s].
+            angular_velocities: (W, N, 3) world frame [rad/s].
+            steps: How many.
+
+        Returns:
+            What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
+        """
+
+    def close(self) -> None:
+        """Free what the engine holds. Closing twice is allowed."""
+
+
+class SeparateWorlds:
+    """Simulations of one scene, stepped one after the other.
+
+    Attributes:
+        simulations: The W simulations.
+    """
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        """Take over simulations of one scene.
+
+        Args:
+            simulations: At least one; `close` closes them.
+        """
+        self.simulations = tuple(simulations)
+        self._diverged = np.zeros(len(self.simulations), dtype=np.bool_)
+
+    @property
+    def scene(self) -> Scene:
+        """See `Worlds`."""
+        return self.simulations[0].scene
+
+    @property
+    def count(self) -> int:
+        """See `Worlds`."""
+        return len(self.simulations)
+
+    @property
+    def nodes(self) -> FloatArray:
+        """See `Worlds`."""
+        return np.stack([simulation.nodes for simulation in self.simulations])
+
+    @property
+    def triangles(self) -> NDArray[np.int32]:
+        """See `Worlds`."""
+        return self.simulations[0].triangles
+
+    @property
+    def tool_positions(self) -> FloatArray:
+        """See `Worlds`."""
+        return np.stack([simulation.tool_positions for simulation in self.simulations])
+
+    @property
+    def tool_orientations(self) -> FloatArray:
+        """See `Worlds`."""
+        return np.stack([simulation.tool_orientations for simulation in self.simulations])
+
+    @property
+    def times(self) -> FloatArray:
+        """See `Worlds`."""
+        return np.array([simulation.time for simulation in self.simulations])
+
+    def reset(self, worlds: IntArray) -> None:
+        """See `Worlds`."""
+        for world in worlds.tolist():
+            self.simulations[world].reset()
+            self._diverged[world] = False
+
+    def place_tools(self, positions: FloatArray, orientations: FloatArray, worlds: IntArray) -> None:
+        """See `Worlds`."""
+        for row, world in enumerate(worlds.tolist()):
+            for index, (position, orientation) in enumerate(zip(positions[row], orientations[row], strict=True)):
+                self.simulations[world].place_tool(position, orientation, index=index)
+
+    def advance(self, linear_velocities: FloatArray, angular_velocities: FloatArray, steps: int) -> Loads:
+        """See `Worlds`."""
+        tools = self.scene.tools
+        count = (self.count, len(tools))
+        loads = Loads(
+            forces=np.zeros((*count, 3)),
+            torques=np.zeros((*count, 3)),
+            peak_forces=np.zeros(count),
+            flags=tuple(np.zeros((self.count, len(placed.tool.nodes)), dtype=np.bool_) for placed in tools),
+            penetrations=np.zeros(self.count),
+            residuals=np.zeros(self.count),
+            ground_forces=np.zeros((self.count, 3)),
+            diverged=self._diverged,
+        )
+        for world in np.flatnonzero(~self._diverged).tolist():
+            try:
+                self._advance(world, linear_velocities[world], angular_velocities[world], steps, loads)
+            except SimulationDiverged:
+                self._diverged[world] = True
+                for values in (loads.forces, loads.torques, loads.peak_forces, *loads.flags, loads.penetrations):
+                    values[world] = 0
+                loads.residuals[world], loads.ground_forces[world] = 0.0, 0.0
+        return Loads(**{**vars(loads), "diverged": self._diverged.copy()})
+
+    def _advance(self, world: int, linear: FloatArray, angular: FloatArray, steps: int, loads: Loads) -> None:
+        simulation = self.simulations[world]
+        total, ground = np.zeros((len(linear), 6)), np.zeros(3)
+        peaks = loads.peak_forces[world]
+        for _ in range(steps):
+            report = simulation.step(linear, angular)
+            total += report.loads
+            ground += report.ground_force
+            np.maximum(peaks, (report.loads[:, :3] ** 2).sum(axis=1), out=peaks)
+            loads.residuals[world] = max(loads.residuals[world], report.residual)
+        np.sqrt(peaks, out=peaks)
+        loads.forces[world], loads.torques[world] = total[:, :3] / steps, total[:, 3:] / steps
+        loads.ground_forces[world] = ground / steps
+        loads.penetrations[world] = report.penetration
+        for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):
+            flags[world] = np.any([found.flags for found in contacts], axis=0)
+
+    def close(self) -> None:
+        """See `Worlds`."""
+        for simulation in self.simulations:
+            simulation.close()
