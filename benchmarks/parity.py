@@ -75,11 +75,17 @@ def _in_bullet(scene: Scene, changes: np.ndarray, steps: int, *, rounded: bool =
     """Positions (steps, V, 3) in PyBullet."""
     world = BulletWorld(scene)
     try:
+        positions, velocities = scene.organs[0].vertices, np.zeros_like(changes)
         if rounded:
-            vertices = scene.organs[0].vertices.astype(np.float32).astype(np.float64)
-            world.set_state(vertices, np.zeros_like(vertices))
-        nothing = np.zeros_like(changes)
-        return _record(lambda: world.step(changes, nothing)[0], steps)
+            positions = positions.astype(np.float32).astype(np.float64)
+            world.set_state(positions, velocities)
+
+        def step() -> np.ndarray:
+            nonlocal positions, velocities
+            positions, velocities = world.step(positions, velocities + changes)
+            return positions
+
+        return _record(step, steps)
     finally:
         world.close()
 

@@ -7,7 +7,10 @@ IEEE arithmetic (see `spatula_env.contact.raycast`) and results must not depend 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import numba
@@ -45,3 +48,20 @@ def kernel(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., 
 def inline_kernel(function: Function) -> Function:
     """Compile a small helper that only other kernels call; LLVM inlines it where that pays."""
     return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
+
+
+PATIENCE = 2.0
+"""What takes longer than this is not loaded from the cache but compiled [s]."""
+
+
+@contextmanager
+def announce_compilation() -> Iterator[None]:
+    """Say what the wait is for, if what is done in this context turns out to need compilation."""
+    message = "spatula_env is compiling its kernels, once after installation. This takes about a minute."
+    timer = threading.Timer(PATIENCE, logging.getLogger("spatula_env").warning, (message,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -60,23 +60,6 @@ class ContactMemory:
     ledger: FloatArray
 
 
-@dataclass
-class Resolved:
-    """Nodes after contact.
-
-    Attributes:
-        nodes: (V, 3) positions [u].
-        velocities: (V, 3) [u/s].
-        displacements: (V, 3) what contact added to the positions [u].
-        velocity_changes: (V, 3) what it added to the velocities [u/s].
-    """
-
-    nodes: FloatArray
-    velocities: FloatArray
-    displacements: FloatArray
-    velocity_changes: FloatArray
-
-
 class ContactModel:
     """Detects and resolves the contacts of a scene, step after step.
 
@@ -180,7 +163,7 @@ class ContactModel:
 
     def resolve(
         self, start: FloatArray, free_nodes: FloatArray, free_velocities: FloatArray, motions: Motions | None
-    ) -> Resolved:
+    ) -> tuple[FloatArray, FloatArray]:
         """Resolve all contacts at the end of a step; what it comes to is in this object's attributes as well.
 
         Args:
@@ -190,7 +173,7 @@ class ContactModel:
             motions: What the tools did meanwhile; None if only the ground counts.
 
         Returns:
-            Where the nodes are and how fast; arrays of their own.
+            Positions (V, 3) [u] and velocities (V, 3) [u/s] of the nodes after contact; arrays of their own.
         """
         result, with_tools = self._result, motions is not None
         motions = self._nothing if motions is None else motions
@@ -226,7 +209,7 @@ class ContactModel:
         self.ground_force = -impulses[len(motions.positions), :3]
         if with_tools:
             self.wrenches = impulses[:-1]
-        return Resolved(nodes, velocities, nodes - free_nodes, velocities - free_velocities)
+        return nodes, velocities
 
     def contact_table(self) -> FloatArray:
         """(C, 8) where something pushed in the last step; see `pressure.contact_table`."""

@@ -72,3 +72,41 @@ def turn_between(first: np.ndarray, second: np.ndarray, fraction: float, result:
         length += result[k] * result[k]
     for k in range(4):
         result[k] /= np.sqrt(length)
+
+
+@inline_kernel
+def turn_by(orientation: np.ndarray, angular_velocity: np.ndarray, dt: float, result: np.ndarray) -> None:
+    """Write the orientation after turning at a constant angular velocity; see `transforms.integrate_rotation`."""
+    x, y, z = 0.5 * dt * angular_velocity[0], 0.5 * dt * angular_velocity[1], 0.5 * dt * angular_velocity[2]
+    if x == 0.0 and y == 0.0 and z == 0.0:
+        result[:] = orientation
+        return
+    angle = np.sqrt(x * x + y * y + z * z)
+    factor = np.sin(angle) / angle if angle > 1e-6 else 1.0 - angle * angle / 6.0
+    x, y, z, w = factor * x, factor * y, factor * z, np.cos(angle)
+    a, b, c, d = orientation[0], orientation[1], orientation[2], orientation[3]
+    result[0] = w * a + x * d + y * c - z * b
+    result[1] = w * b - x * c + y * d + z * a
+    result[2] = w * c + x * b - y * a + z * d
+    result[3] = w * d - x * a - y * b - z * c
+    length = np.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
+    for k in range(4):
+        result[k] /= length
+
+
+@kernel("f8[:,::1](f8[:,::1], f8[:,::1], f8)")
+def turned_by(orientations: np.ndarray, angular_velocities: np.ndarray, dt: float) -> np.ndarray:
+    """The orientations of tools after turning at constant angular velocities; see `transforms.integrate_rotation`.
+
+    Args:
+        orientations: (N, 4) unit quaternions xyzw.
+        angular_velocities: (N, 3) world frame [rad/s].
+        dt: For how long [s].
+
+    Returns:
+        (N, 4) unit quaternions.
+    """
+    turned = np.empty_like(orientations)
+    for k in range(orientations.shape[0]):
+        turn_by(orientations[k], angular_velocities[k], dt, turned[k])
+    return turned

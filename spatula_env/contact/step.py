@@ -9,7 +9,14 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.features import gather_features, gather_ground, gather_nodes
-from spatula_env.contact.flags import decide_flags, fill_local, fill_record, fill_rotation, lead_by_motion
+from spatula_env.contact.flags import (
+    decide_flags,
+    fill_local,
+    fill_record,
+    fill_rotation,
+    flag_enclosed,
+    lead_by_motion,
+)
 from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
 from spatula_env.contact.multipliers import add_passed, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
@@ -39,6 +46,9 @@ VELOCITY_TOLERANCE = 1e-4
 
 RESIDUAL_TOLERANCE = 1e-3
 """Contacts are looked for again, where the last solve has moved the organ to, until none is deeper than this [u]."""
+
+ENCLOSED_DEPTH = 5e-3
+"""A contact node that a solve leaves deeper than this in an organ is in contact, whatever its path says [u]."""
 
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
@@ -258,6 +268,7 @@ def resolve_step(
                 memory.states[3] = memory.states[0]
                 lead_by_motion(tool, memory, surfaces[o])
                 decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
+        searched = False
         for attempt in range(MOST_PASSES):
             count = 0
             if settings[HAS_GROUND] > 0.0:
@@ -298,7 +309,22 @@ def resolve_step(
             violation = measure_gaps(count, rows, features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
             # The first solve is there for friction too, which holds a surface that only touches.
             if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
-                break
+                # Once in some hundred thousand steps of fast motion an edge gets past all constraints.
+                if searched or queries == 1 or query < queries - 1 or mode != FLAGS:
+                    break
+                searched, enclosed = True, 0
+                for k in range(tool_count):
+                    for o in range(organ_count):
+                        if passes[k]:
+                            memory, first, triangles = memories[k * organ_count + o], first_vertices[o], surfaces[o]
+                            own = vertices[first : first + memory.local.shape[1]]
+                            cast_columns(position[k], rotation[k], own, triangles, tools[k], memory)
+                            enclosed += flag_enclosed(
+                                tools[k], memory, vertices, first, triangles, position[k], rotation[k], ENCLOSED_DEPTH
+                            )
+                if enclosed == 0:
+                    break
+                continue
             if attempt == 0 and queries == 1:
                 start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_counts[0], warm_positions)
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)

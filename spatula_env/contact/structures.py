@@ -180,6 +180,7 @@ WORLD_FIELDS = [
 ]
 structref.define_proxy(WorldContacts, WorldContactsType, [name for name, _ in WORLD_FIELDS])
 WORLD_CONTACTS = WorldContactsType(WORLD_FIELDS)
+WORLDS = types.ListType(WORLD_CONTACTS)
 
 
 @kernel(TOOL(*[kind for _, kind in TOOL_FIELDS]))
@@ -261,6 +262,12 @@ def _append_tool(tools: Any, tool: Any) -> None:
     tools.append(tool)
 
 
+@kernel(types.void(WORLD_CONTACTS, types.int64, TOOL))
+def replace_tool(world: Any, index: int, tool: Any) -> None:
+    """Put another tool in the place of one."""
+    world.tools[index] = tool
+
+
 @kernel(MEMORIES())
 def _no_memories() -> Any:
     return List.empty_list(MEMORY)
@@ -269,6 +276,16 @@ def _no_memories() -> Any:
 @kernel(types.void(MEMORIES, MEMORY))
 def _append_memory(memories: Any, memory: Any) -> None:
     memories.append(memory)
+
+
+@kernel(WORLDS())
+def _no_worlds() -> Any:
+    return List.empty_list(WORLD_CONTACTS)
+
+
+@kernel(types.void(WORLDS, WORLD_CONTACTS))
+def _append_world(worlds: Any, world: Any) -> None:
+    worlds.append(world)
 
 
 @kernel(SURFACES())
@@ -302,6 +319,14 @@ def surface_list(surfaces: list[NDArray[np.int32]]) -> Any:
     made = _no_surfaces()
     for triangles in surfaces:
         _append_surface(made, triangles)
+    return made
+
+
+def world_list(worlds: list[Any]) -> Any:
+    """A list of `WorldContacts` that kernels take."""
+    made = _no_worlds()
+    for world in worlds:
+        _append_world(made, world)
     return made
 
 
@@ -358,30 +383,46 @@ def _ridges(
     return ridges
 
 
-class Memory:
-    """The arrays of a `PairMemory`, for a tool with so many nodes and an organ of so many vertices and triangles."""
+class OrganRoom:
+    """Workspace for an organ of so many vertices and triangles; pairs that are queried one by one can share it."""
 
-    def __init__(self, nodes: int, vertices: int = 0, triangles: int = 0) -> None:
+    def __init__(self, vertices: int, triangles: int) -> None:
+        """Make room."""
+        self.ray_local: NDArray[np.float64] = np.zeros((3, vertices))
+        self.codes: NDArray[np.uint8] = np.zeros(vertices, dtype=np.uint8)
+        self.local: NDArray[np.float64] = np.zeros((3, vertices))
+        self.last_local: NDArray[np.float64] = np.zeros((3, vertices))
+        self.candidates: NDArray[np.int32] = np.zeros(triangles, dtype=np.int32)
+
+
+class Memory:
+    """The arrays of a `PairMemory`: what is remembered of a tool with so many nodes, and workspace for an organ."""
+
+    def __init__(self, nodes: int, room: OrganRoom | None = None) -> None:
         """Make them, with all flags clear."""
         self.states: NDArray[np.bool_] = np.zeros((6, nodes), dtype=np.bool_)
         self.triangle: NDArray[np.int32] = np.full(nodes, NO_HIT, dtype=np.int32)
         self.record: NDArray[np.float64] = np.zeros((nodes, 10))
         self._hits = np.zeros((nodes, 2, 2), dtype=np.int32)
         self._distances = np.zeros((nodes, 2))
-        self.resize(vertices, triangles)
+        self.use(OrganRoom(0, 0) if room is None else room)
 
-    def resize(self, vertices: int, triangles: int) -> None:
-        """Change the workspace for an organ of another size; what is remembered stays."""
-        self.vertices, self.triangles = vertices, triangles
+    def use(self, room: OrganRoom) -> None:
+        """Change the workspace, for an organ of another size; what is remembered stays."""
+        self.vertices, self.triangles = len(room.codes), len(room.candidates)
         self.structure = _make_memory(
             self.states,
             self.triangle,
             self.record,
             self._hits,
             self._distances,
-            np.zeros((3, vertices)),
-            np.zeros(vertices, dtype=np.uint8),
-            np.zeros((3, vertices)),
-            np.zeros((3, vertices)),
-            np.zeros(triangles, dtype=np.int32),
+            room.ray_local,
+            room.codes,
+            room.local,
+            room.last_local,
+            room.candidates,
         )
+
+    def resize(self, vertices: int, triangles: int) -> None:
+        """Make workspace for an organ of another size."""
+        self.use(OrganRoom(vertices, triangles))

@@ -15,6 +15,7 @@ from spatula_env.contact.structures import (
     make_constraints,
     make_world_contacts,
     memory_list,
+    replace_tool,
     restore_constraints,
     tool_list,
 )
@@ -134,3 +135,7 @@ class World:
         for index, (warm, parts) in enumerate(zip(self._warm, multipliers, strict=True)):
             restore_constraints(warm, *(part.copy() for part in parts))
             self._warm_counts[index] = len(parts[0])
+
+    def set_tool(self, index: int, shape: Any) -> None:
+        """Give the world another tool, a `ToolShape` with as many nodes."""
+        replace_tool(self.structure, index, shape)

@@ -179,9 +179,6 @@ def predict_block(
     positions: np.ndarray,
     velocities: np.ndarray,
     predicted: np.ndarray,
-    changes: np.ndarray,
-    displacements: np.ndarray,
-    pushed: bool,
     movable: np.ndarray,
     gravity: np.ndarray,
     dt: float,
@@ -196,15 +193,6 @@ def predict_block(
             for axis in range(3):
                 for k in range(lanes):
                     velocities[i, axis, k] = 0.0
-    if pushed:
-        for i in range(nodes):
-            for axis in range(3):
-                for k in range(lanes):
-                    if movable[i]:
-                        velocities[i, axis, k] += changes[i, axis, k]
-                        positions[i, axis, k] += displacements[i, axis, k]
-                    changes[i, axis, k] = 0.0
-                    displacements[i, axis, k] = 0.0
     size = nodes * axes * lanes
     x, v, p = positions.reshape(size), velocities.reshape(size), predicted.reshape(size)
     for k in range(size):
@@ -265,9 +253,6 @@ def advance_block(
     positions: np.ndarray,
     velocities: np.ndarray,
     predicted: np.ndarray,
-    changes: np.ndarray,
-    displacements: np.ndarray,
-    pushed: bool,
     movable: np.ndarray,
     links: np.ndarray,
     factors: np.ndarray,
@@ -283,9 +268,6 @@ def advance_block(
         positions: (V, C, lanes) written [u].
         velocities: (V, C, lanes) written [u/s].
         predicted: (V, C, lanes) workspace.
-        changes: (V, C, lanes) added to the velocities before the step, and then set to zero [u/s].
-        displacements: (V, C, lanes) added to the positions before the step, and then set to zero [u].
-        pushed: Whether there are any of those two; they are left alone otherwise.
         movable: (V,) which nodes are not held fixed.
         links: (L, 2) nodes.
         factors: (L, 3) squared rest length [u2] and shares.
@@ -295,7 +277,7 @@ def advance_block(
         inverse_dt: One over it [1/s].
         finite: (lanes,) written: zero where all velocities are finite, NaN otherwise.
     """
-    predict_block(positions, velocities, predicted, changes, displacements, pushed, movable, gravity, dt)
+    predict_block(positions, velocities, predicted, movable, gravity, dt)
     sweep_block(positions, links, factors, stiffness, SWEEPS)
     finish_block(positions, velocities, predicted, inverse_dt, finite)
 
@@ -319,7 +301,7 @@ def write_world(block: np.ndarray, lane: int, values: np.ndarray) -> None:
 def _step_signature(real: Any) -> Any:
     state, rows = types.Array(real, 4, "C"), types.Array(real, 2, "C")
     flags, links = types.Array(types.boolean, 1, "C"), types.Array(types.int32, 2, "C")
-    return types.void(state, state, state, state, state, flags, flags, links, rows, rows, rows, real, real, rows)
+    return types.void(state, state, state, flags, links, rows, rows, rows, real, real, rows)
 
 
 def _copy_signature(real: Any, *, readonly: bool) -> Any:
@@ -327,9 +309,15 @@ def _copy_signature(real: Any, *, readonly: bool) -> Any:
     return types.void(types.Array(real, 4, "C"), worlds, values)
 
 
+def _add_signature(real: Any) -> Any:
+    flags, values = types.Array(types.boolean, 1, "C"), types.Array(types.float64, 3, "C", readonly=True)
+    return types.void(types.Array(real, 4, "C"), flags, values)
+
+
 _REALS = (types.float32, types.float64)
 _STEP_SIGNATURES = [_step_signature(real) for real in _REALS]
 _READ_SIGNATURES = [_copy_signature(real, readonly=False) for real in _REALS]
+_ADD_SIGNATURES = [_add_signature(real) for real in _REALS]
 _WRITE_SIGNATURES = [_copy_signature(real, readonly=True) for real in _REALS]
 
 
@@ -338,9 +326,6 @@ def _advance_serially(
     positions: np.ndarray,
     velocities: np.ndarray,
     predicted: np.ndarray,
-    changes: np.ndarray,
-    displacements: np.ndarray,
-    pushed: np.ndarray,
     movable: np.ndarray,
     links: np.ndarray,
     factors: np.ndarray,
@@ -353,10 +338,9 @@ def _advance_serially(
     """Advance all blocks by one step; arguments as of `advance_block`, those of a block with a leading axis."""
     for b in range(positions.shape[0]):
         advance_block(
-            positions[b], velocities[b], predicted[b], changes[b], displacements[b], pushed[b], movable, links, factors,
-            gravity[b], stiffness[b], dt, inverse_dt, finite[b],
+            positions[b], velocities[b], predicted[b], movable, links, factors, gravity[b], stiffness[b], dt,
+            inverse_dt, finite[b],
         )  # fmt: skip
-        pushed[b] = False
 
 
 @numba.njit(_STEP_SIGNATURES, cache=True, error_model="numpy", parallel=True)
@@ -364,9 +348,6 @@ def _advance_in_parallel(
     positions: np.ndarray,
     velocities: np.ndarray,
     predicted: np.ndarray,
-    changes: np.ndarray,
-    displacements: np.ndarray,
-    pushed: np.ndarray,
     movable: np.ndarray,
     links: np.ndarray,
     factors: np.ndarray,
@@ -379,10 +360,9 @@ def _advance_in_parallel(
     """Do what `_advance_serially` does, the blocks shared out among Numba's threads."""
     for b in numba.prange(positions.shape[0]):
         advance_block(
-            positions[b], velocities[b], predicted[b], changes[b], displacements[b], pushed[b], movable, links, factors,
-            gravity[b], stiffness[b], dt, inverse_dt, finite[b],
+            positions[b], velocities[b], predicted[b], movable, links, factors, gravity[b], stiffness[b], dt,
+            inverse_dt, finite[b],
         )  # fmt: skip
-        pushed[b] = False
 
 
 @numba.njit(_READ_SIGNATURES, cache=True, error_model="numpy")
@@ -399,6 +379,18 @@ def _write_worlds(blocks: np.ndarray, worlds: np.ndarray, values: np.ndarray) ->
     lanes = blocks.shape[3]
     for i in range(worlds.shape[0]):
         write_world(blocks[worlds[i] // lanes], worlds[i] % lanes, values[i])
+
+
+@numba.njit(_ADD_SIGNATURES, cache=True, error_model="numpy")
+def _add_to_worlds(blocks: np.ndarray, movable: np.ndarray, values: np.ndarray) -> None:
+    """Add values (W, V, 3) to those of all worlds in the blocks (B, V, C, lanes), where nodes can move."""
+    lanes = blocks.shape[3]
+    for w in range(values.shape[0]):
+        block, lane = blocks[w // lanes], w % lanes
+        for i in range(values.shape[1]):
+            if movable[i]:
+                for axis in range(3):
+                    block[i, axis, lane] += values[w, i, axis]
 
 
 class BatchBody:
@@ -459,9 +451,6 @@ class BatchBody:
             "positions": self._zeros(shape),
             "velocities": self._zeros(shape),
             "predicted": self._zeros(shape),
-            "changes": self._zeros(shape),
-            "displacements": self._zeros(shape),
-            "pushed": np.zeros(blocks, dtype=np.bool_),
             "movable": body.inverse_masses > 0.0,
             "links": np.ascontiguousarray(body.links[linked]),
             "factors": np.ascontiguousarray(factors.astype(self._real)),
@@ -504,11 +493,11 @@ class BatchBody:
         Raises:
             ValueError: If a value is not allowed; nothing has then changed.
         """
-        indices = self._indices(worlds)
+        indices = self.indices(worlds)
         checked: dict[str, FloatArray] = {}
         for name, value in (("gravity", gravity), ("stiffness", stiffness), ("mass_scale", mass_scale)):
             if value is not None:
-                checked[name] = self._values(value, name, indices)
+                checked[name] = self.values(value, name, indices)
         if "stiffness" in checked:
             bad = (checked["stiffness"] < 0.0) | (checked["stiffness"] >= GREATEST_STIFFNESS)
             _refuse(bad, indices, "stiffness", f"zero to less than {GREATEST_STIFFNESS:g}", checked["stiffness"])
@@ -518,7 +507,8 @@ class BatchBody:
             target = self._mass_scale if name == "mass_scale" else self.arrays[name].reshape(-1)
             target[indices] = values
 
-    def _values(self, value: ArrayLike, name: str, indices: NDArray[np.int64]) -> FloatArray:
+    def values(self, value: ArrayLike, name: str, indices: NDArray[np.int64]) -> FloatArray:
+        """A finite number for each of some worlds (n,), from one for all of them or one each."""
         array = np.asarray(value, dtype=np.float64)
         if array.shape not in ((), (len(indices),)):
             raise ValueError(f"{name} must be a number or have shape ({len(indices)},), got {array.shape}")
@@ -539,8 +529,8 @@ class BatchBody:
             ValueError: If an argument has another shape.
         """
         for name, value, target in (
-            ("velocity_changes", velocity_changes, "changes"),
-            ("displacements", displacements, "displacements"),
+            ("velocity_changes", velocity_changes, "velocities"),
+            ("displacements", displacements, "positions"),
         ):
             if value is not None:
                 array = np.ascontiguousarray(value, dtype=np.float64)
@@ -548,8 +538,7 @@ class BatchBody:
                     raise ValueError(
                         f"{name} must have shape {(self.worlds, len(self.body.vertices), 3)}, got {array.shape}"
                     )
-                _write_worlds(self.arrays[target], np.arange(self.worlds), array)
-                self.arrays["pushed"][:] = True
+                _add_to_worlds(self.arrays[target], self.arrays["movable"], array)
         # The threads of Numba are not started for nothing: a process that has them must not fork.
         advance = _advance_in_parallel if self._parallel and len(self.arrays["positions"]) > 1 else _advance_serially
         advance(*self.arrays.values())
@@ -565,7 +554,7 @@ class BatchBody:
         Raises:
             ValueError: If an argument has another shape or is not finite; nothing has then changed.
         """
-        indices = self._indices(worlds)
+        indices = self.indices(worlds)
         shape = (len(indices), len(self.body.vertices), 3)
         arrays = []
         for name, value in (("positions", positions), ("velocities", velocities)):
@@ -577,8 +566,6 @@ class BatchBody:
             arrays.append(array)
         for name, array in zip(("positions", "velocities"), arrays, strict=True):
             _write_worlds(self.arrays[name], indices, array)
-        for name in ("changes", "displacements"):
-            _write_worlds(self.arrays[name], indices, np.zeros(shape))
         self.arrays["finite"].reshape(-1)[indices] = 0.0
 
     def get_state(self, worlds: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
@@ -590,7 +577,7 @@ class BatchBody:
         Returns:
             Arrays of their own.
         """
-        indices = self._indices(worlds)
+        indices = self.indices(worlds)
         return self._get("positions", indices), self._get("velocities", indices)
 
     def _get(self, name: str, indices: NDArray[np.int64]) -> FloatArray:
@@ -640,7 +627,7 @@ class BatchBody:
         values: FloatArray = self.arrays[name].reshape(-1)[: self.worlds].astype(np.float64)
         return values
 
-    def _indices(self, worlds: ArrayLike | None) -> NDArray[np.int64]:
+    def indices(self, worlds: ArrayLike | None) -> NDArray[np.int64]:
         """Indices of worlds, from indices or a mask."""
         if worlds is None:
             return np.arange(self.worlds)

@@ -95,7 +95,6 @@ class BulletWorld:
         self._pushed = np.zeros(start, dtype=np.int64)
         self._forces = np.zeros((start, 3))
         self._initial = self._positions.copy()
-        self._wanted: FloatArray | None = None
         self.tools = BulletTools(bullet, client, scene) if with_tools else None
         self.set_state(self._positions, self._velocities)
 
@@ -123,12 +122,10 @@ class BulletWorld:
         """(V,) of the nodes [1/kg]; zero for a node that is held fixed."""
         return self._inverse_masses
 
-    def step(self, velocity_changes: FloatArray, displacements: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def step(self, positions: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `world.SoftWorld.step`."""
         bullet, client = self._bullet, self._client
-        if self._wanted is not None:
-            velocity_changes = velocity_changes + (self._wanted - self._velocities)
-            self._wanted = None
+        displacements, velocity_changes = positions - self._positions, velocities - self._velocities
         # Displacing a node by a force leaves its velocity wrong by the displacement over the time step, until the
         # next forces. It costs a third of what resetMeshData does, and Bullet looks at positions only in between.
         count = forces_of_changes(
@@ -136,9 +133,8 @@ class BulletWorld:
         )
         self._push(count)
         bullet.stepSimulation(client)
-        positions = np.empty_like(self._positions)
+        positions, velocities = np.empty_like(positions), np.empty_like(positions)
         self._read(positions)
-        velocities = np.empty_like(positions)
         if not velocities_of_positions(self._positions, displacements, positions, self._dt, velocities):
             raise FloatingPointError("Bullet's nodes are not finite")
         self._positions, self._velocities = positions, velocities
@@ -198,7 +194,6 @@ class BulletWorld:
         self._positions = np.array(positions)
         self._displacements = nothing
         self._velocities = velocities_left
-        self._wanted = np.array(velocities)
 
     def close(self) -> None:
         """See `world.SoftWorld.close`."""

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from spatula_env.contact.model import ContactMemory, ContactModel, Motions
-from spatula_env.geometry.transforms import as_quaternion, as_vector3, integrate_rotation
+from spatula_env.contact.motion import turned_by
+from spatula_env.geometry.transforms import as_quaternion, as_vector3
+from spatula_env.sim.batch_world import BatchWorld
 from spatula_env.sim.bullet import BulletWorld
 from spatula_env.sim.report import Report
 
@@ -18,14 +20,19 @@ if TYPE_CHECKING:
 
     from spatula_env.contact.flags import FirstStep
     from spatula_env.scenes import Scene
+    from spatula_env.sim.bullet import BulletTools
+    from spatula_env.sim.world import SoftWorld
 
     FloatArray = NDArray[np.float64]
 
 ContactName = Literal["flags", "second_step", "bullet"]
 """What resolves contact between tools and organs; see `Simulation`."""
 
-ENGINES = ("bullet",)
+ENGINES = ("bullet", "batch")
 """What can integrate the organs."""
+
+PRECISIONS = {"single": np.float32, "double": np.float64}
+"""Of the batch engine."""
 
 SETTLED_SPEED = 1e-3
 """An organ none of whose nodes is faster is at rest [u/s]."""
@@ -83,28 +90,42 @@ class Simulation:
         engine: str = "bullet",
         contact: ContactName = "flags",
         first_step: FirstStep = "inside",
+        precision: Literal["single", "double"] = "single",
     ) -> None:
         """Load a scene and let its organs come to rest.
 
         Args:
             scene: What is in it.
-            engine: What integrates the organs: "bullet".
+            engine: What integrates the organs. "bullet": PyBullet's soft body. "batch": this package's own, which
+                computes the same, faster; `BatchSimulation` steps many worlds with it.
             contact: "flags": the flags method with both its steps. "second_step": without the first step, so that
                 both faces of a thin tool push. "bullet": PyBullet's own collision algorithm; the detector only
                 watches.
             first_step: What the flags method's first step looks for, "inside" or "any_hit"; see `FlaggedDetector`.
+            precision: In which the batch engine integrates, "single" or "double". Bullet's is always double, as is all
+                contact.
 
         Raises:
-            ValueError: If `engine`, `contact` or `first_step` is not one of those.
+            ValueError: If an argument is not one of those, or the batch engine is asked for Bullet's contact.
         """
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {list(ENGINES)}, got {engine!r}")
         if contact not in get_args(ContactName):
             raise ValueError(f"contact must be one of {list(get_args(ContactName))}, got {contact!r}")
+        if precision not in PRECISIONS:
+            raise ValueError(f"precision must be one of {list(PRECISIONS)}, got {precision!r}")
+        if engine == "batch" and contact == "bullet":
+            raise ValueError("contact must be 'flags' or 'second_step' with engine 'batch', got 'bullet'")
         self.scene = scene
         self.contact: ContactName = contact
         self._closed = False
-        self._world = BulletWorld(scene, with_tools=contact == "bullet")
+        self._tools: BulletTools | None = None
+        self._world: SoftWorld
+        if engine == "bullet":
+            self._world = bullet = BulletWorld(scene, with_tools=contact == "bullet")
+            self._tools = bullet.tools
+        else:
+            self._world = BatchWorld(scene, PRECISIONS[precision])
         self._model = ContactModel(scene, self._world.inverse_masses, "off" if contact == "second_step" else first_step)
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self._triangles = np.concatenate(
@@ -112,8 +133,6 @@ class Simulation:
         ).astype(np.int32)
         self._nodes: FloatArray = np.concatenate([placed.vertices for placed in scene.organs])
         self._velocities: FloatArray = np.zeros_like(self._nodes)
-        self._velocity_changes: FloatArray = np.zeros_like(self._nodes)
-        self._displacements: FloatArray = np.zeros_like(self._nodes)
         self._tool_positions: FloatArray = np.zeros((len(scene.tools), 3))
         self._tool_orientations: FloatArray = np.zeros((len(scene.tools), 4))
         self._time = 0.0
@@ -156,8 +175,8 @@ class Simulation:
         self._tool_positions[index] = new_position
         self._tool_orientations[index] = new_orientation
         self._model.forget(index)
-        if self._world.tools is not None:
-            self._world.tools.place(index, new_position, new_orientation)
+        if self._tools is not None:
+            self._tools.place(index, new_position, new_orientation)
 
     def step(
         self, linear_velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0)
@@ -180,7 +199,7 @@ class Simulation:
         linear = _as_velocities(linear_velocity, "linear_velocity", shape)
         angular = _as_velocities(angular_velocity, "angular_velocity", shape)
         motions = self._move_tools(linear, angular)
-        tools, model = self._world.tools, self._model
+        tools, model = self._tools, self._model
         if tools is not None:
             for index in range(shape[0]):
                 tools.move(index, motions.positions[index], motions.orientations[index], linear[index], angular[index])
@@ -314,25 +333,22 @@ class Simulation:
         positions, orientations = self._tool_positions, self._tool_orientations
         turned = orientations
         if any(map(any, angular.tolist())):
-            turned = np.stack([integrate_rotation(*pair, self.dt) for pair in zip(orientations, angular, strict=True)])
+            turned = turned_by(orientations, angular, self.dt)
         return Motions(positions, orientations, positions + linear * self.dt, turned, linear, angular)
 
     def _advance(self, motions: Motions | None, *, respond: bool) -> None:
         """Step the organs and resolve contact with the ground and, if `respond`, with the tools."""
         try:
-            nodes, velocities = self._world.step(self._velocity_changes, self._displacements)
+            nodes, velocities = self._world.step(self._nodes, self._velocities)
         except FloatingPointError:
             raise SimulationDiverged(f"positions are not finite after {self._time + self.dt:.4f} s") from None
         resolved = self._model.resolve(self._nodes, nodes, velocities, motions if respond else None)
         if motions is not None and not respond:
-            self._model.observe(resolved.nodes, motions)
-        self._nodes, self._velocities = resolved.nodes, resolved.velocities
-        self._displacements, self._velocity_changes = resolved.displacements, resolved.velocity_changes
+            self._model.observe(resolved[0], motions)
+        self._nodes, self._velocities = resolved
 
     def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
         self._nodes, self._velocities = nodes.copy(), velocities.copy()
-        self._velocity_changes = np.zeros_like(nodes)
-        self._displacements = np.zeros_like(nodes)
         self._world.set_state(nodes, velocities)
 
     def _settle(self) -> FloatArray:

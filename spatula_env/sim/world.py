@@ -20,12 +20,12 @@ class SoftWorld(Protocol):
     def inverse_masses(self) -> FloatArray:
         """(V,) of the nodes [1/kg]; zero for a node that is held fixed."""
 
-    def step(self, velocity_changes: FloatArray, displacements: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Advance by one time step.
+    def step(self, positions: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Advance by one time step, from where the last step or `set_state` ended or close to that.
 
         Args:
-            velocity_changes: (V, 3) added to the nodes' velocities before the step [u/s].
-            displacements: (V, 3) added to their positions, leaving velocities as they are [u].
+            positions: (V, 3) of the nodes at the start of the step [u].
+            velocities: (V, 3) [u/s].
 
         Returns:
             Positions (V, 3) [u] and velocities (V, 3) [u/s] at the end of the step; not to be written to.
