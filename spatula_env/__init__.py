@@ -10,6 +10,8 @@ Example:
     >>> observation, info = env.reset(seed=0)
     >>> env.close()
 
+`gymnasium.make_vec` makes many that are stepped together.
+
 `Simulation` and `scenes` are the layer below: the physics, without Gymnasium.
 """
 
@@ -48,6 +50,7 @@ def _register() -> None:
         gymnasium.register(
             id="Spatula/Press-v0",
             entry_point="spatula_env.envs.press:PressEnv",
+            vector_entry_point="spatula_env.envs.press:PressVectorEnv",
             max_episode_steps=200,
         )
 

@@ -1,11 +1,13 @@
-"""Gymnasium environments, put together from a simulation, a control, a task and an observation.
+"""Gymnasium environments, put together from worlds, a control, a task and an observation.
 
-Make them by id, with `gymnasium.make("Spatula/Press-v0")`; `import spatula_env` registers the ids.
+Make them by id, with `gymnasium.make("Spatula/Press-v0")` for one agent and `gymnasium.make_vec` for many;
+`import spatula_env` registers the ids. `spatula_env.envs.sb3` makes them for Stable-Baselines3.
 """
 
 from __future__ import annotations
 
-from spatula_env.envs.press import PressEnv
+from spatula_env.envs.press import PressEnv, PressVectorEnv
 from spatula_env.envs.spatula_env import SpatulaEnv
+from spatula_env.envs.vector import SpatulaVectorEnv
 
-__all__ = ["PressEnv", "SpatulaEnv"]
+__all__ = ["PressEnv", "PressVectorEnv", "SpatulaEnv", "SpatulaVectorEnv"]

@@ -118,12 +118,41 @@ def as_action(value: Any, size: int) -> FloatArray:
     Raises:
         ValueError: If it is not `size` finite numbers.
     """
-    try:
-        action = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"action must be {size} numbers in [-1, 1], got {value!r}") from error
-    if action.shape != (size,):
-        raise ValueError(f"action must have shape ({size},), got {action.shape}")
+    action = _as_numbers(value, (size,), "action", f"{size} numbers")
     if not np.isfinite(action).all():
         raise ValueError(f"action must be finite, got {action.tolist()}")
     return np.minimum(np.maximum(action, -1.0), 1.0)
+
+
+def as_actions(value: Any, count: int, size: int, ignored: NDArray[np.bool_] | None = None) -> FloatArray:
+    """Check the actions of many worlds.
+
+    Args:
+        value: What the agents gave.
+        count: How many worlds there are, W.
+        size: How many numbers an action must hold.
+        ignored: (W,) whose action does not count; it becomes zero, whatever it is.
+
+    Returns:
+        (W, size) clipped to [-1, 1].
+
+    Raises:
+        ValueError: If it is not that many finite numbers.
+    """
+    actions = _as_numbers(value, (count, size), "actions", f"{count} times {size} numbers")
+    if ignored is not None:
+        actions[ignored] = 0.0
+    wrong = np.flatnonzero(~np.isfinite(actions).all(axis=1))
+    if len(wrong):
+        raise ValueError(f"actions must be finite, got {actions[wrong[0]].tolist()} for world {wrong[0]}")
+    return np.minimum(np.maximum(actions, -1.0), 1.0)
+
+
+def _as_numbers(value: Any, shape: tuple[int, ...], name: str, wanted: str) -> FloatArray:
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be {wanted} in [-1, 1], got {value!r}") from error
+    if numbers.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")
+    return numbers

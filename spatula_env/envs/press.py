@@ -1,12 +1,15 @@
-"""Spatula/Press-v0."""
+"""Spatula/Press-v0, for one agent and for many."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
+
+from gymnasium.vector import AutoresetMode
 
 from spatula_env import scenes
 from spatula_env.envs.spatula_env import SpatulaEnv
+from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.base import Setting, config_from_mapping
 from spatula_env.tasks.press import PressConfig, PressTask
 
@@ -110,15 +113,19 @@ class PressEnv(SpatulaEnv):
     After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
 
     ## Info
-    The same keys after `reset` and `step`: `is_success`; `within_tolerance`; `hold_time`, for how long it has
-    been so [s]; `time` [s]; `force`, the magnitude of the contact force averaged over the step, and
+    The same keys after `reset` and `step`: `is_success`; `within_tolerance`; `diverged`, whether physics has
+    broken down, which only a vector environment lives to tell; `hold_time`, for how long the goal has been
+    kept [s]; `time` [s]; `force`, the magnitude of the contact force averaged over the step, and
     `peak_force`, the greatest in it [N]; `depth`, `depth_error` and `place_error` [m]; and `reward/<name>`
     for each term.
 
     ## Arguments
+    `gymnasium.make_vec("Spatula/Press-v0", num_envs=64)` makes as many environments that are stepped together,
+    with the batch engine; `PressVectorEnv` has their arguments.
+
     | Parameter              | Type            | Default      | Description                               |
     | ---------------------- | --------------- | ------------ | ----------------------------------------- |
-    | `engine`               | **str**         | `"bullet"`   | What integrates the organ: `"bullet"`     |
+    | `engine`               | **str**         | `"bullet"`   | What integrates it: `"bullet"`, `"batch"` |
     | `contact`              | **str**         | `"flags"`    | `"flags"`, `"second_step"` or `"bullet"`  |
     | `obs_mode`             | **str**         | `"state"`    | `"state"` or `"dict"`                     |
     | `control`              | **str**         | `"velocity"` | What an action means: `"velocity"`        |
@@ -152,14 +159,9 @@ class PressEnv(SpatulaEnv):
         height: int = 480,
     ) -> None:
         """Load the scene; the class says what the arguments mean."""
-        config = config_from_mapping(PressConfig, task, "task")
-
-        def make_task(setting: Setting) -> PressTask:
-            return PressTask(config, setting)
-
         super().__init__(
             scenes.seed(),
-            make_task,
+            _task_maker(task),
             workspace_height=WORKSPACE_HEIGHT,
             engine=engine,
             contact=contact,
@@ -173,3 +175,67 @@ class PressEnv(SpatulaEnv):
             width=width,
             height=height,
         )
+
+
+class PressVectorEnv(SpatulaVectorEnv):
+    r"""`PressEnv` in many worlds at once, as `gymnasium.make_vec` makes it.
+
+    ## Arguments
+    Those of `PressEnv`, but for `engine`, and some more:
+
+    | Parameter           | Type                     | Default       | Description                                   |
+    | ------------------- | ------------------------ | ------------- | --------------------------------------------- |
+    | `num_envs`          | **int**                  | `1`           | How many worlds, W                            |
+    | `max_episode_steps` | **int \| None**         | `None`        | Episodes are cut then; `make_vec` passes 200  |
+    | `autoreset_mode`    | **str or AutoresetMode** | `"next_step"` | `"next_step"`, `"same_step"` or `"disabled"`  |
+    | `engine`            | **str**                  | `"batch"`     | What integrates organs: `"batch"`, `"bullet"` |
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = "next_step",
+        engine: str = "batch",
+        contact: str = "flags",
+        obs_mode: str = "state",
+        control: str = "velocity",
+        reward: str = "dense",
+        task: Mapping[str, Any] | PressConfig | None = None,
+        max_speed: float = 0.1,
+        control_frequency: float = 20.0,
+        terminate_on_success: bool = False,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+    ) -> None:
+        """Load the scene; `PressEnv` and `SpatulaVectorEnv` say what the arguments mean."""
+        super().__init__(
+            scenes.seed(),
+            _task_maker(task),
+            num_envs,
+            workspace_height=WORKSPACE_HEIGHT,
+            max_episode_steps=max_episode_steps,
+            autoreset_mode=autoreset_mode,
+            engine=engine,
+            contact=contact,
+            obs_mode=obs_mode,
+            control=control,
+            reward=reward,
+            max_speed=max_speed,
+            control_frequency=control_frequency,
+            terminate_on_success=terminate_on_success,
+            render_mode=render_mode,
+            width=width,
+            height=height,
+        )
+
+
+def _task_maker(task: Mapping[str, Any] | PressConfig | None) -> Callable[[Setting], PressTask]:
+    config = config_from_mapping(PressConfig, task, "task")
+
+    def make_task(setting: Setting) -> PressTask:
+        return PressTask(config, setting)
+
+    return make_task

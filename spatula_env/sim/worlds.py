@@ -197,18 +197,15 @@ class SeparateWorlds:
         return Loads(**{**vars(loads), "diverged": self._diverged.copy()})
 
     def _advance(self, world: int, linear: FloatArray, angular: FloatArray, steps: int, loads: Loads) -> None:
-        simulation = self.simulations[world]
-        total, ground = np.zeros((len(linear), 6)), np.zeros(3)
-        peaks = loads.peak_forces[world]
-        for _ in range(steps):
-            report = simulation.step(linear, angular)
-            total += report.loads
-            ground += report.ground_force
-            np.maximum(peaks, (report.loads[:, :3] ** 2).sum(axis=1), out=peaks)
-            loads.residuals[world] = max(loads.residuals[world], report.residual)
-        np.sqrt(peaks, out=peaks)
-        loads.forces[world], loads.torques[world] = total[:, :3] / steps, total[:, 3:] / steps
-        loads.ground_forces[world] = ground / steps
+        reports = [self.simulations[world].step(linear, angular) for _ in range(steps)]
+        # Reduced all at once: a little of NumPy after every step adds up.
+        wrenches = np.array([report.loads for report in reports])
+        mean = wrenches.mean(axis=0)
+        loads.forces[world], loads.torques[world] = mean[:, :3], mean[:, 3:]
+        loads.peak_forces[world] = np.sqrt((wrenches[:, :, :3] ** 2).sum(axis=2).max(axis=0))
+        loads.ground_forces[world] = np.array([report.ground_force for report in reports]).mean(axis=0)
+        loads.residuals[world] = max(report.residual for report in reports)
+        report = reports[-1]
         loads.penetrations[world] = report.penetration
         for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):
             flags[world] = np.any([found.flags for found in contacts], axis=0)
@@ -217,3 +214,35 @@ class SeparateWorlds:
         """See `Worlds`."""
         for simulation in self.simulations:
             simulation.close()
+
+
+def make_worlds(scene: Scene, count: int, engine: str = "batch", contact: str = "flags") -> Worlds:
+    """Load many worlds of a scene, all at rest.
+
+    Args:
+        scene: What is in each.
+        count: How many.
+        engine: "batch": all of them in compiled code, in step. "bullet": as many simulations with PyBullet.
+        contact: What resolves contact; see `Simulation`.
+
+    Returns:
+        The worlds.
+
+    Raises:
+        ValueError: If `engine` is not one of those, or `contact` is not one of the engine's.
+    """
+    if engine == "batch":
+        from spatula_env.sim.batch import BatchSimulation
+
+        return BatchSimulation(scene, count, contact=contact)  # type: ignore[arg-type]
+    if engine != "bullet":
+        raise ValueError(f"engine must be one of ['batch', 'bullet'], got {engine!r}")
+    simulations: list[Simulation] = []
+    try:
+        for _ in range(count):
+            simulations.append(Simulation(scene, engine="bullet", contact=contact))  # type: ignore[arg-type]
+    except BaseException:
+        for simulation in simulations:
+            simulation.close()
+        raise
+    return SeparateWorlds(simulations)

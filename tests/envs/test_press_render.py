@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from spatula_env.envs import PressEnv
+from spatula_env.render.scene_view import SceneView
 
 GOAL = (0.006, -0.004, 0.008)
 ABOVE_GOAL = (0.006, -0.004, -0.016)
@@ -27,6 +28,11 @@ def render(env: PressEnv) -> np.ndarray:
 def changed(first: np.ndarray, second: np.ndarray) -> int:
     """How many pixels differ clearly."""
     return int((np.abs(first.astype(int) - second.astype(int)).max(axis=-1) > 20).sum())
+
+
+def blue(picture: np.ndarray) -> int:
+    """How many pixels have the colour of a force's arrow."""
+    return int((picture[..., 2].astype(int) - picture[..., 0] > 60).sum())
 
 
 def test_a_picture_is_bytes_of_the_size_asked_for(env: PressEnv) -> None:
@@ -64,10 +70,15 @@ def test_the_goal_the_spatula_and_the_force_are_in_the_picture(env: PressEnv) ->
     for _ in range(8):
         info = env.step(np.array([0.0, 0.0, -0.5]))[-1]
     assert info["force"] > 0.3
-    with_force = render(env)
-    blue = (with_force[..., 2].astype(int) - with_force[..., 0] > 60).sum()
-    assert blue > 5
-    assert (before[..., 2].astype(int) - before[..., 0] > 60).sum() == 0
+    simulation = env.simulation
+    without_force = SceneView(simulation.scene, simulation.triangles, 96, 80).draw(
+        simulation.nodes,
+        simulation.tool_position,
+        simulation.tool_orientation,
+        targets=env.workspace.to_scene(env.task.target_points(env.goal)),
+    )
+    assert blue(render(env)) > blue(without_force) + 5
+    assert blue(before) == 0
 
 
 def test_the_depth_asked_for_shines_through_the_organ(env: PressEnv) -> None:
@@ -99,8 +110,6 @@ def test_without_a_render_mode_there_is_no_picture() -> None:
 
 
 def test_a_cut_shows_the_inside(env: PressEnv) -> None:
-    from spatula_env.render.scene_view import SceneView
-
     env.reset(seed=0)
     simulation = env.simulation
     view = SceneView(simulation.scene, simulation.triangles, 96, 80)

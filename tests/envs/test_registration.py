@@ -52,9 +52,30 @@ def test_gymnasium_imports_the_package_by_the_id() -> None:
     assert run(code).split()[-2:] == ["PressEnv", "200"]
 
 
+def test_many_are_made_by_the_same_id() -> None:
+    code = (
+        "import gymnasium; env = gymnasium.make_vec('spatula_env:Spatula/Press-v0', num_envs=2);"
+        "env.reset(seed=0); print(type(env).__name__, env.num_envs, env.max_episode_steps); env.close()"
+    )
+    assert run(code).split()[-3:] == ["PressVectorEnv", "2", "200"]
+
+
+def test_a_specification_makes_many_again() -> None:
+    env = gym.make_vec("Spatula/Press-v0", num_envs=2, reward="sparse", autoreset_mode="same_step", max_episode_steps=7)
+    assert env.spec is not None
+    again = gym.make_vec(env.spec)
+    assert again.num_envs == 2
+    assert again.metadata["autoreset_mode"] == env.metadata["autoreset_mode"]
+    assert again.max_episode_steps == 7  # type: ignore[attr-defined]
+    assert again.single_observation_space == env.single_observation_space
+    env.close()
+    again.close()
+
+
 def test_the_specification_can_be_written_to_a_file() -> None:
     spec = gym.spec("Spatula/Press-v0")
     assert isinstance(spec.entry_point, str)
+    assert isinstance(spec.vector_entry_point, str)
     assert not spec.nondeterministic
     with gym.make(spec, reward="sparse", task={"depth_range": [0.006, 0.01]}) as env:
         assert env.spec is not None

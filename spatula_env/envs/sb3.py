@@ -1,0 +1,218 @@
+"""The vector environments for Stable-Baselines3, which has an interface of its own for them.
+
+Needs `pip install 'spatula-env[train]'`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from spatula_env.envs.observations import Observation
+from spatula_env.envs.vector import SpatulaVectorEnv
+
+try:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv
+except ImportError as error:
+    raise ImportError(
+        "spatula_env.envs.sb3 needs Stable-Baselines3: pip install 'spatula-env[train]'", name=error.name
+    ) from error
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+WORLD_METHODS = ("compute_reward",)
+"""What can be called for one world alone."""
+
+
+class SpatulaVecEnv(VecEnv):
+    """A `SpatulaVectorEnv` as a Stable-Baselines3 `VecEnv`.
+
+    `infos` are plain dictionaries of Python numbers, one for each world. Where an episode has ended, they tell of its
+    last step, with what was last seen as "terminal_observation"; the observation is the next episode's first, and
+    `reset_infos` tells of it.
+
+    Attributes:
+        env: The vector environment.
+    """
+
+    def __init__(self, env: SpatulaVectorEnv) -> None:
+        """Adapt an environment.
+
+        Args:
+            env: With `autoreset_mode="same_step"`; `close` closes it.
+
+        Raises:
+            ValueError: If it is another one.
+        """
+        if not isinstance(env, SpatulaVectorEnv):
+            raise ValueError(f"env must be a vector environment of this package, got {env!r}")
+        if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"env must have been made with autoreset_mode='same_step', got {env.metadata['autoreset_mode']}"
+            )
+        self.env = env
+        self._actions: NDArray[Any] | None = None
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        self.metadata = {name: env.metadata[name] for name in ("render_modes", "render_fps")}
+
+    def reset(self) -> Observation:
+        """Begin new episodes in all worlds, with the seeds and options that were set since the last time."""
+        if not any(self._options):
+            observation, infos = self.env.reset(seed=self._seeds)
+            self.reset_infos = _split(infos, self.num_envs)
+        else:
+            # Each world may have other options than the next.
+            for world, options in enumerate(self._options):
+                mask = np.arange(self.num_envs) == world
+                observation, infos = self.env.reset(seed=self._seeds, options={**options, "reset_mask": mask})
+                self.reset_infos[world] = _split(infos, self.num_envs)[world]
+        self._reset_seeds()
+        self._reset_options()
+        return observation
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Remember the actions (W, A) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Step all worlds.
+
+        Returns:
+            Observations, rewards (W,), whether episodes have ended (W,), and infos.
+
+        Raises:
+            ValueError: If the actions have the wrong shape or are not finite; nothing has then changed.
+        """
+        observation, rewards, terminated, truncated, infos = self.env.step(self._actions)  # type: ignore[arg-type]
+        dones = terminated | truncated
+        now = _split(infos, self.num_envs)
+        if dones.any():
+            final = _split(infos["final_info"], self.num_envs)
+            for world in np.flatnonzero(dones).tolist():
+                self.reset_infos[world] = now[world]
+                now[world] = {**final[world], "terminal_observation": infos["final_obs"][world]}
+        for info, cut in zip(now, (truncated & ~terminated).tolist(), strict=True):
+            info["TimeLimit.truncated"] = cut
+        return observation, rewards.astype(np.float32), dones, now
+
+    def close(self) -> None:
+        """Close the vector environment."""
+        self.env.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A picture of each world, or None for each where the environment makes none."""
+        if self.render_mode != "rgb_array":
+            warnings.warn(
+                f"there are no pictures with render_mode={self.render_mode!r}; make the environment with 'rgb_array'",
+                stacklevel=2,
+            )
+            return [None] * self.num_envs
+        return list(self.env.render() or ())
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of each world; all share what does not belong to one.
+
+        Args:
+            attr_name: Its name.
+            indices: Of which worlds; None: of all.
+
+        Raises:
+            AttributeError: If there is none.
+        """
+        worlds = list(self._get_indices(indices))
+        if attr_name == "goal":
+            goals = self.env.goals
+            return [goals[world] for world in worlds]
+        if attr_name in ("observation_space", "action_space"):
+            attr_name = f"single_{attr_name}"
+        value = getattr(self.env, attr_name)
+        return [value] * len(worlds)
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the environment, for all worlds.
+
+        Args:
+            attr_name: Its name.
+            value: What to set it to.
+            indices: All worlds, or None.
+
+        Raises:
+            ValueError: If only some worlds are named: they share their attributes.
+        """
+        worlds = sorted(self._get_indices(indices))
+        if worlds != list(range(self.num_envs)):
+            raise ValueError(f"indices must name all {self.num_envs} worlds, which share {attr_name!r}; got {worlds}")
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method for some worlds.
+
+        Args:
+            method_name: Only "compute_reward": worlds are not reset or stepped one by one.
+            *method_args: Passed on.
+            indices: For which worlds; None: for all.
+            **method_kwargs: Passed on.
+
+        Raises:
+            AttributeError: If it is another method, or the environment has no goal interface.
+        """
+        if method_name not in WORLD_METHODS:
+            raise AttributeError(f"method_name must be one of {list(WORLD_METHODS)}, got {method_name!r}")
+        method = getattr(self.env, method_name)
+        return [method(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """False for each world: nothing is wrapped around one alone."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwargs: Any) -> SpatulaVecEnv:
+    """Make an environment of this package for Stable-Baselines3.
+
+    Example:
+        >>> from stable_baselines3 import PPO
+        >>> from stable_baselines3.common.vec_env import VecMonitor
+        >>> from spatula_env.envs.sb3 import make_sb3_vec_env
+        >>> env = VecMonitor(make_sb3_vec_env("Spatula/Press-v0", 64, seed=0))
+        >>> model = PPO("MlpPolicy", env)
+
+    Args:
+        id: As `gymnasium.make_vec` takes it.
+        num_envs: How many worlds.
+        seed: World k's first episode is drawn from seed + k; None: by chance.
+        **kwargs: Further arguments of the environment, such as `engine` and `max_episode_steps`.
+
+    Returns:
+        The environment. It keeps no count of returns and lengths: wrap it in `VecMonitor` for that.
+
+    Raises:
+        ValueError: If `id` is not that of an environment of this package, or an argument is out of its range.
+    """
+    spec = gymnasium.spec(id)
+    if not str(spec.vector_entry_point).startswith("spatula_env."):
+        raise ValueError(f"id must be that of an environment of this package, got {id!r}")
+    made = gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **kwargs)
+    env = SpatulaVecEnv(made.unwrapped)  # type: ignore[arg-type]
+    if seed is not None:
+        env.seed(seed)
+    return env
+
+
+def _split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    """The infos of each world as plain Python values, from arrays (W,) under names; masks are left out."""
+    names = [name for name in infos if not name.startswith("_") and not name.startswith("final_")]
+    if not names:
+        return [{} for _ in range(count)]
+    columns = [infos[name].tolist() for name in names]
+    return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]

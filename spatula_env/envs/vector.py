@@ -1,0 +1,354 @@
+"""Many environments at once, behind Gymnasium's interface for vector environments."""
+
+from __future__ import annotations
+
+import operator
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from spatula_env.envs.control import Workspace, as_actions
+from spatula_env.envs.episodes import (
+    RENDER_MODES,
+    START_OPTIONS,
+    Episodes,
+    Info,
+    check_choice,
+    check_render_mode,
+)
+from spatula_env.envs.observations import Observation, ObservationBuilder
+from spatula_env.envs.pictures import EpisodePictures
+from spatula_env.geometry.checks import check_count
+from spatula_env.sim.worlds import Worlds, make_worlds
+from spatula_env.tasks.base import BoolArray, FloatArray, Setting, Task
+
+if TYPE_CHECKING:
+    from spatula_env.scenes import Scene
+    from spatula_env.sim.worlds import IntArray
+
+AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
+"""Names of what can happen when an episode has ended."""
+
+StepResult = tuple[Observation, FloatArray, BoolArray, BoolArray, dict[str, Any]]
+
+
+class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+    """Any task, in many worlds of a scene with one organ and one tool.
+
+    World k of an environment seeded with s goes through the same episodes as a `SpatulaEnv` seeded with s + k, up to
+    the accuracy of the engine. Everything that is returned follows Gymnasium's `SyncVectorEnv`, but for a world whose
+    physics breaks down: there the episode is cut, and the others go on.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        make_task: Callable[[Setting], Task],
+        num_envs: int = 1,
+        *,
+        workspace_height: float,
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        engine: str = "batch",
+        contact: str = "flags",
+        obs_mode: str = "state",
+        control: str = "velocity",
+        reward: str = "dense",
+        max_speed: float = 0.1,
+        control_frequency: float = 20.0,
+        terminate_on_success: bool = False,
+        render_mode: str | None = None,
+        width: int = 480,
+        height: int = 480,
+    ) -> None:
+        """Load the scene and put the parts together.
+
+        Args:
+            scene: With one organ and one tool.
+            make_task: Makes the task for the setting it is told.
+            num_envs: How many worlds, W.
+            workspace_height: Of the workspace's middle above the organ's top at rest [m].
+            max_episode_steps: Episodes are cut (truncated) after so many steps; None: never.
+            autoreset_mode: "next_step": the step after an episode's end ignores the action and begins the next one.
+                "same_step": the step that ends an episode returns the beginning of the next one, and what was last
+                seen as `infos["final_obs"]` and `infos["final_info"]`. "disabled": `reset` with the option
+                "reset_mask" begins new episodes. Gymnasium's `AutoresetMode` has the same.
+            engine: "batch" or "bullet"; see `make_worlds`.
+            contact: What resolves contact; see `Simulation`.
+            obs_mode: "state" or "dict"; see `ObservationBuilder`.
+            control: "velocity"; see `VelocityControl`.
+            reward: "dense" or "sparse"; see `SpatulaEnv`.
+            max_speed: Of the tools along each axis [m/s].
+            control_frequency: Control steps in a second [Hz].
+            terminate_on_success: Whether success ends an episode.
+            render_mode: None or "rgb_array".
+            width: Of pictures [pixels].
+            height: Of pictures [pixels].
+
+        Raises:
+            ValueError: If an option is not one of those allowed, or a number is out of its range.
+        """
+        check_count(num_envs, "num_envs", 1)
+        if max_episode_steps is not None:
+            check_count(max_episode_steps, "max_episode_steps", 1)
+        self._mode = _as_autoreset_mode(autoreset_mode)
+        check_render_mode(render_mode)
+        self._episodes = Episodes(
+            scene,
+            lambda: make_worlds(scene, num_envs, engine, contact),
+            make_task,
+            workspace_height=workspace_height,
+            obs_mode=obs_mode,
+            control=control,
+            reward=reward,
+            max_speed=max_speed,
+            control_frequency=control_frequency,
+            terminate_on_success=terminate_on_success,
+        )
+        self.num_envs = int(num_envs)
+        self.max_episode_steps = max_episode_steps
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": round(control_frequency),
+            "autoreset_mode": self._mode,
+        }
+        self.single_observation_space = self._episodes.observation_builder.space
+        self.single_action_space = self._episodes.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._pictures = EpisodePictures(self._episodes, width, height)
+        self._generators: list[np.random.Generator | None] = [None] * self.num_envs
+        self._seeds: list[int | None] = [None] * self.num_envs
+        self._begun: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
+        self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin new episodes, in all worlds or in some.
+
+        Args:
+            seed: Starts random numbers anew, world k's from seed + k, or from element k of a sequence. They go on
+                where the seed is None.
+            options: "goal" (G,) or (W, G) and "tool_position" (3,) or (W, 3) replace what is drawn [m];
+                "reset_mask" (W,) bool tells in which worlds to begin.
+
+        Returns:
+            The observations of all worlds, and infos of those that begin, with the same keys as after a step.
+
+        Raises:
+            ValueError: If a seed or an option is unknown, malformed or out of its range; nothing has then changed.
+        """
+        self._check_open()
+        worlds, rest = self._read_mask(options)
+        chosen = self._episodes.choose(rest, worlds)
+        seeds = self._read_seeds(seed)
+        for world in worlds.tolist():
+            if seeds[world] is not None:
+                self._generators[world], self._seeds[world] = seeding.np_random(seeds[world])
+        self._begin(worlds, chosen)
+        begun = np.zeros(self.num_envs, dtype=np.bool_)
+        begun[worlds] = True
+        return self._episodes.observation, _with_masks(self._episodes.info, begun)
+
+    def step(self, actions: NDArray[np.float32]) -> StepResult:
+        """Move the tools of all worlds for one control step.
+
+        Args:
+            actions: (W, A) what `control` says; clipped to [-1, 1].
+
+        Returns:
+            Observations, rewards (W,), whether episodes ended by success (W,), whether they were cut (W,), and infos:
+            arrays (W,) under each name, with a mask (W,) under the name after an underscore.
+
+        Raises:
+            ValueError: If `actions` has the wrong shape or is not finite; nothing has then changed.
+            ResetNeeded: If a world has no episode to go on with.
+        """
+        self._check_begun("step")
+        episodes = self._episodes
+        resting = self._over
+        if self._mode is AutoresetMode.DISABLED and resting.any():
+            raise ResetNeeded(
+                f"the episodes of worlds {np.flatnonzero(resting).tolist()} are over; "
+                "call reset(options={'reset_mask': mask}) before step()"
+            )
+        wanted = as_actions(actions, self.num_envs, episodes.control.size, ignored=resting)
+        going = ~resting
+        if going.any():
+            outcome = episodes.step(wanted)
+            rewards, lost = np.where(going, outcome.reward, 0.0), outcome.diverged & going
+            terminated, truncated = outcome.terminated & going, lost.copy()
+            if self.max_episode_steps is not None:
+                truncated |= (episodes.elapsed >= self.max_episode_steps) & going
+        else:
+            rewards = np.zeros(self.num_envs)
+            terminated, truncated, lost = resting & False, resting & False, resting & False
+        if resting.any():
+            self._begin(np.flatnonzero(resting))
+        self._over = terminated | truncated
+        infos: dict[str, Any] = {}
+        if self._mode is AutoresetMode.SAME_STEP and self._over.any():
+            ended = self._over
+            infos = self._last_seen(ended)
+            self._begin(np.flatnonzero(ended))
+        infos.update(_with_masks(episodes.info))
+        observation = episodes.observation
+        if lost.any():
+            warnings.warn(
+                f"physics has diverged in worlds {np.flatnonzero(lost).tolist()}: their episodes are cut",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        return observation, rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """W pictures (height, width, 3), or None if `render_mode` is None."""
+        self._check_begun("render")
+        return None if self.render_mode is None else self._pictures.draw()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the engine; `close` calls it once."""
+        self._episodes.close()
+
+    @property
+    def worlds(self) -> Worlds:
+        """The physics."""
+        return self._episodes.worlds
+
+    @property
+    def workspace(self) -> Workspace:
+        """The cube that the tools' positions are kept in."""
+        return self._episodes.workspace
+
+    @property
+    def task(self) -> Task:
+        """What is asked."""
+        return self._episodes.task
+
+    @property
+    def observation_builder(self) -> ObservationBuilder:
+        """How observations are laid out."""
+        return self._episodes.observation_builder
+
+    @property
+    def steps_per_action(self) -> int:
+        """Physics steps in a control step."""
+        return self._episodes.steps_per_action
+
+    @property
+    def goals(self) -> FloatArray:
+        """(W, G) what is asked in each world's episode (a copy) [m]."""
+        return self._episodes.goals.copy()
+
+    @property
+    def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
+        """The sparse reward of goals, for hindsight replay; see `SpatulaEnv.compute_reward`."""
+        return self._episodes.compute_reward
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
+        """Where the randomness of each world comes from."""
+        return tuple(self._generator(world) for world in range(self.num_envs))
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """What each world's random numbers were started from."""
+        for world in range(self.num_envs):
+            self._generator(world)
+        return tuple(seed for seed in self._seeds if seed is not None)
+
+    def _begin(self, worlds: IntArray, chosen: Mapping[str, FloatArray] | None = None) -> None:
+        self._episodes.begin({world: self._generator(world) for world in worlds.tolist()}, chosen)
+        self._begun[worlds] = True
+        self._over[worlds] = False
+
+    def _generator(self, world: int) -> np.random.Generator:
+        generator = self._generators[world]
+        if generator is None:
+            generator, self._seeds[world] = seeding.np_random()
+            self._generators[world] = generator
+        return generator
+
+    def _last_seen(self, ended: BoolArray) -> dict[str, Any]:
+        """What Gymnasium tells of episodes that have ended where the next ones have begun already."""
+        observation, info = self._episodes.observation, self._episodes.info
+        last = np.full(self.num_envs, None, dtype=object)
+        for world in np.flatnonzero(ended).tolist():
+            if isinstance(observation, dict):
+                last[world] = {name: values[world].copy() for name, values in observation.items()}
+            else:
+                last[world] = observation[world].copy()
+        final = _with_masks(info, ended)
+        return {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
+
+    def _read_mask(self, options: Mapping[str, Any] | None) -> tuple[IntArray, dict[str, Any]]:
+        """Which worlds are to begin, and the other options."""
+        rest = dict(options or {})
+        for name in rest:
+            check_choice(name, "options", (*START_OPTIONS, "reset_mask"))
+        mask = rest.pop("reset_mask", None)
+        if mask is None:
+            return np.arange(self.num_envs), rest
+        array = np.asarray(mask)
+        if array.dtype != np.bool_ or array.shape != (self.num_envs,) or not array.any():
+            raise ValueError(
+                f"options['reset_mask'] must be {self.num_envs} booleans of which one is true at least, got {mask!r}"
+            )
+        return np.flatnonzero(array), rest
+
+    def _read_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """The seed of each world."""
+        if seed is None:
+            return [None] * self.num_envs
+        try:
+            if not isinstance(seed, Sequence | np.ndarray):
+                first = operator.index(seed)
+                seeds: list[int | None] = [first + world for world in range(self.num_envs)]
+            else:
+                seeds = [None if one is None else operator.index(one) for one in seed]
+        except TypeError:
+            raise ValueError(f"seed must be an integer, a sequence of them, or None, got {seed!r}") from None
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed must be an integer or a sequence of {self.num_envs}, got {len(seeds)}")
+        if any(one is not None and one < 0 for one in seeds):
+            raise ValueError(f"seed must not be negative, got {seed!r}")
+        return seeds
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError("this environment is closed; make a new one")
+
+    def _check_begun(self, method: str) -> None:
+        self._check_open()
+        if not self._begun.all():
+            raise ResetNeeded(
+                f"call reset() before {method}(): nothing has begun in worlds {np.flatnonzero(~self._begun).tolist()}"
+            )
+
+
+def _with_masks(info: Info, mask: BoolArray | None = None) -> dict[str, Any]:
+    """Infos as Gymnasium lays them out: zeros where the mask (W,) is false, and the mask beside each name."""
+    infos: dict[str, Any] = {}
+    for name, values in info.items():
+        if mask is None:
+            infos[name], infos[f"_{name}"] = values, np.ones(len(values), dtype=np.bool_)
+        else:
+            infos[name], infos[f"_{name}"] = np.where(mask, values, values.dtype.type(0)), mask.copy()
+    return infos
+
+
+def _as_autoreset_mode(value: str | AutoresetMode) -> AutoresetMode:
+    """An autoreset mode from its name, from Gymnasium's value for it, or from itself."""
+    for mode in AutoresetMode:
+        if value in (mode, mode.name.lower(), mode.value):
+            return mode
+    raise ValueError(f"autoreset_mode must be one of {list(AUTORESET_MODES)} or an AutoresetMode, got {value!r}")
