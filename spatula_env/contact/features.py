@@ -241,11 +241,11 @@ def gather_vertices(
 
 
 @inline_kernel
-def best_plane(tool: Any, nx: float, ny: float, nz: float) -> int:
+def best_plane(plane_normals: np.ndarray, nx: float, ny: float, nz: float) -> int:
     """The face of the tool whose normal is nearest to a direction."""
     best, largest = 0, -np.inf
-    for p in range(tool.plane_offsets.shape[0]):
-        along = tool.plane_normals[p, 0] * nx + tool.plane_normals[p, 1] * ny + tool.plane_normals[p, 2] * nz
+    for p in range(plane_normals.shape[0]):
+        along = plane_normals[p, 0] * nx + plane_normals[p, 1] * ny + plane_normals[p, 2] * nz
         if along > largest:
             best, largest = p, along
     return best
@@ -337,6 +337,7 @@ def gather_corners(
 ) -> int:
     """Append one constraint for each corner of the tool that came through a triangle or touches it."""
     local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
+    plane_normals = tool.plane_normals
     normal, last_normal = np.empty(3), np.empty(3)
     for k in range(found):
         t = candidates[k]
@@ -371,18 +372,30 @@ def gather_corners(
             count = append_constraint(
                 rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
                 (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
-                best_plane(tool, -normal[0], -normal[1], -normal[2]),
+                best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
                 constraint_name(ON_CORNER, corner, first_vertex, t),
             )  # fmt: skip
     return count
 
 
 @inline_kernel
-def ridge_contact(tool: Any, f: int, g: int, local: np.ndarray, a: int, b: int, result: np.ndarray) -> bool:
+def ridge_contact(
+    ridges: np.ndarray,
+    corners: np.ndarray,
+    plane_normals: np.ndarray,
+    f: int,
+    g: int,
+    local: np.ndarray,
+    a: int,
+    b: int,
+    result: np.ndarray,
+) -> bool:
     """Contact of an edge of the organ with the tool's edge between faces f and g.
 
     Args:
-        tool: `ToolShape`.
+        ridges: (P, P, 2) of the tool.
+        corners: (K, 3) of the tool.
+        plane_normals: (P, 3) of the tool.
         f: A face.
         g: Another.
         local: (3, V).
@@ -395,9 +408,9 @@ def ridge_contact(tool: Any, f: int, g: int, local: np.ndarray, a: int, b: int, 
         Whether the faces share an edge that the organ's edge crosses: not so if they are parallel, or if the common
         normal is not between those of the faces.
     """
-    if tool.ridges[f, g, 0] < 0:
+    if ridges[f, g, 0] < 0:
         return False
-    start, end = tool.corners[tool.ridges[f, g, 0]], tool.corners[tool.ridges[f, g, 1]]
+    start, end = corners[ridges[f, g, 0]], corners[ridges[f, g, 1]]
     ux, uy, uz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     wx, wy, wz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
     nx, ny, nz = wy * uz - wz * uy, wz * ux - wx * uz, wx * uy - wy * ux
@@ -405,7 +418,7 @@ def ridge_contact(tool: Any, f: int, g: int, local: np.ndarray, a: int, b: int, 
     ridge_length = np.sqrt(ux * ux + uy * uy + uz * uz)
     if length <= PARALLEL * ridge_length * np.sqrt(wx * wx + wy * wy + wz * wz):
         return False
-    nf, ng = tool.plane_normals[f], tool.plane_normals[g]
+    nf, ng = plane_normals[f], plane_normals[g]
     along_f = nx * nf[0] + ny * nf[1] + nz * nf[2]
     along_g = nx * ng[0] + ny * ng[1] + nz * ng[2]
     sign = 1.0 if along_f + along_g > 0.0 else -1.0
@@ -431,12 +444,19 @@ def ridge_contact(tool: Any, f: int, g: int, local: np.ndarray, a: int, b: int, 
 
 @inline_kernel
 def clip_edge(
-    tool: Any, last: np.ndarray, local: np.ndarray, a: int, b: int, time: float
+    plane_normals: np.ndarray,
+    plane_offsets: np.ndarray,
+    last: np.ndarray,
+    local: np.ndarray,
+    a: int,
+    b: int,
+    time: float,
 ) -> tuple[float, float, int, int]:
     """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
 
     Args:
-        tool: `ToolShape`.
+        plane_normals: (P, 3) of the tool.
+        plane_offsets: (P,) of the tool [u].
         last: (3, V) vertices at time 0 [u].
         local: (3, V) vertices at time 1 [u].
         a: First vertex of the edge.
@@ -447,7 +467,6 @@ def clip_edge(
         (first, end, plane_in, plane_out): where the edge comes in and goes out, as parts of its length, first > end
         if it stays outside; and through which faces, -1 where it begins or ends inside.
     """
-    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
     ax, ay, az = (
         last[0, a] + time * (local[0, a] - last[0, a]),
         last[1, a] + time * (local[1, a] - last[1, a]),
@@ -480,35 +499,45 @@ def clip_edge(
 
 
 @inline_kernel
-def touched_plane(tool: Any, last: np.ndarray, local: np.ndarray, i: int, time: float) -> int:
+def touched_plane(
+    plane_normals: np.ndarray, plane_offsets: np.ndarray, last: np.ndarray, local: np.ndarray, i: int, time: float
+) -> int:
     """The face that a vertex inside the tool touches at a time between two queries, -1 if it is deeper."""
     best, highest = -1, -2.0 * MARGIN
-    for p in range(tool.plane_offsets.shape[0]):
-        height = -tool.plane_offsets[p]
+    for p in range(plane_offsets.shape[0]):
+        height = -plane_offsets[p]
         for axis in range(3):
-            height += tool.plane_normals[p, axis] * (last[axis, i] + time * (local[axis, i] - last[axis, i]))
+            height += plane_normals[p, axis] * (last[axis, i] + time * (local[axis, i] - last[axis, i]))
         if height > highest:
             best, highest = p, height
     return best
 
 
 @inline_kernel
-def meeting_time(tool: Any, last: np.ndarray, local: np.ndarray, a: int, b: int) -> float:
+def meeting_time(
+    extent: np.ndarray,
+    plane_normals: np.ndarray,
+    plane_offsets: np.ndarray,
+    last: np.ndarray,
+    local: np.ndarray,
+    a: int,
+    b: int,
+) -> float:
     """When, between two queries, an edge of the organ first touched the tool: from 0 to 1, or 2 if it did not."""
     way = 0.0
     for axis in range(3):
         low = min(min(local[axis, a], local[axis, b]), min(last[axis, a], last[axis, b]))
         high = max(max(local[axis, a], local[axis, b]), max(last[axis, a], last[axis, b]))
-        if low > tool.extent[3 + axis] + MARGIN or high < tool.extent[axis] - MARGIN:
+        if low > extent[3 + axis] + MARGIN or high < extent[axis] - MARGIN:
             return 2.0
         way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
-    first, end, _, _ = clip_edge(tool, last, local, a, b, 0.0)
+    first, end, _, _ = clip_edge(plane_normals, plane_offsets, last, local, a, b, 0.0)
     if first <= end:
         return 0.0
-    samples = min(1 + int(way / (EDGE_PART * tool.extent[7])), MOST_SAMPLES)
+    samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
     low, high = 0.0, 2.0
     for sample in range(1, samples + 1):
-        first, end, _, _ = clip_edge(tool, last, local, a, b, sample / samples)
+        first, end, _, _ = clip_edge(plane_normals, plane_offsets, last, local, a, b, sample / samples)
         if first <= end:
             high = sample / samples
             break
@@ -517,7 +546,7 @@ def meeting_time(tool: Any, last: np.ndarray, local: np.ndarray, a: int, b: int)
         return 2.0
     for _ in range(BISECTIONS):
         time = 0.5 * (low + high)
-        first, end, _, _ = clip_edge(tool, last, local, a, b, time)
+        first, end, _, _ = clip_edge(plane_normals, plane_offsets, last, local, a, b, time)
         if first <= end:
             high = time
         else:
@@ -548,25 +577,27 @@ def gather_edges(
     When an edge first touches the tool, hardly any of it is inside, and between which faces tells what it lies over: an
     edge of the tool that two faces share, or one face between two of the edges around it.
     """
-    local, last, candidates = memory.local, memory.last_local, memory.candidates
-    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    # Taking an array out of a structure counts references: once here, not for every edge.
+    local, last, candidates, codes = memory.local, memory.last_local, memory.candidates, memory.codes
+    plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
+    ridges, corners = tool.ridges, tool.corners
     contact = np.empty(7)
     for k in range(found):
         t = candidates[k]
         for side in range(3):
             a, b = triangles[t, side], triangles[t, (side + 1) % 3]
             # Two triangles share an edge, in opposite directions.
-            if a > b or memory.codes[a] & memory.codes[b] != 0:
+            if a > b or codes[a] & codes[b] != 0:
                 continue
-            time = meeting_time(tool, last, local, a, b)
+            time = meeting_time(extent, plane_normals, plane_offsets, last, local, a, b)
             if time > 1.0:
                 continue
-            first, end, plane_in, plane_out = clip_edge(tool, last, local, a, b, time)
+            first, end, plane_in, plane_out = clip_edge(plane_normals, plane_offsets, last, local, a, b, time)
             # An end that touches a face has come in by it.
             if plane_in < 0:
-                plane_in = touched_plane(tool, last, local, a, time)
+                plane_in = touched_plane(plane_normals, plane_offsets, last, local, a, time)
             if plane_out < 0:
-                plane_out = touched_plane(tool, last, local, b, time)
+                plane_out = touched_plane(plane_normals, plane_offsets, last, local, b, time)
             # The face over which the edge lay: where it is least deep.
             met, least = -1, np.inf
             for p in range(plane_offsets.shape[0]):
@@ -586,7 +617,7 @@ def gather_edges(
                 border = plane_in if which == 0 else plane_out
                 if border < 0 or border == met:
                     continue
-                if ridge_contact(tool, border, met, local, a, b, contact):
+                if ridge_contact(ridges, corners, plane_normals, border, met, local, a, b, contact):
                     s = contact[0]
                     along = contact[1] * nx + contact[2] * ny + contact[3] * nz
                     count = append_constraint(

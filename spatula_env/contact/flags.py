@@ -293,82 +293,29 @@ def fill_record(
 
     Weights of flagged nodes may be there already.
     """
-    for i in range(tool.nodes.shape[0]):
-        _fill_node_record(i, tool, memory, vertices, first_vertex, triangles, position, rotation, has_weights)
-
-
-@inline_kernel
-def _fill_node_record(
-    i: int,
-    tool: Any,
-    memory: Any,
-    vertices: np.ndarray,
-    first_vertex: int,
-    triangles: np.ndarray,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    has_weights: bool,
-) -> None:
-    """Write triangle and record of one node."""
-    triangle, record, distances = memory.triangle, memory.record, memory.distances
-    triangle[i] = NO_HIT
-    rx, ry, rz = turn(rotation, tool.nodes[i])
-    record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
-    if not memory.states[0, i]:
-        for k in range(7):
-            record[i, k] = 0.0
-        return
-    triangle[i] = memory.hits[i, 0, 0]
+    # Taking an array out of a structure counts references: once here, not for every node.
+    nodes, normals, flags, hits, distances = tool.nodes, tool.normals, memory.states[0], memory.hits, memory.distances
+    triangle, record = memory.triangle, memory.record
     corners = np.empty(3, np.int32)
-    for k in range(3):
-        corners[k] = triangles[triangle[i], k] + first_vertex
-    _fill_triangle_normal(vertices, corners, record[i, 4:7])
-    nx, ny, nz = turn(rotation, tool.normals[i])
-    record[i, 3] = distances[i, 0]
-    record[i, 7] -= nx * distances[i, 0]
-    record[i, 8] -= ny * distances[i, 0]
-    record[i, 9] -= nz * distances[i, 0]
-    if not has_weights:
-        _fill_weights(record[i], vertices, corners)
-
-
-@inline_kernel
-def flag_enclosed(
-    tool: Any,
-    memory: Any,
-    vertices: np.ndarray,
-    first_vertex: int,
-    triangles: np.ndarray,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    depth: float,
-) -> int:
-    """Flag the nodes that are left in the organ though no path led there, after rays have been cast again.
-
-    The published method decides, where it cannot be mistaken: the node is inside the organ, and its opposite is not.
-
-    Args:
-        tool: `ToolShape`.
-        memory: `PairMemory`; flags, triangle and record are written.
-        vertices: (V, 3) of all organs [u].
-        first_vertex: Index of the organ's first one.
-        triangles: (T, 3).
-        position: (3,) of the tool [u].
-        rotation: (9,).
-        depth: Nodes no deeper than this are left [u].
-
-    Returns:
-        How many nodes were flagged.
-    """
-    flags, hits, distances, found = memory.states[0], memory.hits, memory.distances, 0
-    for i in range(flags.shape[0]):
-        other = tool.opposite[i]
-        if flags[i] or flags[other] or hits[i, 0, 1] <= 0 or hits[other, 0, 1] > 0 or distances[i, 0] <= depth:
+    for i in range(nodes.shape[0]):
+        triangle[i] = NO_HIT
+        rx, ry, rz = turn(rotation, nodes[i])
+        record[i, 7], record[i, 8], record[i, 9] = position[0] + rx, position[1] + ry, position[2] + rz
+        if not flags[i]:
+            for k in range(7):
+                record[i, k] = 0.0
             continue
-        flags[i] = True
-        _fill_node_record(i, tool, memory, vertices, first_vertex, triangles, position, rotation, False)
-        found += 1
-    return found
+        triangle[i] = hits[i, 0, 0]
+        for k in range(3):
+            corners[k] = triangles[triangle[i], k] + first_vertex
+        _fill_triangle_normal(vertices, corners, record[i, 4:7])
+        nx, ny, nz = turn(rotation, normals[i])
+        record[i, 3] = distances[i, 0]
+        record[i, 7] -= nx * distances[i, 0]
+        record[i, 8] -= ny * distances[i, 0]
+        record[i, 9] -= nz * distances[i, 0]
+        if not has_weights:
+            _fill_weights(record[i], vertices, corners)
 
 
 @kernel(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))

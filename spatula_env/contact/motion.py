@@ -21,7 +21,8 @@ def largest_shift(before: np.ndarray, now: np.ndarray) -> float:
     largest = 0.0
     for i in range(before.shape[0]):
         x, y, z = now[i, 0] - before[i, 0], now[i, 1] - before[i, 1], now[i, 2] - before[i, 2]
-        largest = max(largest, x * x + y * y + z * z)
+        squared = x * x + y * y + z * z
+        largest = squared if squared > largest else largest
     return float(np.sqrt(largest))
 
 
@@ -42,13 +43,15 @@ def tool_passes(
         False if nothing can have met.
     """
     for axis in range(3):
-        low, high = np.inf, -np.inf
+        # From the tool's side: whether any node is on this side of one of its box's faces, and any on that side.
+        least = max(start_position[axis], position[axis]) + radius
+        greatest = min(start_position[axis], position[axis]) - radius
+        below, above = False, False
         for i in range(before.shape[0]):
-            low = min(low, before[i, axis], now[i, axis])
-            high = max(high, before[i, axis], now[i, axis])
-        if max(start_position[axis], position[axis]) + radius < low:
-            return False
-        if min(start_position[axis], position[axis]) - radius > high:
+            x, y = before[i, axis], now[i, axis]
+            below |= (x <= least) | (y <= least)
+            above |= (x >= greatest) | (y >= greatest)
+        if not (below and above):
             return False
     return True
 

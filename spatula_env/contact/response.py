@@ -34,6 +34,9 @@ from spatula_env.contact.structures import (
     WEIGHTS,
 )
 
+PROGRESS = 0.9
+"""What a sweep must move points by, relative to the least so far, to count as less."""
+
 WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
 LEDGER_LENGTH = 4
 """Columns of an organ's ledger: work of the tools on it so far and the greatest it was [kg u2/s2], the sum of mass
@@ -141,8 +144,9 @@ def solve_positions(
     vertices: np.ndarray,
     sweeps: int,
     tolerance: float,
+    patience: int,
 ) -> int:
-    """Move the vertices until a sweep moves no constrained point by more than `tolerance`.
+    """Move the vertices until a sweep moves no constrained point by more than `tolerance`, or no less than before.
 
     Args:
         count: How many constraints.
@@ -152,10 +156,12 @@ def solve_positions(
         vertices: (V, 3) positions; changed [u].
         sweeps: Greatest number of sweeps.
         tolerance: [u].
+        patience: The solve also ends when for so many sweeps none has moved points by less than before.
 
     Returns:
         How many sweeps it took.
     """
+    least, since = np.inf, 0
     for sweep in range(sweeps):
         moved = 0.0
         for c in range(count):
@@ -186,7 +192,10 @@ def solve_positions(
             row[DISPLACEMENT], row[DISPLACEMENT + 1], row[DISPLACEMENT + 2] = x, y, z
             moved = max(moved, (dx * dx + dy * dy + dz * dz) / (inertia * inertia))
             _push(row, i, j, k, inverse_mass, dx, dy, dz, vertices)
-        if moved <= tolerance * tolerance:
+        since += 1
+        if moved < (PROGRESS * PROGRESS) * least:
+            least, since = moved, 0
+        if moved <= tolerance * tolerance or since == patience:
             return sweep + 1
     return sweeps
 
@@ -201,8 +210,9 @@ def solve_velocities(
     dt: float,
     sweeps: int,
     tolerance: float,
+    patience: int,
 ) -> int:
-    """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`.
+    """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`, or no less.
 
     Args:
         count: How many constraints.
@@ -213,10 +223,12 @@ def solve_velocities(
         dt: Length of the step [s].
         sweeps: Greatest number of sweeps.
         tolerance: [u/s].
+        patience: The solve also ends when for so many sweeps none has moved points by less than before.
 
     Returns:
         How many sweeps it took.
     """
+    least, since = np.inf, 0
     for sweep in range(sweeps):
         moved = 0.0
         for c in range(count):
@@ -244,7 +256,10 @@ def solve_velocities(
             row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2] = x, y, z
             moved = max(moved, (dx * dx + dy * dy + dz * dz) / (inertia * inertia))
             _push(row, i, j, k, inverse_mass, dx, dy, dz, velocities)
-        if moved <= tolerance * tolerance:
+        since += 1
+        if moved < (PROGRESS * PROGRESS) * least:
+            least, since = moved, 0
+        if moved <= tolerance * tolerance or since == patience:
             return sweep + 1
     return sweeps
 
@@ -281,22 +296,22 @@ def limit_energy(
         What was dissipated [kg u2/s2].
     """
     height, mass, squares = -ledger[REST_HEIGHT], 0.0, 0.0
-    mean = np.zeros(3)
+    px, py, pz = 0.0, 0.0, 0.0
     for i in range(first, end):
         if inverse_mass[i] == 0.0:
             continue
         m = 1.0 / inverse_mass[i]
+        x, y, z = velocities[i, 0], velocities[i, 1], velocities[i, 2]
         mass += m
         height += m * vertices[i, 2]
-        for axis in range(3):
-            mean[axis] += m * velocities[i, axis]
-            squares += m * velocities[i, axis] * velocities[i, axis]
+        px += m * x
+        py += m * y
+        pz += m * z
+        squares += m * (x * x + y * y + z * z)
     if mass == 0.0:
         return 0.0
-    of_mean = 0.0
-    for axis in range(3):
-        mean[axis] /= mass
-        of_mean += 0.5 * mass * mean[axis] ** 2
+    px, py, pz = px / mass, py / mass, pz / mass
+    of_mean = 0.5 * mass * (px * px + py * py + pz * pz)
     of_nodes = max(0.5 * squares - of_mean, 0.0)
     least = 0.5 * mass * mean_edge**2
     allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least)
@@ -307,8 +322,9 @@ def limit_energy(
     scale = np.sqrt(1.0 - excess / of_nodes)
     for i in range(first, end):
         if inverse_mass[i] > 0.0:
-            for axis in range(3):
-                velocities[i, axis] = mean[axis] + scale * (velocities[i, axis] - mean[axis])
+            velocities[i, 0] = px + scale * (velocities[i, 0] - px)
+            velocities[i, 1] = py + scale * (velocities[i, 1] - py)
+            velocities[i, 2] = pz + scale * (velocities[i, 2] - pz)
     dissipated: float = excess
     return dissipated
 

@@ -344,7 +344,7 @@ def tool_shape(tool: Tool) -> Any:
         normals,
         offsets,
         np.array(tool.vertices),
-        _ridges(tool.vertices, normals, offsets),
+        ridges_between(tool.vertices, normals, offsets),
         np.array([*low, *high, tool.bounding_radius, tool.thickness]),
         columns.frames,
         columns.bounds,
@@ -367,7 +367,7 @@ def _planes(tool: Tool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return stacked, np.ascontiguousarray((tool.vertices @ stacked.T).max(axis=0))
 
 
-def _ridges(
+def ridges_between(
     corners: NDArray[np.float64], normals: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> NDArray[np.int32]:
     """The two corners that each two planes share, -1 where they share no edge."""

@@ -298,6 +298,24 @@ def write_world(block: np.ndarray, lane: int, values: np.ndarray) -> None:
             block[i, axis, lane] = values[i, axis]
 
 
+@inline_kernel
+def read_block(block: np.ndarray, values: np.ndarray) -> None:
+    """Copy the values (n, V, 3) of a block's first n worlds out of it (V, C, lanes)."""
+    for i in range(values.shape[1]):
+        for axis in range(3):
+            for lane in range(values.shape[0]):
+                values[lane, i, axis] = block[i, axis, lane]
+
+
+@inline_kernel
+def write_block(block: np.ndarray, values: np.ndarray) -> None:
+    """Copy the values (n, V, 3) of a block's first n worlds into it (V, C, lanes)."""
+    for i in range(values.shape[1]):
+        for axis in range(3):
+            for lane in range(values.shape[0]):
+                block[i, axis, lane] = values[lane, i, axis]
+
+
 def _step_signature(real: Any) -> Any:
     state, rows = types.Array(real, 4, "C"), types.Array(real, 2, "C")
     flags, links = types.Array(types.boolean, 1, "C"), types.Array(types.int32, 2, "C")

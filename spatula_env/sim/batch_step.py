@@ -15,7 +15,7 @@ import numpy as np
 from spatula_env._kernels import inline_kernel
 from spatula_env.contact.motion import turn_by
 from spatula_env.contact.step import PENETRATION, RESIDUAL, RESULT_LENGTH, resolve_step
-from spatula_env.sim.batch_body import advance_block, read_world, write_world
+from spatula_env.sim.batch_body import advance_block, read_block, write_block
 
 FORCE, TORQUE, PEAK, LOAD_LENGTH = 0, 3, 6, 7
 """Columns of a tool's loads: force [kg u/s2] and torque [kg u2/s2], averaged, and the greatest force [kg u/s2]."""
@@ -89,7 +89,7 @@ def advance_worlds_of_block(
     lanes, node_count, tool_count = positions.shape[2], nodes.shape[1], tool_positions.shape[1]
     first = block * lanes
     end = min(first + lanes, nodes.shape[0])
-    free_nodes, free_velocities = np.empty((node_count, 3)), np.empty((node_count, 3))
+    free_nodes, free_velocities = np.empty((end - first, node_count, 3)), np.empty((end - first, node_count, 3))
     resolved, impulses = np.empty((node_count, 3)), np.empty((node_count, 3))
     ends, turned = np.empty((tool_count, 3)), np.empty((tool_count, 4))
     wrenches, result = np.empty((tool_count + 1, 6)), np.empty(RESULT_LENGTH)
@@ -102,6 +102,9 @@ def advance_worlds_of_block(
             positions, velocities, predicted, movable, links, factors, gravity,
             stiffness, dt, inverse_dt, finite,
         )  # fmt: skip
+        # All worlds at once: what stands side by side in memory are the worlds.
+        read_block(positions, free_nodes)
+        read_block(velocities, free_velocities)
         for w in range(first, end):
             lane = w - first
             if diverged[w]:
@@ -109,23 +112,19 @@ def advance_worlds_of_block(
             if finite[lane] != 0.0:
                 diverged[w] = True
                 continue
-            read_world(positions, lane, free_nodes)
-            read_world(velocities, lane, free_velocities)
             for k in range(tool_count):
                 for axis in range(3):
                     ends[k, axis] = tool_positions[w, k, axis] + linear_velocities[w, k, axis] * step_length
                 turn_by(tool_orientations[w, k], angular_velocities[w, k], step_length, turned[k])
             status = resolve_step(
                 contacts[w], with_tools, mode, first_step, True, tool_positions[w], tool_orientations[w], ends, turned,
-                linear_velocities[w], angular_velocities[w], nodes[w], free_nodes, free_velocities, resolved,
-                node_velocities[w], impulses, wrenches, result,
+                linear_velocities[w], angular_velocities[w], nodes[w], free_nodes[lane], free_velocities[lane],
+                resolved, node_velocities[w], impulses, wrenches, result,
             )  # fmt: skip
             if status != 0:
                 diverged[w] = True
                 continue
             nodes[w] = resolved
-            write_world(positions, lane, resolved)
-            write_world(velocities, lane, node_velocities[w])
             summaries[w, DEEPEST] = result[PENETRATION]
             summaries[w, WORST_RESIDUAL] = max(summaries[w, WORST_RESIDUAL], result[RESIDUAL])
             for axis in range(3):
@@ -141,6 +140,8 @@ def advance_worlds_of_block(
                 loads[w, k, PEAK] = max(loads[w, k, PEAK], np.sqrt(squared) / step_length)
             tool_positions[w] = ends
             tool_orientations[w] = turned
+        write_block(positions, nodes[first:end])
+        write_block(velocities, node_velocities[first:end])
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)

@@ -39,7 +39,6 @@ class LooseOrgans:
         turned = np.array([integrate_rotation(*pair, DT) for pair in zip(self.orientations, angular, strict=True)])
         motions = Motions(self.positions, self.orientations, self.positions + linear * DT, turned, linear, angular)
         free = self.nodes + self.velocities * DT if moved is None else np.array(moved)
-        found = self.model.resolve(self.nodes, free, self.velocities.copy(), motions)
-        self.nodes, self.velocities = found.nodes, found.velocities
+        self.nodes, self.velocities = self.model.resolve(self.nodes, free, self.velocities.copy(), motions)
         self.positions, self.orientations = motions.positions, motions.orientations
-        return found
+        return self.model

@@ -115,8 +115,8 @@ def test_the_contact_of_organs_from_80_to_20480_triangles(subdivisions, speed):
     for _ in range(3):
         moved = position + velocity * scene.dt
         motions = Motions(position, upright, moved, upright, velocity, still)
-        found = model.resolve(nodes, nodes.copy(), np.zeros_like(nodes), motions)
-        nodes, position = found.nodes, moved
+        nodes, _ = model.resolve(nodes, nodes.copy(), np.zeros_like(nodes), motions)
+        position = moved
         seen = inspector.inspect(position[0], upright[0], nodes)
         assert seen.residual <= 0.03
         assert not seen.wrong_side

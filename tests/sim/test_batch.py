@@ -248,7 +248,6 @@ def test_worlds_differ_in_mass_and_gravity():
 def test_a_heavier_organ_pushes_back_harder(top):
     batch = BatchSimulation(SCENE, 2)
     batch.set_parameters(mass_scale=[1.0, 2.0])
-    loads, nodes = press(batch, top, seed=3)
     linear = np.tile(velocities(3, 1), (2, 1, 1))
     batch.reset()
     batch.place_tools(np.tile([0.1, 0.0, top + 0.15], (2, 1, 1)))
