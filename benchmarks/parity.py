@@ -1,34 +1,100 @@
 """Does the batch engine do what PyBullet does?
 
 free_body      The seed's sphere, pulled by twenty nodal forces as it falls. How far any node is from where PyBullet has
-               it, at most, in any step: in double precision, which must follow PyBullet, and in single precision, which
-               is for learning. A soft body magnifies what it starts with. The row of PyBullet itself tells how much:
-               it starts from vertices rounded to single precision.
+               it, at most, in any step.
+rest           The sphere falls half a unit onto the ground, sways and rolls, in all of which ground and friction act;
+               and it lies there at rest. Both engines start from the same nodes.
+press          The spatula comes down on the sphere, presses it a unit deep, waits and goes back. Nodes, and the force
+               that the tool feels relative to the greatest one. Each engine has let its sphere settle by itself. Beside
+               that, a world among others in `BatchSimulation` must be `Simulation(engine="batch")` to the last bit.
+
+Double precision must follow PyBullet; single precision, which is for learning, is shown beside it. A soft body
+magnifies what it starts with. The row of PyBullet itself tells how much: it starts from nodes rounded to single
+precision.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from benchmarks.measure import finish, parser
-from spatula_env import scenes
+from spatula_env import Simulation, scenes
 from spatula_env.scenes import PlacedOrgan, Scene
+from spatula_env.sim.batch import BatchSimulation
 from spatula_env.sim.batch_body import BatchBody
 from spatula_env.sim.bullet import BulletWorld
+from spatula_env.sim.simulation import SimulationState
 from spatula_env.sim.soft_body import soft_body
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
 
 FREE_BODY_LIMIT = 1e-6
 """Greatest difference of a free body in double precision [u]."""
+
+REST_LIMIT = 1e-3
+"""Greatest difference of a body on the ground in double precision [u]."""
+
+PRESS_LIMIT, FORCE_LIMIT = 0.02, 0.02
+"""Greatest difference of a pressed body [u], and of the force on the tool relative to the greatest one."""
+
+ROUNDING = 1e-12
+"""Forces of a world and of a simulation may differ by so much of the greatest one: they are averaged in another way."""
 
 PULLED_NODES = 20
 PULL = 5.0
 """Standard deviation of each component of the forces [kg u/s2]: a twentieth of the organ's weight."""
 
-SHOWN_STEPS = (1, 10, 50, 100, 200)
+SHOWN_STEPS = (1, 10, 50, 100, 200, 300, 400, 480, 960, 1920)
+
+DROP = 0.5
+"""Height of the fall [u]."""
+
+OUT_OF_REACH = 50.0
+"""How far the tool is put away from a body that falls [u]."""
+
+CLEARANCE, ASIDE, DEPTH, SPEED, HOLD = 0.1, 0.1, 1.0, 2.0, 0.5
+"""Of the press: how far above the organ and beside its axis it begins, and how deep it goes [u]; speed [u/s]; and how
+long the tool waits [s]."""
+
+WORLDS, SPREAD = 19, 0.02
+"""Of `BatchSimulation`: more than a block and no whole number of blocks. From one to the next the tool is moved [u]."""
+
+REFERENCE, ROUNDED = "bullet", "bullet_rounded"
+
+SIDES: dict[str, dict[str, Any]] = {
+    REFERENCE: {"engine": "bullet"},
+    ROUNDED: {"engine": "bullet"},
+    "double": {"engine": "batch", "precision": "double"},
+    "single": {"engine": "batch", "precision": "single"},
+}
+"""What is compared, and the arguments of `Simulation` that it has."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """What happened in S steps.
+
+    Attributes:
+        nodes: (S, V, 3) [u].
+        node_velocities: (S, V, 3) [u/s].
+        tool_positions: (S, N, 3) [u].
+        forces: (S, 3) on the first tool [kg u/s2].
+        ground_forces: (S, 3) on the organs [kg u/s2].
+    """
+
+    nodes: FloatArray
+    node_velocities: FloatArray
+    tool_positions: FloatArray
+    forces: FloatArray
+    ground_forces: FloatArray
 
 
 def free_body(scene: Scene, steps: int, seed: int = 0) -> dict[str, Any]:
@@ -53,21 +119,234 @@ def free_body(scene: Scene, steps: int, seed: int = 0) -> dict[str, Any]:
     changes = forces * body.inverse_masses[:, None] * float(np.float32(scene.dt))
 
     reference = _in_bullet(scene, changes, steps)
-    paths = {"bullet_rounded": _in_bullet(scene, changes, steps, rounded=True)}
-    for name, dtype in (("float64", np.float64), ("float32", np.float32)):
+    paths = {ROUNDED: _in_bullet(scene, changes, steps, rounded=True)}
+    for name, dtype in (("double", np.float64), ("single", np.float32)):
         paths[name] = _in_batch(placed, scene, changes, steps, dtype)
-    differences = {name: np.abs(path - reference).max(axis=(1, 2)) for name, path in paths.items()}
+    differences = {name: _distances(path, reference) for name, path in paths.items()}
     strain = reference - reference.mean(axis=1, keepdims=True)
     return {
         "steps": steps,
-        "difference_u": {name: float(values.max()) for name, values in differences.items()},
-        "difference_by_step_u": {
-            name: {str(step): float(values[step - 1]) for step in SHOWN_STEPS if step <= steps}
-            for name, values in differences.items()
-        },
+        **_summary(differences),
         "deformation_u": float(np.abs(strain - strain[0]).max()),
         "limit_u": FREE_BODY_LIMIT,
-        "passed": bool(differences["float64"].max() <= FREE_BODY_LIMIT),
+        "passed": bool(differences["double"].max() <= FREE_BODY_LIMIT),
+    }
+
+
+def rest(scene: Scene, steps: int, height: float, batch_scene: Scene | None = None) -> dict[str, Any]:
+    """Let the organs fall onto the ground, or lie there.
+
+    Args:
+        scene: With ground; its tools are put out of reach.
+        steps: How many steps.
+        height: From where the organs are dropped, above where they rest [u].
+        batch_scene: What the batch engine gets instead, to see that a difference shows.
+
+    Returns:
+        Greatest difference of a node [u], by engine, in any step, by step and in the end; PyBullet's greatest force of
+        the ground [kg u/s2], the share of steps with such a force, and its greatest velocity of a node in the end
+        [u/s].
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    start = _at_rest(scene).nodes + height * up
+    paths: dict[str, Path] = {}
+    for name, arguments in SIDES.items():
+        simulation = Simulation(_scene_of(arguments, scene, batch_scene), **arguments)
+        try:
+            state = simulation.save()
+            nodes = _rounded(start) if name == ROUNDED else start
+            away = state.tool_positions + OUT_OF_REACH * up
+            simulation.restore(dataclasses.replace(state, nodes=nodes, tool_positions=away))
+            paths[name] = _follow(simulation, np.zeros((steps, 3)))
+        finally:
+            simulation.close()
+    reference = paths.pop(REFERENCE)
+    differences = {name: _distances(path.nodes, reference.nodes) for name, path in paths.items()}
+    ground = reference.ground_forces[:, 2]
+    return {
+        "steps": steps,
+        "height_u": height,
+        **_summary(differences),
+        "difference_at_end_u": {name: float(values[-1]) for name, values in differences.items()},
+        "greatest_ground_force": float(ground.max()),
+        "ground_share": float((ground > 0.0).mean()),
+        "speed_at_end": float(np.abs(reference.node_velocities[-1]).max()),
+        "limit_u": REST_LIMIT,
+        "passed": bool(differences["double"].max() <= REST_LIMIT),
+    }
+
+
+def press_velocities(dt: float, way: float = CLEARANCE + DEPTH, hold: float = HOLD) -> FloatArray:
+    """How the tool moves in a press: down, not at all, and up again.
+
+    Args:
+        dt: Length of a step [s].
+        way: How far it goes down [u].
+        hold: How long it waits there [s].
+
+    Returns:
+        (S, 3) velocity in each step [u/s].
+    """
+    moving, waiting = round(way / (SPEED * dt)), round(hold / dt)
+    speeds = np.concatenate([np.full(moving, -SPEED), np.zeros(waiting), np.full(moving, SPEED)])
+    return np.column_stack([np.zeros((len(speeds), 2)), speeds])
+
+
+def press(
+    scene: Scene,
+    depth: float = DEPTH,
+    hold: float = HOLD,
+    worlds: int = WORLDS,
+    batch_scene: Scene | None = None,
+) -> dict[str, Any]:
+    """Press the organ and go back.
+
+    Args:
+        scene: Its first tool presses from above.
+        depth: How deep [u].
+        hold: How long the tool waits there [s].
+        worlds: Of `BatchSimulation`.
+        batch_scene: What the batch engine gets instead, to see that a difference shows.
+
+    Returns:
+        Greatest difference of a node [u] and of the force relative to PyBullet's greatest, by engine; of the force also
+        the mean over all steps and the greatest in the hold; the share of steps in contact; and how a world among
+        others compares with a simulation, by precision.
+    """
+    velocities = press_velocities(scene.dt, CLEARANCE + depth, hold)
+    holding = ~velocities.any(axis=1)
+    place = place_above(scene, _at_rest(scene).nodes)
+    paths: dict[str, Path] = {}
+    for name, arguments in SIDES.items():
+        simulation = Simulation(_scene_of(arguments, scene, batch_scene), **arguments)
+        try:
+            if name == ROUNDED:
+                state = simulation.save()
+                simulation.restore(dataclasses.replace(state, nodes=_rounded(state.nodes)))
+            simulation.place_tool(place)
+            paths[name] = _follow(simulation, velocities)
+        finally:
+            simulation.close()
+    reference = paths.pop(REFERENCE)
+    magnitudes = np.linalg.norm(reference.forces, axis=1)
+    nodes = {name: _distances(path.nodes, reference.nodes) for name, path in paths.items()}
+    forces = {
+        name: np.linalg.norm(path.forces - reference.forces, axis=1) / magnitudes.max() for name, path in paths.items()
+    }
+    batch = {
+        name: _compare_world(batch_scene or scene, place, velocities, worlds, dtype, paths[name])
+        for name, dtype in (("double", np.float64), ("single", np.float32))
+    }
+    return {
+        "steps": len(velocities),
+        "depth_u": depth,
+        **_summary(nodes),
+        "force_difference": {name: float(values.max()) for name, values in forces.items()},
+        "force_difference_mean": {name: float(values.mean()) for name, values in forces.items()},
+        "force_difference_hold": {name: float(values[holding].max()) for name, values in forces.items()},
+        "greatest_force": float(magnitudes.max()),
+        "contact_share": float((magnitudes > 0.0).mean()),
+        "batch_simulation": batch,
+        "limit_u": PRESS_LIMIT,
+        "force_limit": FORCE_LIMIT,
+        "passed": bool(
+            nodes["double"].max() <= PRESS_LIMIT
+            and forces["double"].max() <= FORCE_LIMIT
+            and all(row["passed"] for row in batch.values())
+        ),
+    }
+
+
+def place_above(scene: Scene, nodes: FloatArray, clearance: float = CLEARANCE) -> FloatArray:
+    """From where the first tool presses: lying flat, its underside above the organ's top.
+
+    Args:
+        scene: With the organ and the tool.
+        nodes: (V, 3) at rest [u].
+        clearance: Between the tool's underside and the organ's top [u].
+
+    Returns:
+        (3,) [u]. It is a little off the organ's axis, so that nothing is symmetric.
+    """
+    x, y, _ = scene.organs[0].position
+    underside = nodes[:, 2].max() + clearance
+    return np.array([x + ASIDE, y, underside + 0.5 * scene.tools[0].tool.size[2]])
+
+
+def _compare_world(
+    scene: Scene, place: FloatArray, velocities: FloatArray, worlds: int, dtype: type, alone: Path
+) -> dict[str, Any]:
+    """Whether the last of many worlds does what a simulation did."""
+    batch = BatchSimulation(scene, worlds, dtype=dtype)
+    positions = np.repeat(batch.tool_positions[:1], worlds, axis=0)
+    positions[:, 0] = place
+    # The other worlds press elsewhere.
+    positions[:, 0, 1] += SPREAD * np.arange(worlds)[::-1]
+    batch.place_tools(positions)
+    rows = []
+    for velocity in velocities:
+        loads = batch.advance(np.broadcast_to(velocity, positions.shape))
+        state = (batch.nodes[-1], batch.node_velocities[-1], batch.tool_positions[-1])
+        rows.append((*state, loads.forces[-1, 0], loads.ground_forces[-1]))
+    found = _path(rows)
+    equal = all(
+        np.array_equal(getattr(found, name), getattr(alone, name))
+        for name in ("nodes", "node_velocities", "tool_positions")  # not forces, see ROUNDING
+    )
+    difference, greatest = np.abs(found.forces - alone.forces).max(), np.abs(alone.forces).max()
+    return {
+        "worlds": worlds,
+        "equal": bool(equal),
+        "force_difference": float(difference / greatest) if greatest > 0.0 else float(difference),
+        "passed": bool(equal and difference <= ROUNDING * greatest),
+    }
+
+
+def _scene_of(arguments: dict[str, Any], scene: Scene, batch_scene: Scene | None) -> Scene:
+    return batch_scene if batch_scene is not None and arguments["engine"] == "batch" else scene
+
+
+def _at_rest(scene: Scene) -> SimulationState:
+    """The scene as PyBullet settles it."""
+    simulation = Simulation(scene, **SIDES[REFERENCE])
+    try:
+        return simulation.save()
+    finally:
+        simulation.close()
+
+
+def _follow(simulation: Simulation, velocities: FloatArray) -> Path:
+    """Move the tools as told (S, 3) and record."""
+    rows = []
+    for velocity in velocities:
+        report = simulation.step(velocity)
+        state = (simulation.nodes, simulation.node_velocities, simulation.tool_positions)
+        rows.append((*state, report.force, report.ground_force.copy()))
+    return _path(rows)
+
+
+def _path(rows: Sequence[tuple[FloatArray, ...]]) -> Path:
+    return Path(*(np.array(values) for values in zip(*rows, strict=True)))
+
+
+def _rounded(nodes: FloatArray) -> FloatArray:
+    return nodes.astype(np.float32).astype(np.float64)
+
+
+def _distances(path: FloatArray, reference: FloatArray) -> FloatArray:
+    """(S,) greatest difference of a coordinate of a node in each step [u]; infinite where one is not finite."""
+    distances: FloatArray = np.nan_to_num(np.abs(path - reference).max(axis=(1, 2)), nan=np.inf)
+    return distances
+
+
+def _summary(differences: dict[str, FloatArray]) -> dict[str, Any]:
+    """Differences (S,) of each side: the greatest, and by step the greatest so far."""
+    return {
+        "difference_u": {name: float(values.max()) for name, values in differences.items()},
+        "difference_by_step_u": {
+            name: {str(step): float(values[:step].max()) for step in SHOWN_STEPS if step <= len(values)}
+            for name, values in differences.items()
+        },
     }
 
 
@@ -77,7 +356,7 @@ def _in_bullet(scene: Scene, changes: np.ndarray, steps: int, *, rounded: bool =
     try:
         positions, velocities = scene.organs[0].vertices, np.zeros_like(changes)
         if rounded:
-            positions = positions.astype(np.float32).astype(np.float64)
+            positions = _rounded(positions)
             world.set_state(positions, velocities)
 
         def step() -> np.ndarray:
@@ -96,7 +375,8 @@ def _in_batch(placed: PlacedOrgan, scene: Scene, changes: np.ndarray, steps: int
 
     def step() -> np.ndarray:
         batch.step(changes[None])
-        return batch.positions[0]
+        positions: np.ndarray = batch.positions[0]
+        return positions
 
     return _record(step, steps)
 
@@ -105,19 +385,73 @@ def _record(step: Callable[[], np.ndarray], steps: int) -> np.ndarray:
     return np.array([step() for _ in range(steps)])
 
 
-def main() -> None:
+def run(scene: Scene, steps: int, rest_steps: int) -> dict[str, Any]:
+    """All parts.
+
+    Args:
+        scene: The seed's, or one like it.
+        steps: Of the free body.
+        rest_steps: Of falling, and of lying.
+
+    Returns:
+        What each part found, and whether all have passed.
+    """
+    falling, lying = (rest(scene, rest_steps, height) for height in (DROP, 0.0))
+    parts: dict[str, Any] = {
+        "free_body": free_body(scene, steps),
+        "rest": {"falling": falling, "lying": lying, "passed": falling["passed"] and lying["passed"]},
+        "press": press(scene),
+    }
+    return {**parts, "passed": all(part["passed"] for part in parts.values())}
+
+
+def _print_rows(title: str, row: dict[str, Any]) -> None:
+    """Print how far every side is from PyBullet, step by step."""
+    print(f"{title}: greatest difference of a node from PyBullet [u]")
+    shown = list(row["difference_by_step_u"]["double"])
+    print(f"  {'until step':16}" + "".join(f"{step:>9}" for step in shown) + f"{'all':>9}")
+    for name, by_step in row["difference_by_step_u"].items():
+        values = [*(by_step[step] for step in shown), row["difference_u"][name]]
+        print(f"  {name:16}" + "".join(f"{value:9.0e}" for value in values))
+    print(f"  limit for double {row['limit_u']:.0e} u: {'passed' if row['passed'] else 'FAILED'}\n")
+
+
+def _print(result: dict[str, Any]) -> None:
+    free, falling, pressing = result["free_body"], result["rest"]["falling"], result["press"]
+    _print_rows(f"free body, {free['steps']} steps, deformed by up to {free['deformation_u']:.2f} u", free)
+    _print_rows(
+        f"fall of {falling['height_u']:g} u, {falling['steps']} steps, in {100 * falling['ground_share']:.0f} % of them"
+        f" on the ground, in the end at {falling['speed_at_end']:.2f} u/s",
+        falling,
+    )
+    _print_rows(f"lying, {result['rest']['lying']['steps']} steps", result["rest"]["lying"])
+    _print_rows(
+        f"press of {pressing['depth_u']:g} u, {pressing['steps']} steps, in {100 * pressing['contact_share']:.0f} % of"
+        " them in contact",
+        pressing,
+    )
+    print(f"press: difference of the force relative to the greatest, {pressing['greatest_force']:.0f} kg u/s2")
+    print(f"  {'':16}{'all steps':>10}{'hold':>10}{'mean':>10}")
+    for name, greatest in pressing["force_difference"].items():
+        hold, mean = pressing["force_difference_hold"][name], pressing["force_difference_mean"][name]
+        print(f"  {name:16}{greatest:10.0e}{hold:10.0e}{mean:10.0e}")
+    print(f"  limit for double, all steps {pressing['force_limit']:g}")
+    for name, row in pressing["batch_simulation"].items():
+        same = "equal to the last bit" if row["equal"] else "DIFFERENT"
+        print(f"  {name}, a world of {row['worlds']} beside a simulation: {same}, force {row['force_difference']:.0e}")
+    print(f"\nall: {'passed' if result['passed'] else 'FAILED'}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
     """Measure and print."""
     options = parser(__doc__ or "")
-    options.add_argument("--steps", type=int, default=200)
-    arguments = options.parse_args()
-    result = free_body(scenes.seed(), arguments.steps)
-    if not arguments.json:
-        print(f"free body, {result['steps']} steps, deformed by up to {result['deformation_u']:.2f} u")
-        for name, difference in result["difference_u"].items():
-            by_step = ", ".join(f"{step}: {value:.0e}" for step, value in result["difference_by_step_u"][name].items())
-            print(f"  {name:14} at most {difference:.1e} u from PyBullet   (by step {by_step})")
-        print(f"  float64 must be within {result['limit_u']:.0e} u: {'passed' if result['passed'] else 'FAILED'}")
-    finish({"benchmark": "parity", "free_body": result})
+    options.add_argument("--steps", type=int, default=200, help="of the free body")
+    options.add_argument("--rest-steps", type=int, default=480, help="of falling, and of lying")
+    given = options.parse_args(arguments)
+    result = run(scenes.seed(), given.steps, given.rest_steps)
+    if not given.json:
+        _print(result)
+    finish({"benchmark": "parity", **result})
 
 
 if __name__ == "__main__":

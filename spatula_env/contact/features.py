@@ -581,7 +581,7 @@ def gather_edges(
     local, last, candidates, codes = memory.local, memory.last_local, memory.candidates, memory.codes
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
     ridges, corners = tool.ridges, tool.corners
-    contact = np.empty(7)
+    contact, ends = np.empty(7), np.empty((2, 3))
     for k in range(found):
         t = candidates[k]
         for side in range(3):
@@ -599,16 +599,18 @@ def gather_edges(
             if plane_out < 0:
                 plane_out = touched_plane(plane_normals, plane_offsets, last, local, b, time)
             # The face over which the edge lay: where it is least deep.
+            for axis in range(3):
+                at_a = last[axis, a] + time * (local[axis, a] - last[axis, a])
+                at_b = last[axis, b] + time * (local[axis, b] - last[axis, b])
+                ends[0, axis] = at_a + first * (at_b - at_a)
+                ends[1, axis] = at_a + end * (at_b - at_a)
             met, least = -1, np.inf
             for p in range(plane_offsets.shape[0]):
                 deepest = -np.inf
                 for which in range(2):
-                    place = first if which == 0 else end
                     height = -plane_offsets[p]
                     for axis in range(3):
-                        at_a = last[axis, a] + time * (local[axis, a] - last[axis, a])
-                        at_b = last[axis, b] + time * (local[axis, b] - last[axis, b])
-                        height += plane_normals[p, axis] * (at_a + place * (at_b - at_a))
+                        height += plane_normals[p, axis] * ends[which, axis]
                     deepest = max(deepest, -height)
                 if deepest < least:
                     met, least = p, deepest

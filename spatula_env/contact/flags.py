@@ -425,6 +425,7 @@ class FlaggedDetector:
             raise ValueError(
                 f"flags must be a bool array of shape {self.memory.states[0].shape}, got {flags.dtype} {flags.shape}"
             )
+        self.memory.states[:] = False
         self.memory.states[0] = flags
 
     def reset(self) -> None:

@@ -25,31 +25,38 @@ MOST_PASSED = 512
 
 @inline_kernel
 def start_warm(
-    count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, column: int, known: int, warm: Any
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    column: int,
+    known: int,
+    warm: Any,
+    scale: float,
 ) -> None:
-    """Give constraints the multipliers, in three columns from `column`, that they had in the last step."""
+    """Give constraints multipliers, in three columns from `column`: `scale` times the displacements kept by name."""
     hint = 0
     for c in range(count):
         for k in range(known):
             e = hint + k if hint + k < known else hint + k - known
             if names[c] == warm.names[e] and features[c, OWNER] == warm.features[e, OWNER]:
                 for axis in range(3):
-                    rows[c, column + axis] = warm.rows[e, column + axis]
+                    rows[c, column + axis] = scale * warm.rows[e, DISPLACEMENT + axis]
                 hint = e + 1 if e + 1 < known else 0
                 break
 
 
 @inline_kernel
-def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, column: int, warm: Any) -> int:
-    """Note the multipliers for the next step; returns how many."""
+def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, warm: Any) -> int:
+    """Keep the displacements of a solve, for the velocity solve and for the next step; returns how many."""
     reserve(warm, 0, count)
     kept = 0
     for c in range(count):
-        if rows[c, column] != 0.0 or rows[c, column + 1] != 0.0 or rows[c, column + 2] != 0.0:
+        if rows[c, DISPLACEMENT] != 0.0 or rows[c, DISPLACEMENT + 1] != 0.0 or rows[c, DISPLACEMENT + 2] != 0.0:
             warm.names[kept] = names[c]
             warm.features[kept, OWNER] = features[c, OWNER]
             for axis in range(3):
-                warm.rows[kept, column + axis] = rows[c, column + axis]
+                warm.rows[kept, DISPLACEMENT + axis] = rows[c, DISPLACEMENT + axis]
             kept += 1
     return kept
 

@@ -136,12 +136,37 @@ def start_pushed(
 
 
 @inline_kernel
+def count_lone(count: int, features: np.ndarray, touched: np.ndarray) -> int:
+    """How many of the ground's constraints, which come first, share no vertex with a tool's: all of them or none.
+
+    Args:
+        count: How many constraints.
+        features: See `structures.Constraints`.
+        touched: (V,) workspace, all False; left so.
+
+    Returns:
+        How many.
+    """
+    ground = 0
+    while ground < count and features[ground, OWNER] == GROUND:
+        touched[features[ground, 0]] = True
+        ground += 1
+    alone = True
+    for c in range(ground, count):
+        alone = alone and not (touched[features[c, 0]] or touched[features[c, 1]] or touched[features[c, 2]])
+    for c in range(ground):
+        touched[features[c, 0]] = False
+    return ground if alone else 0
+
+
+@inline_kernel
 def solve_positions(
     count: int,
     rows: np.ndarray,
     features: np.ndarray,
     inverse_mass: np.ndarray,
     vertices: np.ndarray,
+    lone: int,
     sweeps: int,
     tolerance: float,
     patience: int,
@@ -154,6 +179,7 @@ def solve_positions(
         features: See there.
         inverse_mass: (V,) [1/kg].
         vertices: (V, 3) positions; changed [u].
+        lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u].
         patience: The solve also ends when for so many sweeps none has moved points by less than before.
@@ -164,7 +190,7 @@ def solve_positions(
     least, since = np.inf, 0
     for sweep in range(sweeps):
         moved = 0.0
-        for c in range(count):
+        for c in range(lone if sweep > 0 else 0, count):
             row = rows[c]
             i, j, k = features[c, 0], features[c, 1], features[c, 2]
             a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]
@@ -208,6 +234,7 @@ def solve_velocities(
     inverse_mass: np.ndarray,
     velocities: np.ndarray,
     dt: float,
+    lone: int,
     sweeps: int,
     tolerance: float,
     patience: int,
@@ -221,6 +248,7 @@ def solve_velocities(
         inverse_mass: (V,) [1/kg].
         velocities: (V, 3) of the vertices; changed [u/s].
         dt: Length of the step [s].
+        lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u/s].
         patience: The solve also ends when for so many sweeps none has moved points by less than before.
@@ -231,7 +259,7 @@ def solve_velocities(
     least, since = np.inf, 0
     for sweep in range(sweeps):
         moved = 0.0
-        for c in range(count):
+        for c in range(lone if sweep > 0 else 0, count):
             row = rows[c]
             i, j, k = features[c, 0], features[c, 1], features[c, 2]
             a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]

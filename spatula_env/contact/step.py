@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
-from spatula_env.contact.features import gather_features, gather_ground, gather_nodes
+from spatula_env.contact.features import find_candidates, gather_features, gather_ground, gather_nodes
 from spatula_env.contact.flags import (
     decide_flags,
     fill_local,
@@ -20,6 +20,7 @@ from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
 from spatula_env.contact.multipliers import add_passed, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
+    count_lone,
     keep_ledger,
     limit_energy,
     measure_gaps,
@@ -40,7 +41,7 @@ F8, F8_2 = ARRAYS["f8"], ARRAYS["f8_2"]
 POSITION_TOLERANCE = 3e-5
 """The position solve ends when a sweep moves no constrained point farther than this [u]."""
 
-VELOCITY_TOLERANCE = 1e-3
+VELOCITY_TOLERANCE = 5e-3
 """The velocity solve ends when a sweep changes no constrained point's velocity by more than this [u/s]."""
 
 RESIDUAL_TOLERANCE = 1e-3
@@ -189,20 +190,20 @@ def resolve_step(
     tools, memories, surfaces, constraints, earlier = (
         world.tools, world.memories, world.surfaces, world.constraints, world.earlier,
     )  # fmt: skip
-    warm_positions, warm_velocities, warm_counts = world.warm_positions, world.warm_velocities, world.warm_counts
+    warm, warm_count = world.warm, world.warm_count
     first_vertices, friction, settings = world.first_vertices, world.friction, world.settings
     inverse_mass, ledger = world.inverse_mass, world.ledger
     dt, mean_edge = settings[DT], settings[MEAN_EDGE]
     if mode == SECOND_STEP:
         # Both faces of a tool push against each other; what they come to in one step is not carried into the next.
-        warm_counts[:] = 0
+        warm_count[0] = 0
     tool_count, organ_count = len(tools) if with_tools else 0, len(surfaces)
     vertex_count = vertices.shape[0]
     result[:] = 0.0
     for i in range(vertex_count):
         for axis in range(3):
             vertices[i, axis], velocities[i, axis] = free_vertices[i, axis], free_velocities[i, axis]
-    passes = np.zeros(tool_count, np.bool_)
+    passes, quiet = np.zeros(tool_count, np.bool_), np.zeros(tool_count * organ_count, np.bool_)
     parts, organ_parts = divide_step(
         tools, start_positions, positions, linear_velocities, angular_velocities, start, vertices, dt, mean_edge, passes
     )
@@ -230,6 +231,7 @@ def resolve_step(
             angular[k, axis] = limit * angular_velocities[k, axis]
             last_position[k, axis] = start_positions[k, axis]
         fill_rotation(start_orientations[k], 1.0, last_rotation[k])
+    touched = np.zeros(vertex_count, np.bool_)
     count, passed = 0, 0
     organ_done = 0.0
     for query in range(queries):
@@ -246,6 +248,7 @@ def resolve_step(
                 for axis in range(3):
                     vertices[i, axis] += (organ_part - organ_done) * shift[i, axis]
             organ_done = organ_part
+        quiet[:] = False
         for k in range(tool_count):
             tool = tools[k]
             for axis in range(3):
@@ -260,11 +263,19 @@ def resolve_step(
                 if not passes[k] and not memory.states[0].any():
                     memory.states[1] = False
                     continue
+                fill_local(last_position[k], last_rotation[k], reference, first, memory.last_local)
+                fill_local(position[k], rotation[k], own, 0, memory.local)
+                if memory.states[6].all() and find_candidates(tool, memory, surfaces[o]) == 0:
+                    # Nothing came near a tool that was outside.
+                    memory.states[0] = False
+                    memory.states[1] = False
+                    quiet[k * organ_count + o] = True
+                    continue
                 status: int = cast_columns(position[k], rotation[k], own, surfaces[o], tool, memory)
                 if status != 0:
                     return status
-                fill_local(last_position[k], last_rotation[k], reference, first, memory.last_local)
-                fill_local(position[k], rotation[k], own, 0, memory.local)
+                for i in range(memory.hits.shape[0]):
+                    memory.states[6, i] = memory.hits[i, 0, 1] <= 0
                 memory.states[3] = memory.states[0]
                 lead_by_motion(tool, memory, surfaces[o])
                 decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
@@ -280,7 +291,8 @@ def resolve_step(
                 tool = tools[k]
                 for o in range(organ_count):
                     memory, first, triangles = memories[k * organ_count + o], first_vertices[o], surfaces[o]
-                    if not passes[k] and not memory.states[0].any():
+                    silent = attempt == 0 and quiet[k * organ_count + o]
+                    if silent or (not passes[k] and not memory.states[0].any()):
                         fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
                         continue
                     if attempt > 0:
@@ -310,12 +322,13 @@ def resolve_step(
             if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
                 break
             if attempt == 0 and queries == 1:
-                start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_counts[0], warm_positions)
+                start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
+            lone = count_lone(count, features, touched)
             sweeps = MOST_SWEEPS if parts == 1 else MOST_SWEEPS_DIVIDED
-            solve_positions(count, rows, features, inverse_mass, vertices, sweeps, POSITION_TOLERANCE, PATIENCE)
+            solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE, PATIENCE)
             if attempt == 0:
-                warm_counts[0] = keep_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_positions)
+                warm_count[0] = keep_warm(count, rows, features, constraints.names, warm)
             if query < queries - 1:
                 passed = note_passed(count, passed, constraints, earlier, position)
         for k in range(tool_count):
@@ -329,10 +342,15 @@ def resolve_step(
         count = add_passed(count, passed, constraints, earlier, positions)
         measure_gaps(count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
     rows, features = constraints.rows, constraints.features
-    start_warm(count, rows, features, constraints.names, IMPULSE, warm_counts[1], warm_velocities)
-    start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
-    solve_velocities(count, rows, features, inverse_mass, velocities, dt, MOST_SWEEPS, VELOCITY_TOLERANCE, PATIENCE)
-    warm_counts[1] = keep_warm(count, rows, features, constraints.names, IMPULSE, warm_velocities)
+    if queries == 1:
+        # A point that was on its plane, and was moved back by so much, came that far in the time step: the impulse that
+        # stops it is the displacement over the time step.
+        start_warm(count, rows, features, constraints.names, IMPULSE, warm_count[0], warm, 1.0 / dt)
+        start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
+    lone = count_lone(count, features, touched)
+    solve_velocities(
+        count, rows, features, inverse_mass, velocities, dt, lone, MOST_SWEEPS, VELOCITY_TOLERANCE, PATIENCE
+    )
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:

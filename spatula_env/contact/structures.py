@@ -69,7 +69,8 @@ class PairMemory(structref.StructRefProxy):
     """A detector's memory and workspace for one tool and one organ, for kernels.
 
     Fields:
-        states (6, n): flags, unfeasible; and, serving one query, leading, remembered, decided, came through.
+        states (7, n): flags, unfeasible; serving one query, leading, remembered, decided, came through; and whether
+            the last query found the node outside of the organ.
         triangle (n,): the one that a node's inward ray leaves through, `NO_HIT` where the node is not flagged.
         record (n, 10): weights of its corners, depth, normal, point.
         hits (n, 2, 2), distances (n, 2): see `raycast.cast_columns`.
@@ -101,9 +102,8 @@ class WorldContacts(structref.StructRefProxy):
         surfaces: Triangles (T, 3) of each organ, counting its own vertices.
         constraints: Workspace of a query.
         earlier: Workspace: constraints of queries before the last one.
-        warm_positions: Displacements of the last step's constraints, from which the position solve starts.
-        warm_velocities: Impulses of the last step's constraints, from which the velocity solve starts.
-        warm_counts (2,): how many of each.
+        warm: Displacements of the last position solve's constraints, from which solves start.
+        warm_count (1,): how many.
         first_vertices (O,): index of each organ's first vertex among all.
         friction (N,): coefficients.
         settings: See `step`.
@@ -169,9 +169,8 @@ WORLD_FIELDS = [
     ("surfaces", SURFACES),
     ("constraints", CONSTRAINTS),
     ("earlier", CONSTRAINTS),
-    ("warm_positions", CONSTRAINTS),
-    ("warm_velocities", CONSTRAINTS),
-    ("warm_counts", ARRAYS["i8"]),
+    ("warm", CONSTRAINTS),
+    ("warm_count", ARRAYS["i8"]),
     ("first_vertices", ARRAYS["i8"]),
     ("friction", ARRAYS["f8"]),
     ("settings", ARRAYS["f8"]),
@@ -207,13 +206,13 @@ def _make_memory(
 
 @kernel(WORLD_CONTACTS(*[kind for _, kind in WORLD_FIELDS]))
 def make_world_contacts(
-    tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, warm_positions: Any, warm_velocities: Any,
-    warm_counts: Any, first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, ledger: Any,
+    tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, warm: Any, warm_count: Any,
+    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, ledger: Any,
 ) -> Any:  # fmt: skip
     """A `WorldContacts` of these fields."""
     return WorldContacts(
-        tools, memories, surfaces, constraints, earlier, warm_positions, warm_velocities, warm_counts, first_vertices,
-        friction, settings, inverse_mass, ledger,
+        tools, memories, surfaces, constraints, earlier, warm, warm_count, first_vertices, friction,
+        settings, inverse_mass, ledger,
     )  # fmt: skip
 
 
@@ -400,7 +399,7 @@ class Memory:
 
     def __init__(self, nodes: int, room: OrganRoom | None = None) -> None:
         """Make them, with all flags clear."""
-        self.states: NDArray[np.bool_] = np.zeros((6, nodes), dtype=np.bool_)
+        self.states: NDArray[np.bool_] = np.zeros((7, nodes), dtype=np.bool_)
         self.triangle: NDArray[np.int32] = np.full(nodes, NO_HIT, dtype=np.int32)
         self.record: NDArray[np.float64] = np.zeros((nodes, 10))
         self._hits = np.zeros((nodes, 2, 2), dtype=np.int32)

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 FIRST_ROOM = 256
 """Room for so many constraints to begin with."""
 
-Multipliers = tuple[tuple["NDArray[Any]", "NDArray[Any]", "NDArray[Any]"], ...]
-"""From which the position and the velocity solve start: names, features and rows of constraints."""
+Multipliers = tuple["NDArray[Any]", "NDArray[Any]", "NDArray[Any]"]
+"""From which the next position solve starts: names, features and rows of constraints."""
 
 
 class Workspace:
@@ -96,16 +96,16 @@ class World:
         self.set_inverse_masses(inverse_masses)
         self.ledger = np.zeros((len(scene.organs), LEDGER_LENGTH))
         self.workspace = workspace
-        self._warm = make_constraints(FIRST_ROOM), make_constraints(FIRST_ROOM)
-        self._warm_counts = np.zeros(2, dtype=np.int64)
+        self._warm = make_constraints(FIRST_ROOM)
+        self._warm_count = np.zeros(1, dtype=np.int64)
         self.structure = make_world_contacts(
             tool_list(list(shapes)),
             memory_list([memory.structure for memory in memories]),
             surfaces,
             workspace.constraints,
             workspace.earlier,
-            *self._warm,
-            self._warm_counts,
+            self._warm,
+            self._warm_count,
             starts[:-1].astype(np.int64),
             self.friction,
             self.settings,
@@ -121,20 +121,18 @@ class World:
 
     def forget_solves(self) -> None:
         """Start the next step's solves from nothing, and count energy anew."""
-        self._warm_counts[:] = 0
+        self._warm_count[0] = 0
         self.ledger[:] = 0.0
 
     def copy_multipliers(self) -> Multipliers:
-        """From where the next step's solves start, as arrays of their own."""
-        return tuple(
-            copy_constraints(warm, count) for warm, count in zip(self._warm, self._warm_counts.tolist(), strict=True)
-        )
+        """From where the next step's solve starts, as arrays of their own."""
+        copied: Multipliers = copy_constraints(self._warm, int(self._warm_count[0]))
+        return copied
 
     def restore_multipliers(self, multipliers: Multipliers) -> None:
         """Go back to what was copied."""
-        for index, (warm, parts) in enumerate(zip(self._warm, multipliers, strict=True)):
-            restore_constraints(warm, *(part.copy() for part in parts))
-            self._warm_counts[index] = len(parts[0])
+        restore_constraints(self._warm, *(part.copy() for part in multipliers))
+        self._warm_count[0] = len(multipliers[0])
 
     def set_tool(self, index: int, shape: Any) -> None:
         """Give the world another tool, a `ToolShape` with as many nodes."""

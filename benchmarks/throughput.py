@@ -1,0 +1,938 @@
+"""How many steps a second: many worlds in compiled code against PyBullet, in one run on one machine.
+
+body           PyBullet's own `stepSimulation` of the seed's sphere, nothing else, and `BatchBody.step` of the same
+               body.
+press          A press with ground, contact and report, a quarter of it in the air: `Simulation` with both engines, and
+               `BatchSimulation` with its tools at slightly different places.
+environment    Control steps of Spatula/Press-v0: of PyBullet's environment alone and in a process per core, of the
+               batch engine's alone, and of `make_vec`. In half of the worlds a script presses towards the goal; in the
+               others it does so at first, untimed, and chance from then on.
+parts          Where the time of 64 environments on one thread goes.
+
+All sides take turns, and do the same work in every turn: the time of a call is the median over the turns. More than 64
+worlds have one turn only. Times are those of one thread unless said. PyBullet computes in double precision and the
+batch engine in single; a row of 64 worlds in double precision tells what that makes. "sim s/s" is simulated seconds in
+a second, and "spread" the difference of the slowest and the fastest turn.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import gymnasium as gym
+import numba
+import numpy as np
+
+import spatula_env  # noqa: F401 - registers the environments
+from benchmarks.measure import finish, parser
+from benchmarks.parallel import available_cores
+from benchmarks.parity import DEPTH, HOLD, place_above, press_velocities
+from spatula_env import Simulation, scenes
+from spatula_env.sim.batch import BatchSimulation
+from spatula_env.sim.batch_body import BatchBody
+from spatula_env.sim.bullet import BulletWorld
+from spatula_env.sim.soft_body import soft_body
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from spatula_env.scenes import Scene
+
+    FloatArray = NDArray[np.float64]
+
+ENVIRONMENT = "Spatula/Press-v0"
+
+CONTROL_STEP = 12
+"""Physics steps in a timed call of a body or a press, as in a control step of the environment by default."""
+
+MANY = 64
+"""Worlds of which most is asked."""
+
+SHAKE = 0.1
+"""Standard deviation of the velocities that a body starts with [u/s]."""
+
+PRESS_CLEARANCE = 0.5
+"""Way of a press above the organ [u]."""
+
+PLACE_RADIUS = 0.5
+"""Within this distance of the parity benchmark's place the tools of a press come down [u]."""
+
+GOAL_RADIUS, GOAL_DEPTHS = 0.015, (0.005, 0.018)
+"""Of the environments' goals, as the task draws them [m]."""
+
+START_HEIGHT = 0.004
+"""Of the spatula's middle above the organ's top when an episode begins [m]."""
+
+PLACE_GAIN, DEPTH_GAIN, FREE_SPEED = 8.0, 6.0, 0.06
+"""Of the script: speed per distance [1/s], sideways and downwards, and speed of the descent in the air [m/s]."""
+
+WARM_UP_CALLS = 2
+"""Of each side, before the first turn: all is then compiled and all memory touched."""
+
+LIMITS = {
+    "body_64_worlds": 10.0,
+    "body_one_world": 1.3,
+    "press_64_worlds": 10.0,
+    "press_one_world": 1.3,
+    "environment_64_worlds": 10.0,
+    "two_threads": 1.7,
+}
+"""How many times as fast as PyBullet, or as one thread."""
+
+STRETCH = {"body_64_worlds": 20.0, "press_64_worlds": 20.0, "environment_64_worlds": 20.0, "simulated_seconds": 100.0}
+"""What is hoped for beyond that; the last is simulated seconds of environments in a second of one core."""
+
+COLD_LIMITS = {"compiling": 60.0, "from_cache": 5.0}
+"""From the start of a process to the first step of 64 environments [s]."""
+
+FIRST_STEP = f"""
+import gymnasium, spatula_env
+env = gymnasium.make_vec("{ENVIRONMENT}", num_envs=64)
+env.reset(seed=0)
+env.step(env.action_space.sample())
+env.close()
+"""
+
+
+class Side(Protocol):
+    """One of those that take turns.
+
+    Attributes:
+        worlds: How many are stepped by a call.
+        threads: How many are used.
+        steps: How many steps of how many worlds the timed calls of a turn make, all in all.
+    """
+
+    worlds: int
+    threads: int
+    steps: int
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """Start afresh and do the work.
+
+        Args:
+            calls: Only the first so many timed calls; all by default.
+
+        Returns:
+            (C,) how long each call took [s].
+        """
+
+    def close(self) -> None:
+        """Free what is held."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What came of a side's turns.
+
+    Attributes:
+        side: Whose.
+        seconds: (turns, C) of each call.
+    """
+
+    side: Side
+    seconds: FloatArray
+
+    @property
+    def steps_per_second(self) -> float:
+        """Steps of worlds, from the median over the turns of each call."""
+        return float(self.side.steps / np.median(self.seconds, axis=0).sum())
+
+    @property
+    def spread(self) -> float:
+        """Difference of the slowest and the fastest turn, over the median."""
+        turns = self.seconds.sum(axis=1)
+        return float((turns.max() - turns.min()) / np.median(turns))
+
+
+@contextmanager
+def numba_threads(count: int) -> Iterator[None]:
+    """Let Numba use so many threads."""
+    before = numba.get_num_threads()
+    numba.set_num_threads(count)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def timed(call: Callable[[], object]) -> float:
+    """How long a call takes [s]."""
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+# The body alone ----------------------------------------------------------------------------------------------------
+
+
+class BulletBody:
+    """PyBullet's `stepSimulation`, and nothing around it."""
+
+    worlds, threads = 1, 1
+
+    def __init__(self, scene: Scene, calls: int, steps_per_call: int) -> None:
+        """Load the organs.
+
+        Args:
+            scene: Whose organs are stepped, without ground or tools.
+            calls: How many are timed.
+            steps_per_call: How many steps each makes.
+        """
+        self._scene, self._world = scene, BulletWorld(scene)
+        self._start = shaken(scene)
+        self._calls, self._steps_per_call = calls, steps_per_call
+        self.steps = calls * steps_per_call
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """See `Side`."""
+        # Only a new world starts as the first one: who steps behind a world's back cannot reset it.
+        self._world.close()
+        self._world = world = BulletWorld(self._scene)
+        world.step(*self._start)
+        step, client, count = world._bullet.stepSimulation, world._client, self._steps_per_call
+
+        def call() -> None:
+            for _ in range(count):
+                step(client)
+
+        return np.array([timed(call) for _ in range(calls or self._calls)])
+
+    def close(self) -> None:
+        """See `Side`."""
+        self._world.close()
+
+
+class CompiledBody:
+    """`BatchBody.step`, and nothing around it."""
+
+    threads = 1
+
+    def __init__(self, scene: Scene, worlds: int, calls: int, steps_per_call: int, dtype: type = np.float32) -> None:
+        """Load the organ.
+
+        Args:
+            scene: Whose first organ is stepped.
+            worlds: How many.
+            calls: How many are timed.
+            steps_per_call: How many steps each makes.
+            dtype: float32 or float64.
+        """
+        body = soft_body(scene.organs[0])
+        self._body = BatchBody(body, worlds, dt=scene.dt, gravity=scene.gravity, dtype=dtype)
+        self._start = shaken(scene)
+        self._calls, self._steps_per_call = calls, steps_per_call
+        self.worlds, self.steps = worlds, worlds * calls * steps_per_call
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """See `Side`."""
+        self._body.set_state(*self._start)
+        step, count = self._body.step, self._steps_per_call
+        step()
+
+        def call() -> None:
+            for _ in range(count):
+                step()
+
+        return np.array([timed(call) for _ in range(calls or self._calls)])
+
+    def close(self) -> None:
+        """See `Side`."""
+
+
+def shaken(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """The organs' nodes in their initial shape, and velocities that let them sway, (V, 3) each."""
+    nodes = np.concatenate([placed.vertices for placed in scene.organs])
+    return nodes, np.random.default_rng(0).normal(scale=SHAKE, size=nodes.shape)
+
+
+# A press -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Press:
+    """A press at different places.
+
+    Attributes:
+        places: (W, 3) where the tools begin [u].
+        velocities: (C, 3) of all tools, in each control step [u/s].
+    """
+
+    places: FloatArray
+    velocities: FloatArray
+
+
+def make_press(scene: Scene, worlds: int, depth: float = DEPTH, hold: float = HOLD) -> Press:
+    """Plan a press.
+
+    Args:
+        scene: Of the organ and the tool.
+        worlds: At how many places.
+        depth: How deep it goes, to a whole number of control steps [u].
+        hold: How long the tool waits there [s].
+
+    Returns:
+        The plan; the first places are the same for any number of worlds.
+    """
+    simulation = Simulation(scene, engine="batch")
+    middle = place_above(scene, simulation.nodes, PRESS_CLEARANCE)
+    simulation.close()
+    generator = np.random.default_rng(0)
+    angles, squares = generator.random((worlds, 2)).T
+    angles, radii = 2.0 * np.pi * angles, PLACE_RADIUS * np.sqrt(squares)
+    aside = np.column_stack([radii * np.cos(angles), radii * np.sin(angles), np.zeros(worlds)])
+    return Press(middle + aside, press_velocities(CONTROL_STEP * scene.dt, PRESS_CLEARANCE + depth, hold))
+
+
+class PressOfOne:
+    """A press of `Simulation`, at some places one after the other."""
+
+    worlds, threads = 1, 1
+
+    def __init__(self, scene: Scene, engine: str, plan: Press) -> None:
+        """Load the scene.
+
+        Args:
+            scene: In which there is pressed.
+            engine: "bullet" or "batch".
+            plan: Of the press; all of its places count.
+        """
+        self._simulation = Simulation(scene, engine=engine)
+        self._plan = plan
+        self.steps = len(plan.places) * len(plan.velocities) * CONTROL_STEP
+        self.contact_share = 0.0
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """See `Side`."""
+        simulation, velocities, reports = self._simulation, self._plan.velocities[:calls], []
+
+        def call(velocity: FloatArray) -> None:
+            reports.append([simulation.step(velocity) for _ in range(CONTROL_STEP)])
+
+        seconds = []
+        for place in self._plan.places if calls is None else self._plan.places[:1]:
+            simulation.reset()
+            simulation.place_tool(place)
+            seconds += [timed(functools.partial(call, velocity)) for velocity in velocities]
+        self.contact_share = float(np.mean([any(report.force.any() for report in row) for row in reports]))
+        return np.array(seconds)
+
+    def close(self) -> None:
+        """See `Side`."""
+        self._simulation.close()
+
+
+class PressOfMany:
+    """The same press of `BatchSimulation`, at all places at once."""
+
+    def __init__(self, scene: Scene, plan: Press, threads: int = 1, dtype: type = np.float32) -> None:
+        """Load the scene.
+
+        Args:
+            scene: In which there is pressed.
+            plan: Of the press; as many worlds as it has places.
+            threads: How many are used.
+            dtype: float32 or float64.
+        """
+        self.worlds, self.threads = len(plan.places), threads
+        with numba_threads(threads):
+            self._batch = BatchSimulation(scene, self.worlds, dtype=dtype, parallel=threads > 1)
+        self._plan = plan
+        self.steps = self.worlds * len(plan.velocities) * CONTROL_STEP
+        self.contact_share = 0.0
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """See `Side`."""
+        batch, loads = self._batch, []
+        batch.reset()
+        positions = batch.tool_positions
+        positions[:, 0] = self._plan.places
+        batch.place_tools(positions)
+
+        def call(velocity: FloatArray) -> None:
+            loads.append(batch.advance(np.broadcast_to(velocity, positions.shape), steps=CONTROL_STEP))
+
+        with numba_threads(self.threads):
+            seconds = [timed(functools.partial(call, velocity)) for velocity in self._plan.velocities[:calls]]
+        self.contact_share = float(np.mean([row.peak_forces[:, 0] > 0.0 for row in loads]))
+        return np.array(seconds)
+
+    def close(self) -> None:
+        """See `Side`."""
+        self._batch.close()
+
+
+# Environments ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Script:
+    """What is done in the environments.
+
+    Attributes:
+        down: Control steps of pressing towards the goal before the timed ones.
+        calls: Timed control steps.
+        error: Where the error of place and depth is in an observation.
+        touch: Where the share of contact nodes in contact is.
+        max_speed: Of an action of one [m/s].
+        start_height: Of the spatula's middle when an episode begins [m].
+        physics_steps: In a control step.
+    """
+
+    down: int
+    calls: int
+    error: slice
+    touch: slice
+    max_speed: float
+    start_height: float
+    physics_steps: int
+
+    def start(self, world: int) -> dict[str, FloatArray]:
+        """How the episodes of a world begin, as options of `reset`: the spatula above the goal, near the organ."""
+        generator = np.random.default_rng(world)
+        angle, radius = 2.0 * np.pi * generator.random(), GOAL_RADIUS * np.sqrt(generator.random())
+        place = (radius * np.cos(angle), radius * np.sin(angle))
+        return {
+            "goal": np.array([*place, generator.uniform(*GOAL_DEPTHS)]),
+            "tool_position": np.array([*place, self.start_height]),
+        }
+
+    def by_chance(self, worlds: Sequence[int]) -> NDArray[np.float32]:
+        """Actions (W, C, 3) of chance for some worlds, each from its own generator."""
+        rows = [np.random.default_rng([world, 1]).uniform(-1.0, 1.0, (self.calls, 3)) for world in worlds]
+        return np.array(rows, dtype=np.float32)
+
+    def actions(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions (W, 3) that press towards the goal, from observations (W, D)."""
+        error, touching = observations[:, self.error], observations[:, self.touch].max(axis=1) > 0.0
+        down = np.where(touching, DEPTH_GAIN * error[:, 2], FREE_SPEED)
+        velocity = np.column_stack([PLACE_GAIN * error[:, :2], -down])
+        return np.clip(velocity / self.max_speed, -1.0, 1.0).astype(np.float32)
+
+
+def make_script(down: int, calls: int) -> Script:
+    """A script for the environment as it is by default."""
+    env = gym.make_vec(ENVIRONMENT, num_envs=1)
+    base: Any = env.unwrapped
+    slices, parts = base.observation_builder.slices, base.observation_builder.parts
+    top = base.workspace.from_scene(base.worlds.nodes[0])[:, 2].max()
+    speed = next(part.high[0] for part in parts if part.name == "tool_velocity")
+    env.close()
+    return Script(
+        down=down,
+        calls=calls,
+        error=slices["error"],
+        touch=slices["contact_share"],
+        max_speed=float(speed),
+        start_height=float(top + START_HEIGHT),
+        physics_steps=base.steps_per_action,
+    )
+
+
+class StartsByScript(gym.Wrapper[Any, Any, Any, Any]):
+    """Begins the episodes of a world as the script says; the seed is the world's number."""
+
+    def __init__(self, env: gym.Env[Any, Any], script: Script) -> None:
+        """Wrap an environment."""
+        super().__init__(env)
+        self._script = script
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """See `gymnasium.Env.reset`."""
+        return super().reset(seed=seed, options=options if seed is None else self._script.start(seed))
+
+
+def make_single(engine: str, script: Script) -> StartsByScript:
+    """One environment, without the checks that `gymnasium.make` adds for developers."""
+    return StartsByScript(gym.make(ENVIRONMENT, engine=engine, disable_env_checker=True), script)
+
+
+@dataclass
+class Driver:
+    """Plays the script's episodes; see `Side`.
+
+    Attributes:
+        worlds: How many play at a time.
+        total: How many there are; they play group by group.
+        script: What they play.
+        reset: Begins episodes of some worlds, and returns their observations (W, D).
+        step: Makes a control step with actions (W, 3), and returns observations and forces (W,).
+        close: Frees what is held.
+        threads: How many are used.
+        contact_share: Share of the timed control steps of worlds in which the tool felt a force.
+    """
+
+    worlds: int
+    total: int
+    script: Script
+    reset: Callable[[Sequence[int]], NDArray[np.float32]]
+    step: Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], FloatArray]]
+    close: Callable[[], None]
+    threads: int = 1
+    contact_share: float = 0.0
+    steps: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Count."""
+        self.steps = self.total * self.script.calls
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """See `Side`."""
+        seconds: list[float] = []
+        forces: list[FloatArray] = []
+        with numba_threads(self.threads):
+            for first in range(0, self.total if calls is None else 1, self.worlds):
+                self._play(range(first, first + self.worlds), calls, seconds, forces)
+        self.contact_share = float(np.mean(np.array(forces) > 0.0))
+        return np.array(seconds)
+
+    def _play(self, worlds: Sequence[int], calls: int | None, seconds: list[float], forces: list[FloatArray]) -> None:
+        """One episode of some worlds."""
+        script, scripted = self.script, np.array(worlds) % 2 == 0
+        observations = self.reset(worlds)
+        for _ in range(script.down):
+            observations, _ = self.step(script.actions(observations))
+        chance = script.by_chance(worlds)
+        for index in range(calls or script.calls):
+            actions = np.where(scripted[:, None], script.actions(observations), chance[:, index])
+            start = time.perf_counter()
+            observations, force = self.step(actions)
+            seconds.append(time.perf_counter() - start)
+            forces.append(force)
+
+
+def single_driver(engine: str, total: int, script: Script) -> Driver:
+    """One environment that plays the worlds one after the other."""
+    env = make_single(engine, script)
+
+    def reset(worlds: Sequence[int]) -> NDArray[np.float32]:
+        return np.asarray(env.reset(seed=worlds[0])[0])[None]
+
+    def step(actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], FloatArray]:
+        observation, _, _, _, info = env.step(actions[0])
+        return np.asarray(observation)[None], np.array([info["force"]])
+
+    return Driver(1, total, script, reset, step, env.close)
+
+
+def process_driver(engine: str, processes: int, total: int, script: Script) -> Driver:
+    """An environment in each of some processes."""
+    # Not forked: the kernels' threads would not survive that.
+    make = functools.partial(make_single, engine, script)
+    env = gym.vector.AsyncVectorEnv([make] * processes, context="spawn")
+
+    def reset(worlds: Sequence[int]) -> NDArray[np.float32]:
+        return np.asarray(env.reset(seed=list(worlds))[0])
+
+    def step(actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], FloatArray]:
+        observations, _, _, _, infos = env.step(actions)
+        return np.asarray(observations), np.asarray(infos["force"])
+
+    total = max(total // processes, 1) * processes
+    return Driver(processes, total, script, reset, step, env.close)
+
+
+def vector_driver(worlds: int, threads: int, script: Script, env: Any = None) -> Driver:
+    """All worlds at once in `make_vec`, or in a vector environment that there is already."""
+    if env is None:
+        with numba_threads(threads):
+            env = gym.make_vec(ENVIRONMENT, num_envs=worlds)
+
+    def reset(indices: Sequence[int]) -> NDArray[np.float32]:
+        starts = [script.start(world) for world in indices]
+        options = {name: np.array([start[name] for start in starts]) for name in starts[0]}
+        return np.asarray(env.reset(seed=list(indices), options=options)[0])
+
+    def step(actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], FloatArray]:
+        observations, _, _, _, infos = env.step(actions)
+        return np.asarray(observations), np.asarray(infos["force"])
+
+    return Driver(worlds, worlds, script, reset, step, env.close, threads)
+
+
+class Watch:
+    """A function, with the time spent in it added up."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Watch a function."""
+        self._function = function
+        self.seconds = 0.0
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Call it."""
+        start = time.perf_counter()
+        result = self._function(*arguments, **named)
+        self.seconds += time.perf_counter() - start
+        return result
+
+
+class Parts:
+    """A vector environment on one thread whose parts are watched.
+
+    Attributes:
+        driver: Plays in it.
+        watches: Of the parts, by name.
+    """
+
+    def __init__(self, worlds: int, script: Script) -> None:
+        """Make the environment and put the watches in."""
+        with numba_threads(1):
+            env = gym.make_vec(ENVIRONMENT, num_envs=worlds)
+        base: Any = env.unwrapped
+        self.watches: dict[str, Watch] = {}
+        for name, owner, method in (
+            ("advance", base.worlds, "advance"),
+            ("task", base.task, "evaluate"),
+            ("observation", base.observation_builder, "build"),
+        ):
+            self.watches[name] = Watch(getattr(owner, method))
+            setattr(owner, method, self.watches[name])
+        self.driver = vector_driver(worlds, 1, script, env)
+        step = self.driver.step
+        self._rows: list[dict[str, float]] = []
+
+        def watched_step(actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], FloatArray]:
+            for watch in self.watches.values():
+                watch.seconds = 0.0
+            result = step(actions)
+            self._rows.append({name: watch.seconds for name, watch in self.watches.items()})
+            return result
+
+        self.driver.step = watched_step
+
+    def turn(self) -> dict[str, FloatArray]:
+        """How long each part took in each timed control step (C,), and the whole, "step" [s]."""
+        self._rows.clear()
+        seconds = self.driver.turn()
+        rows = self._rows[-len(seconds) :]
+        return {"step": seconds, **{name: np.array([row[name] for row in rows]) for name in self.watches}}
+
+
+# All sides in turn -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is measured.
+
+    Attributes:
+        rounds: Turns of each side.
+        worlds: Of the batch engine.
+        vectors: Worlds of the vector environments.
+        body_calls: Timed calls of a body's turn, with one world; fewer with more.
+        press_depth: How deep the press goes [u].
+        press_places: Of a single simulation in a turn.
+        episodes: Of single environments in a turn.
+        down: Untimed control steps of an episode.
+        calls: Timed control steps of an episode.
+    """
+
+    rounds: int = 3
+    worlds: tuple[int, ...] = (1, 16, 64, 256)
+    vectors: tuple[int, ...] = (64, 256)
+    body_calls: int = 40
+    press_depth: float = DEPTH
+    press_places: int = 2
+    episodes: int = 8
+    down: int = 6
+    calls: int = 16
+
+
+def measure(size: Size, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Let all sides take turns.
+
+    Args:
+        size: How much is measured.
+        tell: What to say on the way goes there.
+
+    Returns:
+        Rows by part, and where the time goes.
+    """
+    cores = available_cores()
+    scene = scenes.seed()
+    threads = min(cores, numba.get_num_threads())
+    tell("loading and compiling")
+    sides: dict[tuple[str, str], Side] = {}
+    script = make_script(size.down, size.calls)
+    parts = Parts(MANY if MANY in size.vectors else size.vectors[0], script)
+    try:
+        _make_bodies(scene, size, sides)
+        _make_presses(scene, size, threads, sides)
+        _make_environments(size, script, cores, threads, sides)
+        tell("warming up")
+        for side in (*sides.values(), parts.driver):
+            side.turn(WARM_UP_CALLS)
+        seconds: dict[tuple[str, str], list[FloatArray]] = {key: [] for key in sides}
+        watched: list[dict[str, FloatArray]] = []
+        for index in range(size.rounds):
+            for key, side in sides.items():
+                if side.worlds > MANY and index != size.rounds // 2:
+                    continue
+                start = time.perf_counter()
+                seconds[key].append(side.turn())
+                tell(f"round {index + 1} of {size.rounds}: {key[0]}, {key[1]} ({time.perf_counter() - start:.1f} s)")
+            watched.append(parts.turn())
+        timings = {key: Timing(side, np.array(seconds[key])) for key, side in sides.items()}
+        result: dict[str, Any] = {
+            part: _rows({name: timing for (owner, name), timing in timings.items() if owner == part})
+            for part in ("body", "press", "environment")
+        }
+        period = script.physics_steps * scene.dt
+        for row in result["environment"].values():
+            row["simulated_seconds_per_second"] = row["steps_per_second"] * period
+        for part in ("body", "press"):
+            for row in result[part].values():
+                row["simulated_seconds_per_second"] = row["steps_per_second"] * scene.dt
+        # What many worlds with ground and contact take, against PyBullet's step without either.
+        bare = result["body"]["bullet"]["steps_per_second"]
+        for row in result["press"].values():
+            row["ratio_to_bare_bullet"] = row["steps_per_second"] / bare
+        result["parts"] = _share_out(watched, parts.driver, result["body"])
+        result["two_threads"] = _compare_threads(result, threads)
+    finally:
+        for side in (*sides.values(), parts.driver):
+            side.close()
+    return {"dt": scene.dt, "cores": cores, "numba_threads": threads, **result}
+
+
+def _make_bodies(scene: Scene, size: Size, sides: dict[tuple[str, str], Side]) -> None:
+    sides["body", "bullet"] = BulletBody(scene, size.body_calls, CONTROL_STEP)
+    for worlds in size.worlds:
+        calls = _fewer(size.body_calls, worlds)
+        sides["body", f"batch {worlds}"] = CompiledBody(scene, worlds, calls, CONTROL_STEP)
+        if worlds == MANY:
+            sides["body", f"batch {worlds} double"] = CompiledBody(scene, worlds, calls, CONTROL_STEP, np.float64)
+
+
+def _fewer(calls: int, worlds: int) -> int:
+    """Calls with so many worlds: they take longer, and a pause of the machine then matters less."""
+    return max(calls // max(worlds // 4, 1), min(calls, 4))
+
+
+def _make_presses(scene: Scene, size: Size, threads: int, sides: dict[tuple[str, str], Side]) -> None:
+    plan = make_press(scene, max(*size.worlds, size.press_places), size.press_depth)
+    few = Press(plan.places[: size.press_places], plan.velocities)
+    sides["press", "bullet"] = PressOfOne(scene, "bullet", few)
+    sides["press", "batch simulation"] = PressOfOne(scene, "batch", few)
+    for worlds in size.worlds:
+        here = Press(plan.places[:worlds], plan.velocities)
+        sides["press", f"batch {worlds}"] = PressOfMany(scene, here)
+        if worlds == MANY:
+            sides["press", f"batch {worlds} double"] = PressOfMany(scene, here, dtype=np.float64)
+            for count in sorted({2, threads}):
+                if 1 < count <= threads:
+                    sides["press", f"batch {worlds} on {count} threads"] = PressOfMany(scene, here, count)
+
+
+def _make_environments(
+    size: Size, script: Script, cores: int, threads: int, sides: dict[tuple[str, str], Side]
+) -> None:
+    sides["environment", "bullet"] = single_driver("bullet", size.episodes, script)
+    if cores > 1:
+        name = f"bullet in {cores} processes"
+        sides["environment", name] = process_driver("bullet", cores, size.episodes, script)
+    sides["environment", "batch"] = single_driver("batch", size.episodes, script)
+    for worlds in size.vectors:
+        for count in sorted({1, threads}):
+            name = f"batch {worlds}" + ("" if count == 1 else f" on {count} threads")
+            sides["environment", name] = vector_driver(worlds, count, script)
+
+
+def _rows(timings: Mapping[str, Timing]) -> dict[str, dict[str, Any]]:
+    """A row for each side, compared with PyBullet's."""
+    reference = timings["bullet"].steps_per_second
+    rows: dict[str, dict[str, Any]] = {}
+    for name, timing in timings.items():
+        side, rate = timing.side, timing.steps_per_second
+        rows[name] = {
+            "worlds": side.worlds,
+            "threads": side.threads,
+            "steps_per_second": rate,
+            "microseconds": 1e6 / rate,
+            "ratio": rate / reference,
+            "spread": timing.spread,
+        }
+        if hasattr(side, "contact_share"):
+            rows[name]["contact_share"] = side.contact_share
+    return rows
+
+
+def _share_out(watched: Sequence[dict[str, FloatArray]], driver: Driver, bodies: Mapping[str, Any]) -> dict[str, Any]:
+    """Where the time of a control step goes, in microseconds of a world."""
+    worlds = driver.worlds
+    medians = {
+        name: 1e6 * float(np.median([turn[name] for turn in watched], axis=0).mean()) / worlds for name in watched[0]
+    }
+    physics = bodies.get(f"batch {worlds}")
+    body = driver.script.physics_steps * physics["microseconds"] if physics is not None else 0.0
+    microseconds = {
+        "physics": body,
+        "contact and ground": medians["advance"] - body,
+        "task": medians["task"],
+        "observation": medians["observation"],
+        "rest": medians["step"] - medians["advance"] - medians["task"] - medians["observation"],
+    }
+    return {
+        "worlds": worlds,
+        "control_step_microseconds": medians["step"],
+        "microseconds": microseconds,
+        "share": {name: value / medians["step"] for name, value in microseconds.items()},
+    }
+
+
+def _compare_threads(result: Mapping[str, Any], threads: int) -> dict[str, Any]:
+    """Two threads against one, of 64 worlds."""
+    if threads < 2:
+        return {"ratio": None, "reason": "there is one core only"}
+    row: dict[str, Any] = {"ratio": None, "reason": f"{MANY} worlds were not measured"}
+    for part, name in (("press", "ratio"), ("environment", "environment_ratio")):
+        one, two = (result[part].get(f"batch {MANY}{more}") for more in ("", " on 2 threads"))
+        if one is not None and two is not None:
+            row[name] = two["steps_per_second"] / one["steps_per_second"]
+            row["reason"] = None
+    return row
+
+
+def judge(result: Mapping[str, Any], cold: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """Hold the figures against what is asked.
+
+    Args:
+        result: From `measure`.
+        cold: From `first_steps`.
+
+    Returns:
+        What is asked and hoped for with what there is, and whether all that is asked has been reached. What could not
+        be measured has neither passed nor failed.
+    """
+    many, one = f"batch {MANY}", "batch 1"
+    ratios = {
+        (part, name): row["ratio"] for part in ("body", "press", "environment") for name, row in result[part].items()
+    }
+    speeds = [
+        row["simulated_seconds_per_second"]
+        for name, row in result["environment"].items()
+        if name.startswith("batch") and row["threads"] == 1
+    ]
+    values: dict[str, float | None] = {
+        "body_64_worlds": ratios.get(("body", many)),
+        "body_one_world": ratios.get(("body", one)),
+        "press_64_worlds": ratios.get(("press", many)),
+        "press_one_world": ratios.get(("press", "batch simulation")),
+        "environment_64_worlds": ratios.get(("environment", many)),
+        "two_threads": result["two_threads"]["ratio"],
+        "simulated_seconds": max(speeds, default=None),
+    }
+
+    def compare(limits: Mapping[str, float]) -> dict[str, Any]:
+        rows: dict[str, Any] = {}
+        for name, limit in limits.items():
+            value = values[name]
+            rows[name] = {"value": value, "limit": limit, "passed": None if value is None else value >= limit}
+        return rows
+
+    thresholds = compare(LIMITS)
+    for name, value in (cold or {}).items():
+        limit = COLD_LIMITS[name]
+        thresholds[f"cold_{name}"] = {"value": value, "limit": limit, "passed": value <= limit}
+    return {
+        "thresholds": thresholds,
+        "stretch": compare(STRETCH),
+        "passed": all(row["passed"] is not False for row in thresholds.values()),
+    }
+
+
+def first_steps(tell: Callable[[str], None], code: str = FIRST_STEP) -> dict[str, float]:
+    """Time two new processes up to the end of their first step: one that compiles all, and one that finds it compiled.
+
+    Args:
+        tell: What to say on the way goes there.
+        code: What they do.
+
+    Returns:
+        Seconds, by the names of `COLD_LIMITS`.
+    """
+    root = str(Path(__file__).parents[1])
+    seconds = {}
+    with tempfile.TemporaryDirectory() as cache:
+        paths = os.pathsep.join(path for path in (root, os.environ.get("PYTHONPATH")) if path)
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache, "PYTHONPATH": paths}
+        for name in COLD_LIMITS:
+            tell(f"first step of a new process, {name.replace('_', ' ')}")
+            call = functools.partial(
+                subprocess.run, [sys.executable, "-c", code], env=environment, check=True, stdout=subprocess.DEVNULL
+            )
+            seconds[name] = timed(call)
+    return seconds
+
+
+# Printing ----------------------------------------------------------------------------------------------------------
+
+
+def _print_rows(title: str, rows: Mapping[str, dict[str, Any]]) -> None:
+    print(f"\n{title}")
+    bare = any("ratio_to_bare_bullet" in row for row in rows.values())
+    print(
+        f"  {'':26}{'steps/s':>10}{'us':>10}{'x PyBullet':>12}{'x its bare step' if bare else '':>17}{'sim s/s':>9}"
+        f"{'contact':>9}{'spread':>8}"
+    )
+    for name, row in rows.items():
+        contact = f"{100 * row['contact_share']:.0f} %" if "contact_share" in row else ""
+        to_bare = f"{row['ratio_to_bare_bullet']:.2f}" if bare else ""
+        print(
+            f"  {name:26}{row['steps_per_second']:10.0f}{row['microseconds']:10.1f}{row['ratio']:12.2f}{to_bare:>17}"
+            f"{row['simulated_seconds_per_second']:9.1f}{contact:>9}{100 * row['spread']:6.0f} %"
+        )
+
+
+def show(result: Mapping[str, Any]) -> None:
+    """Print tables."""
+    _print_rows("body: physics steps of one world; PyBullet's stepSimulation and BatchBody.step", result["body"])
+    _print_rows("press: physics steps of one world, with ground, contact and report", result["press"])
+    _print_rows(f"environment: control steps of one world of {ENVIRONMENT}", result["environment"])
+    parts = result["parts"]
+    print(f"\nparts: a control step of one of {parts['worlds']} worlds on one thread")
+    for name, value in parts["microseconds"].items():
+        print(f"  {name:26}{value:10.1f} us {100 * parts['share'][name]:6.1f} %")
+    print(f"  {'all':26}{parts['control_step_microseconds']:10.1f} us")
+    threads = result["two_threads"]
+    if threads["reason"]:
+        print(f"\ntwo threads: not measured, {threads['reason']}")
+    print(f"\n{'asked for':32}{'value':>10}{'limit':>10}")
+    for title, rows in (("", result["thresholds"]), ("hoped for: ", result["stretch"])):
+        for name, row in rows.items():
+            value = "-" if row["value"] is None else f"{row['value']:.2f}"
+            verdict = {None: "not measured", True: "passed", False: "FAILED" if not title else "not yet"}[row["passed"]]
+            print(f"  {title + name.replace('_', ' '):30}{value:>10}{row['limit']:10g}  {verdict}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    options = parser(__doc__ or "")
+    options.add_argument("--rounds", type=int, default=Size.rounds, help="turns of each side")
+    options.add_argument("--cold", action="store_true", help="also time the first step of new processes (minutes)")
+    given = options.parse_args(arguments)
+    start = time.perf_counter()
+
+    def tell(words: str) -> None:
+        print(f"{time.perf_counter() - start:6.1f} s  {words}", file=sys.stderr, flush=True)
+
+    cold = first_steps(tell) if given.cold else None
+    result = measure(Size(rounds=given.rounds), tell)
+    result.update(rounds=given.rounds, cold=cold, **judge(result, cold), seconds=time.perf_counter() - start)
+    if not given.json:
+        show(result)
+    finish({"benchmark": "throughput", **result})
+
+
+if __name__ == "__main__":
+    main()
