@@ -34,9 +34,6 @@ from spatula_env.contact.structures import (
     WEIGHTS,
 )
 
-PROGRESS = 0.9
-"""What a sweep must move points by, relative to the least so far, to count as less."""
-
 WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
 LEDGER_LENGTH = 4
 """Columns of an organ's ledger: work of the tools on it so far and the greatest it was [kg u2/s2], the sum of mass
@@ -169,9 +166,8 @@ def solve_positions(
     lone: int,
     sweeps: int,
     tolerance: float,
-    patience: int,
 ) -> int:
-    """Move the vertices until a sweep moves no constrained point by more than `tolerance`, or no less than before.
+    """Move the vertices until a sweep moves no constrained point by more than `tolerance`.
 
     Args:
         count: How many constraints.
@@ -182,12 +178,10 @@ def solve_positions(
         lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u].
-        patience: The solve also ends when for so many sweeps none has moved points by less than before.
 
     Returns:
         How many sweeps it took.
     """
-    least, since = np.inf, 0
     for sweep in range(sweeps):
         moved = 0.0
         for c in range(lone if sweep > 0 else 0, count):
@@ -218,10 +212,7 @@ def solve_positions(
             row[DISPLACEMENT], row[DISPLACEMENT + 1], row[DISPLACEMENT + 2] = x, y, z
             moved = max(moved, (dx * dx + dy * dy + dz * dz) / (inertia * inertia))
             _push(row, i, j, k, inverse_mass, dx, dy, dz, vertices)
-        since += 1
-        if moved < (PROGRESS * PROGRESS) * least:
-            least, since = moved, 0
-        if moved <= tolerance * tolerance or since == patience:
+        if moved <= tolerance * tolerance:
             return sweep + 1
     return sweeps
 
@@ -237,9 +228,8 @@ def solve_velocities(
     lone: int,
     sweeps: int,
     tolerance: float,
-    patience: int,
 ) -> int:
-    """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`, or no less.
+    """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`.
 
     Args:
         count: How many constraints.
@@ -251,12 +241,10 @@ def solve_velocities(
         lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u/s].
-        patience: The solve also ends when for so many sweeps none has moved points by less than before.
 
     Returns:
         How many sweeps it took.
     """
-    least, since = np.inf, 0
     for sweep in range(sweeps):
         moved = 0.0
         for c in range(lone if sweep > 0 else 0, count):
@@ -284,10 +272,7 @@ def solve_velocities(
             row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2] = x, y, z
             moved = max(moved, (dx * dx + dy * dy + dz * dz) / (inertia * inertia))
             _push(row, i, j, k, inverse_mass, dx, dy, dz, velocities)
-        since += 1
-        if moved < (PROGRESS * PROGRESS) * least:
-            least, since = moved, 0
-        if moved <= tolerance * tolerance or since == patience:
+        if moved <= tolerance * tolerance:
             return sweep + 1
     return sweeps
 

@@ -41,7 +41,7 @@ F8, F8_2 = ARRAYS["f8"], ARRAYS["f8_2"]
 POSITION_TOLERANCE = 3e-5
 """The position solve ends when a sweep moves no constrained point farther than this [u]."""
 
-VELOCITY_TOLERANCE = 5e-3
+VELOCITY_TOLERANCE = 1e-3
 """The velocity solve ends when a sweep changes no constrained point's velocity by more than this [u/s]."""
 
 RESIDUAL_TOLERANCE = 1e-3
@@ -51,14 +51,14 @@ MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
 MOST_SWEEPS = 200
-"""Most sweeps in one solve. With 50 the force of some held presses swings by one per cent, with 200 by 0.04 %."""
+"""Most sweeps in one solve. With 50 the force of some held presses swings by one per cent, with 200 by 0.005 %."""
 
-MOST_SWEEPS_DIVIDED = 50
-"""The same where a tool's path is divided: many solves follow one another, each from where the last one ended."""
+MOST_SWEEPS_MOVING = 50
+"""The same where a tool moves farther than `SLOW` in a step: what it touches changes from step to step, and each solve
+goes on from where the last one ended."""
 
-PATIENCE = 20
-"""Sweeps without progress that end a solve. Friction depends on the normal part, and Gauss-Seidel can go round in
-circles there: more sweeps then change nothing that matters."""
+SLOW = 1e-3
+"""Motion of a tool in a step that counts as holding still [u]."""
 
 PATH_PART = 0.5
 """Greatest motion of a tool between two queries, in its thicknesses."""
@@ -222,10 +222,12 @@ def resolve_step(
     )
     orientation = np.empty(4)
     linear, angular = np.empty((tool_count, 3)), np.empty((tool_count, 3))
+    fastest = 0.0
     for k in range(tool_count):
         greatest = COURANT_LIMIT * mean_edge / dt
         speed = greatest_speed(tools[k], linear_velocities[k], angular_velocities[k])
         limit = greatest / speed if speed > greatest else 1.0
+        fastest = max(fastest, speed)
         for axis in range(3):
             linear[k, axis] = limit * linear_velocities[k, axis]
             angular[k, axis] = limit * angular_velocities[k, axis]
@@ -234,6 +236,7 @@ def resolve_step(
     touched = np.zeros(vertex_count, np.bool_)
     count, passed = 0, 0
     organ_done = 0.0
+    sweeps = MOST_SWEEPS if fastest * dt <= SLOW else MOST_SWEEPS_MOVING
     for query in range(queries):
         # The organs move first, against the tools where they were; then the tools.
         organ_part = min((query + 1) / organ_parts, 1.0) if query < organ_parts else 1.0
@@ -325,8 +328,7 @@ def resolve_step(
                 start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
             lone = count_lone(count, features, touched)
-            sweeps = MOST_SWEEPS if parts == 1 else MOST_SWEEPS_DIVIDED
-            solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE, PATIENCE)
+            solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE)
             if attempt == 0:
                 warm_count[0] = keep_warm(count, rows, features, constraints.names, warm)
             if query < queries - 1:
@@ -348,9 +350,7 @@ def resolve_step(
         start_warm(count, rows, features, constraints.names, IMPULSE, warm_count[0], warm, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
     lone = count_lone(count, features, touched)
-    solve_velocities(
-        count, rows, features, inverse_mass, velocities, dt, lone, MOST_SWEEPS, VELOCITY_TOLERANCE, PATIENCE
-    )
+    solve_velocities(count, rows, features, inverse_mass, velocities, dt, lone, sweeps, VELOCITY_TOLERANCE)
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:
