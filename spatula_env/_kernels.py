@@ -11,6 +11,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeVar, cast
 
 import numba
@@ -54,14 +55,23 @@ PATIENCE = 2.0
 """What takes longer than this is not loaded from the cache but compiled [s]."""
 
 
+_announced: ContextVar[bool] = ContextVar("announced", default=False)
+"""Whether this is done within `announce_compilation` already."""
+
+
 @contextmanager
 def announce_compilation() -> Iterator[None]:
     """Say what the wait is for, if what is done in this context turns out to need compilation."""
-    message = "spatula_env is compiling its kernels, once after installation. This takes about a minute."
+    if _announced.get():
+        yield
+        return
+    message = "spatula_env is compiling kernels, once after installation. This can take a minute."
     timer = threading.Timer(PATIENCE, logging.getLogger("spatula_env").warning, (message,))
     timer.daemon = True
     timer.start()
+    token = _announced.set(True)
     try:
         yield
     finally:
+        _announced.reset(token)
         timer.cancel()

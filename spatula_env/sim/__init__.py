@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from spatula_env.sim.report import Report
-from spatula_env.sim.simulation import Simulation, SimulationDiverged, SimulationState
+from spatula_env._kernels import announce_compilation
+
+with announce_compilation():
+    from spatula_env.sim.report import Report
+    from spatula_env.sim.simulation import Simulation, SimulationDiverged, SimulationState
 
 __all__ = ["Report", "Simulation", "SimulationDiverged", "SimulationState"]

@@ -96,7 +96,6 @@ def advance_worlds_of_block(
     ground = 0 if not with_tools else tool_count
     loads[first:end] = 0.0
     summaries[first:end] = 0.0
-    share = 1.0 / (steps * step_length)
     for _ in range(steps):
         advance_block(
             positions, velocities, predicted, movable, links, factors, gravity,
@@ -128,20 +127,26 @@ def advance_worlds_of_block(
             summaries[w, DEEPEST] = result[PENETRATION]
             summaries[w, WORST_RESIDUAL] = max(summaries[w, WORST_RESIDUAL], result[RESIDUAL])
             for axis in range(3):
-                summaries[w, GROUND_FORCE + axis] -= wrenches[ground, axis] * share
+                summaries[w, GROUND_FORCE + axis] -= wrenches[ground, axis] / step_length
             if not with_tools:
                 continue
             for k in range(tool_count):
                 squared = 0.0
                 for axis in range(3):
-                    loads[w, k, FORCE + axis] += wrenches[k, axis] * share
-                    loads[w, k, TORQUE + axis] += wrenches[k, 3 + axis] * share
+                    loads[w, k, FORCE + axis] += wrenches[k, axis] / step_length
+                    loads[w, k, TORQUE + axis] += wrenches[k, 3 + axis] / step_length
                     squared += wrenches[k, axis] ** 2
                 loads[w, k, PEAK] = max(loads[w, k, PEAK], np.sqrt(squared) / step_length)
             tool_positions[w] = ends
             tool_orientations[w] = turned
         write_block(positions, nodes[first:end])
         write_block(velocities, node_velocities[first:end])
+    for w in range(first, end):
+        for axis in range(3):
+            summaries[w, GROUND_FORCE + axis] /= steps
+            for k in range(tool_count):
+                loads[w, k, FORCE + axis] /= steps
+                loads[w, k, TORQUE + axis] /= steps
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
