@@ -596,7 +596,7 @@ def press_edge_on(depth: float = 0.5, speed: float = 1.0, turn: float = 0.4) -> 
     for _ in range(math.ceil(depth / (speed * simulation.dt))):
         report = simulation.step((0.0, 0.0, -speed))
         model = simulation._model
-        names, features, rows = copy_constraints(model._constraints, model._contact_count)
+        names, features, rows = copy_constraints(model._world.workspace.constraints, model._contact_count)
         of_tool = features[:, OWNER] >= 0
         names, features, rows = names[of_tool], features[of_tool], rows[of_tool]
         weights = rows[:, WEIGHTS : WEIGHTS + 3]

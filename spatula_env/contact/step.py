@@ -63,7 +63,7 @@ SLOW = 1e-3
 PATH_PART = 0.5
 """Greatest motion of a tool between two queries, in its thicknesses."""
 
-ORGAN_PART = 0.4
+ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
 COURANT_LIMIT = 0.125
