@@ -51,7 +51,7 @@ MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
 MOST_SWEEPS = 200
-"""Most sweeps in one solve. With 50 the force of some held presses swings by one per cent, with 200 by 0.005 %."""
+"""Most sweeps in one solve of a tool that holds still: with fewer the force of some held presses swings more."""
 
 MOST_SWEEPS_MOVING = 50
 """The same where a tool moves farther than `SLOW` in a step: what it touches changes from step to step, and each solve
