@@ -204,11 +204,6 @@ def test_turned_gently_while_it_presses(simulations):
         assert_sound(driver, max(driver.record.work, 100.0))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="organs are pressed aside faster than they can move; a sheet that turns in them so fast takes out more work "
-    "than has been put in",
-)
 @pytest.mark.parametrize("name", ["box 0.02 largest", "box 0.02 all"])
 def test_a_sheet_may_turn_ever_so_fast(simulations, name):
     driver = turned(simulations, name, "pressed", (1.0, 0.0, 0.0), 300.0)
