@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.geometry.surface import vertex_areas
 from spatula_env.geometry.transforms import rotate
 from spatula_env.sim.exchange import forces_of_changes, velocities_of_positions
+from spatula_env.sim.soft_body import node_masses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -78,7 +78,8 @@ class BulletWorld:
             self._slices.append(slice(start, start + count))
             start += count
             positions.append(placed.vertices)
-            masses.append(_node_masses(placed.organ, placed.mass))
+            # As Bullet has them, or a velocity that forces are to cancel would remain by the difference.
+            masses.append(node_masses(placed.organ, placed.mass))
         self._masses: FloatArray = np.concatenate(masses)
         self._inverse_masses: FloatArray = 1.0 / self._masses
         for placed, body, part in zip(scene.organs, self._bodies, self._slices, strict=True):
@@ -200,17 +201,6 @@ class BulletWorld:
         if self._client >= 0:
             self._bullet.disconnect(physicsClientId=self._client)
             self._client = -1
-
-
-def _node_masses(organ: Organ, mass: float) -> FloatArray:
-    """Bullet's distribution of a soft body's mass: by the area of the triangles around each node.
-
-    Bullet has the vertices in single precision by then, and a velocity that our masses were to cancel would remain by
-    the difference.
-    """
-    areas = vertex_areas(organ.vertices.astype(np.float32).astype(np.float64), organ.triangles)
-    masses: FloatArray = areas * (mass / areas.sum())
-    return masses
 
 
 class BulletTools:
