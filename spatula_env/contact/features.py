@@ -500,17 +500,31 @@ def clip_edge(
 
 @inline_kernel
 def touched_plane(
-    plane_normals: np.ndarray, plane_offsets: np.ndarray, last: np.ndarray, local: np.ndarray, i: int, time: float
+    plane_normals: np.ndarray,
+    plane_offsets: np.ndarray,
+    last: np.ndarray,
+    local: np.ndarray,
+    i: int,
+    time: float,
+    other: int,
 ) -> int:
-    """The face that a vertex inside the tool touches at a time between two queries, -1 if it is deeper."""
-    best, highest = -1, -2.0 * MARGIN
+    """The face that a vertex inside the tool touches at a time between two queries, -1 if it is deeper.
+
+    A vertex on the tool's rim touches two: then it is the one by which the edge does not go out at its other end, for
+    between two different faces the edge lies over a third, or over the tool's edge.
+    """
+    best, highest, second = -1, -2.0 * MARGIN, -1
     for p in range(plane_offsets.shape[0]):
         height = -plane_offsets[p]
         for axis in range(3):
             height += plane_normals[p, axis] * (last[axis, i] + time * (local[axis, i] - last[axis, i]))
-        if height > highest:
+        if height <= -2.0 * MARGIN:
+            continue
+        if p == other:
+            second = p
+        elif height > highest:
             best, highest = p, height
-    return best
+    return best if best >= 0 else second
 
 
 @inline_kernel
@@ -595,9 +609,9 @@ def gather_edges(
             first, end, plane_in, plane_out = clip_edge(plane_normals, plane_offsets, last, local, a, b, time)
             # An end that touches a face has come in by it.
             if plane_in < 0:
-                plane_in = touched_plane(plane_normals, plane_offsets, last, local, a, time)
+                plane_in = touched_plane(plane_normals, plane_offsets, last, local, a, time, plane_out)
             if plane_out < 0:
-                plane_out = touched_plane(plane_normals, plane_offsets, last, local, b, time)
+                plane_out = touched_plane(plane_normals, plane_offsets, last, local, b, time, plane_in)
             # The face over which the edge lay: where it is least deep.
             for axis in range(3):
                 at_a = last[axis, a] + time * (local[axis, a] - last[axis, a])
