@@ -443,16 +443,16 @@ def ridge_contact(
 
 
 @inline_kernel
-def clip_edge(
+def fill_heights(
     plane_normals: np.ndarray,
     plane_offsets: np.ndarray,
     last: np.ndarray,
     local: np.ndarray,
     a: int,
     b: int,
-    time: float,
-) -> tuple[float, float, int, int]:
-    """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
+    heights: np.ndarray,
+) -> None:
+    """Write how far the ends of an organ's edge are before the tool's faces; between two queries that changes linearly.
 
     Args:
         plane_normals: (P, 3) of the tool.
@@ -461,28 +461,33 @@ def clip_edge(
         local: (3, V) vertices at time 1 [u].
         a: First vertex of the edge.
         b: Second vertex.
+        heights: (4, P) written: of a and b at time 0, of a and b at time 1; negative behind a face [u].
+    """
+    for p in range(plane_offsets.shape[0]):
+        nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
+        heights[0, p] = nx * last[0, a] + ny * last[1, a] + nz * last[2, a] - offset
+        heights[1, p] = nx * last[0, b] + ny * last[1, b] + nz * last[2, b] - offset
+        heights[2, p] = nx * local[0, a] + ny * local[1, a] + nz * local[2, a] - offset
+        heights[3, p] = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
+
+
+@inline_kernel
+def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]:
+    """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
+
+    Args:
+        heights: (4, P) from `fill_heights` [u].
         time: From 0 to 1; vertices move on straight lines.
 
     Returns:
         (first, end, plane_in, plane_out): where the edge comes in and goes out, as parts of its length, first > end
         if it stays outside; and through which faces, -1 where it begins or ends inside.
     """
-    ax, ay, az = (
-        last[0, a] + time * (local[0, a] - last[0, a]),
-        last[1, a] + time * (local[1, a] - last[1, a]),
-        last[2, a] + time * (local[2, a] - last[2, a]),
-    )
-    bx, by, bz = (
-        last[0, b] + time * (local[0, b] - last[0, b]),
-        last[1, b] + time * (local[1, b] - last[1, b]),
-        last[2, b] + time * (local[2, b] - last[2, b]),
-    )
     first, end = 0.0, 1.0
     plane_in, plane_out = -1, -1
-    for p in range(plane_offsets.shape[0]):
-        nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
-        limit = plane_offsets[p] + MARGIN
-        at_start, at_end = nx * ax + ny * ay + nz * az - limit, nx * bx + ny * by + nz * bz - limit
+    for p in range(heights.shape[1]):
+        at_start = heights[0, p] + time * (heights[2, p] - heights[0, p]) - MARGIN
+        at_end = heights[1, p] + time * (heights[3, p] - heights[1, p]) - MARGIN
         if at_start > 0.0 and at_end > 0.0:
             return 2.0, 0.0, -1, -1
         if at_start > 0.0:
@@ -499,25 +504,15 @@ def clip_edge(
 
 
 @inline_kernel
-def touched_plane(
-    plane_normals: np.ndarray,
-    plane_offsets: np.ndarray,
-    last: np.ndarray,
-    local: np.ndarray,
-    i: int,
-    time: float,
-    other: int,
-) -> int:
-    """The face that a vertex inside the tool touches at a time between two queries, -1 if it is deeper.
+def touched_plane(heights: np.ndarray, which: int, time: float, other: int) -> int:
+    """The face that an end of an edge inside the tool touches at a time between two queries, -1 if it is deeper.
 
     A vertex on the tool's rim touches two: then it is the one by which the edge does not go out at its other end, for
     between two different faces the edge lies over a third, or over the tool's edge.
     """
     best, highest, second = -1, -2.0 * MARGIN, -1
-    for p in range(plane_offsets.shape[0]):
-        height = -plane_offsets[p]
-        for axis in range(3):
-            height += plane_normals[p, axis] * (last[axis, i] + time * (local[axis, i] - last[axis, i]))
+    for p in range(heights.shape[1]):
+        height = heights[which, p] + time * (heights[2 + which, p] - heights[which, p])
         if height <= -2.0 * MARGIN:
             continue
         if p == other:
@@ -528,30 +523,35 @@ def touched_plane(
 
 
 @inline_kernel
-def meeting_time(
-    extent: np.ndarray,
-    plane_normals: np.ndarray,
-    plane_offsets: np.ndarray,
-    last: np.ndarray,
-    local: np.ndarray,
-    a: int,
-    b: int,
-) -> float:
-    """When, between two queries, an edge of the organ first touched the tool: from 0 to 1, or 2 if it did not."""
-    way = 0.0
-    for axis in range(3):
-        low = min(min(local[axis, a], local[axis, b]), min(last[axis, a], last[axis, b]))
-        high = max(max(local[axis, a], local[axis, b]), max(last[axis, a], last[axis, b]))
-        if low > extent[3 + axis] + MARGIN or high < extent[axis] - MARGIN:
-            return 2.0
-        way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
-    first, end, _, _ = clip_edge(plane_normals, plane_offsets, last, local, a, b, 0.0)
+def least_deep_plane(heights: np.ndarray, time: float, first: float, end: float) -> int:
+    """The face behind which the part of an edge from `first` to `end` is least deep, at a time between two queries."""
+    best, least = -1, np.inf
+    for p in range(heights.shape[1]):
+        at_start = heights[0, p] + time * (heights[2, p] - heights[0, p])
+        at_end = heights[1, p] + time * (heights[3, p] - heights[1, p])
+        deepest = -min(at_start + first * (at_end - at_start), at_start + end * (at_end - at_start))
+        if deepest < least:
+            best, least = p, deepest
+    return best
+
+
+@inline_kernel
+def meeting_time(heights: np.ndarray, samples: int) -> float:
+    """When, between two queries, an edge of the organ first touched the tool.
+
+    Args:
+        heights: (4, P) from `fill_heights` [u].
+        samples: At how many times in between it is looked at.
+
+    Returns:
+        From 0 to 1, or 2 if it did not.
+    """
+    first, end, _, _ = clip_edge(heights, 0.0)
     if first <= end:
         return 0.0
-    samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
     low, high = 0.0, 2.0
     for sample in range(1, samples + 1):
-        first, end, _, _ = clip_edge(plane_normals, plane_offsets, last, local, a, b, sample / samples)
+        first, end, _, _ = clip_edge(heights, sample / samples)
         if first <= end:
             high = sample / samples
             break
@@ -560,12 +560,23 @@ def meeting_time(
         return 2.0
     for _ in range(BISECTIONS):
         time = 0.5 * (low + high)
-        first, end, _, _ = clip_edge(plane_normals, plane_offsets, last, local, a, b, time)
+        first, end, _, _ = clip_edge(heights, time)
         if first <= end:
             high = time
         else:
             low = time
     return high
+
+
+@inline_kernel
+def edge_misses(extent: np.ndarray, last: np.ndarray, local: np.ndarray, a: int, b: int) -> bool:
+    """Whether the box around an edge's way between two queries is apart from the box around the tool."""
+    for axis in range(3):
+        low = min(min(local[axis, a], local[axis, b]), min(last[axis, a], last[axis, b]))
+        high = max(max(local[axis, a], local[axis, b]), max(last[axis, a], last[axis, b]))
+        if low > extent[3 + axis] + MARGIN or high < extent[axis] - MARGIN:
+            return True
+    return False
 
 
 @inline_kernel
@@ -595,39 +606,29 @@ def gather_edges(
     local, last, candidates, codes = memory.local, memory.last_local, memory.candidates, memory.codes
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
     ridges, corners = tool.ridges, tool.corners
-    contact, ends = np.empty(7), np.empty((2, 3))
+    contact, heights = np.empty(7), np.empty((4, plane_offsets.shape[0]))
     for k in range(found):
         t = candidates[k]
         for side in range(3):
             a, b = triangles[t, side], triangles[t, (side + 1) % 3]
             # Two triangles share an edge, in opposite directions.
-            if a > b or codes[a] & codes[b] != 0:
+            if a > b or codes[a] & codes[b] != 0 or edge_misses(extent, last, local, a, b):
                 continue
-            time = meeting_time(extent, plane_normals, plane_offsets, last, local, a, b)
+            fill_heights(plane_normals, plane_offsets, last, local, a, b, heights)
+            way = 0.0
+            for axis in range(3):
+                way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
+            time = meeting_time(heights, min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES))
             if time > 1.0:
                 continue
-            first, end, plane_in, plane_out = clip_edge(plane_normals, plane_offsets, last, local, a, b, time)
+            first, end, plane_in, plane_out = clip_edge(heights, time)
             # An end that touches a face has come in by it.
             if plane_in < 0:
-                plane_in = touched_plane(plane_normals, plane_offsets, last, local, a, time, plane_out)
+                plane_in = touched_plane(heights, 0, time, plane_out)
             if plane_out < 0:
-                plane_out = touched_plane(plane_normals, plane_offsets, last, local, b, time, plane_in)
-            # The face over which the edge lay: where it is least deep.
-            for axis in range(3):
-                at_a = last[axis, a] + time * (local[axis, a] - last[axis, a])
-                at_b = last[axis, b] + time * (local[axis, b] - last[axis, b])
-                ends[0, axis] = at_a + first * (at_b - at_a)
-                ends[1, axis] = at_a + end * (at_b - at_a)
-            met, least = -1, np.inf
-            for p in range(plane_offsets.shape[0]):
-                deepest = -np.inf
-                for which in range(2):
-                    height = -plane_offsets[p]
-                    for axis in range(3):
-                        height += plane_normals[p, axis] * ends[which, axis]
-                    deepest = max(deepest, -height)
-                if deepest < least:
-                    met, least = p, deepest
+                plane_out = touched_plane(heights, 1, time, plane_in)
+            # The face over which the edge lay.
+            met = least_deep_plane(heights, time, first, end)
             nx, ny, nz = plane_normals[met, 0], plane_normals[met, 1], plane_normals[met, 2]
             for which in range(2):
                 border = plane_in if which == 0 else plane_out

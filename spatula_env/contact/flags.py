@@ -200,7 +200,9 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
     point of the surface that the node would push. `PairMemory.local` and `last_local` hold that motion.
     """
     nodes, normals, face, hits, distances = tool.nodes, tool.normals, tool.face, memory.hits, memory.distances
-    leading, came_through, last, record = memory.states[2], memory.states[5], memory.last_local, memory.record
+    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    leading, came_through, record = memory.states[2], memory.states[5], memory.record
+    local, last = memory.local, memory.last_local
     for i in range(nodes.shape[0]):
         came_through[i] = False
         if hits[i, 0, 1] <= 0:
@@ -210,7 +212,7 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
         x = nodes[i, 0] - distances[i, 0] * normals[i, 0]
         y = nodes[i, 1] - distances[i, 0] * normals[i, 1]
         z = nodes[i, 2] - distances[i, 0] * normals[i, 2]
-        wa, wb, wc = triangle_weights(memory.local, a, b, c, x, y, z)
+        wa, wb, wc = triangle_weights(local, a, b, c, x, y, z)
         # A triangle seen edge-on may round to anything.
         wa = min(max(wa, 0.0), 1.0)
         wb = min(max(wb, 0.0), 1.0 - wa)
@@ -220,7 +222,7 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
         last_y = wa * last[1, a] + wb * last[1, b] + wc * last[1, c]
         last_z = wa * last[2, a] + wb * last[2, b] + wc * last[2, c]
         leading[i] = (last_x - x) * normals[i, 0] + (last_y - y) * normals[i, 1] + (last_z - z) * normals[i, 2] > 0.0
-        plane = entry_plane(last_x, last_y, last_z, x, y, z, tool.plane_normals, tool.plane_offsets, -ON_PLANE)
+        plane = entry_plane(last_x, last_y, last_z, x, y, z, plane_normals, plane_offsets, -ON_PLANE)
         came_through[i] = plane == face[i]
 
 

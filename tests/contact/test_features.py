@@ -12,12 +12,16 @@ from loose import DT, LooseOrgans
 from reference_detector import random_rotation, rotation_matrix
 
 from spatula_env.contact.features import (
+    MOST_SAMPLES,
     OUTSIDE_TRIANGLE,
     best_plane,
     clip_edge,
+    fill_heights,
+    least_deep_plane,
     meeting_time,
     meeting_weights,
     ridge_contact,
+    touched_plane,
 )
 from spatula_env.contact.flags import triangle_weights
 from spatula_env.contact.path import MARGIN
@@ -138,9 +142,12 @@ def faces_of(tool):
     return tuple(np.array(values) for values in planes_of(tool))
 
 
-def extent_of(tool):
-    low, high = tool.vertices.min(axis=0), tool.vertices.max(axis=0)
-    return np.array([*low, *high, tool.bounding_radius, tool.thickness])
+def heights_of(tool, last, now):
+    """How far two points, which move from one place to another, are before a tool's faces."""
+    normals, offsets = faces_of(tool)
+    heights = np.empty((4, len(offsets)))
+    fill_heights(normals, offsets, last, now, 0, 1, heights)
+    return heights
 
 
 def ridges_of(tool):
@@ -238,17 +245,17 @@ def test_the_part_of_an_edge_that_is_in_a_tool(seed, name):
     ends = last + time * (now - last)
     # Sampled, not cut.
     places = np.linspace(0.0, 1.0, 20001)
-    heights = (ends[0] + places[:, None] * (ends[1] - ends[0])) @ normals.T - offsets
-    inside = heights.max(axis=1) <= MARGIN
-    first, end, plane_in, plane_out = clip_edge(*faces_of(tool), columns(last), columns(now), 0, 1, time)
+    before_faces = (ends[0] + places[:, None] * (ends[1] - ends[0])) @ normals.T - offsets
+    inside = before_faces.max(axis=1) <= MARGIN
+    first, end, plane_in, plane_out = clip_edge(heights_of(tool, columns(last), columns(now)), time)
     assume(inside.sum() > 10 or first > end)
     assert (first <= end) == inside.any()
     if inside.any():
         low, high = np.flatnonzero(inside)[[0, -1]]
         assert first == pytest.approx(places[low], abs=1e-4)
         assert end == pytest.approx(places[high], abs=1e-4)
-        assert plane_in == (-1 if low == 0 else np.argmax(heights[low - 1]))
-        assert plane_out == (-1 if high == len(places) - 1 else np.argmax(heights[high + 1]))
+        assert plane_in == (-1 if low == 0 else np.argmax(before_faces[low - 1]))
+        assert plane_out == (-1 if high == len(places) - 1 else np.argmax(before_faces[high + 1]))
 
 
 @pytest.mark.parametrize(("height", "drop"), [(0.3, 0.5), (0.1, 0.06), (0.01, 0.3), (0.9, 2.0)])
@@ -257,7 +264,7 @@ def test_when_an_edge_first_touches(height, drop):
     last = columns([(-2.0, 0.1, 0.0625 + height), (2.0, -0.1, 0.0625 + height)])
     now = last - [[0.0], [0.0], [drop]]
     expected = (height - MARGIN) / drop
-    found = meeting_time(extent_of(BOX), *faces_of(BOX), last, now, 0, 1)
+    found = meeting_time(heights_of(BOX, last, now), MOST_SAMPLES)
     if expected > 1.0:
         assert found == 2.0
     else:
@@ -267,10 +274,30 @@ def test_when_an_edge_first_touches(height, drop):
 
 def test_an_edge_that_touches_already_has_met_at_once():
     last = columns([(-2.0, 0.1, 0.0625), (2.0, -0.1, 0.0625)])
-    assert meeting_time(extent_of(BOX), *faces_of(BOX), last, last - 0.01, 0, 1) == 0.0
+    assert meeting_time(heights_of(BOX, last, last - 0.01), MOST_SAMPLES) == 0.0
     # And one that only comes near, not at all.
     away = columns([(-2.0, 0.1, 0.5), (2.0, -0.1, 0.5)])
-    assert meeting_time(extent_of(BOX), *faces_of(BOX), away, away - [[0.0], [0.0], [0.3]], 0, 1) == 2.0
+    assert meeting_time(heights_of(BOX, away, away - [[0.0], [0.0], [0.3]]), MOST_SAMPLES) == 2.0
+
+
+def test_an_end_on_the_rim_touches_the_face_by_which_the_edge_does_not_go_out():
+    # From the rim between the right side (x = 0.5) and the lower face to beyond another side, along the lower face.
+    normals, _ = faces_of(BOX)
+    right, bottom, left = (
+        int(np.argmax(normals @ np.array(direction, dtype=float))) for direction in ((1, 0, 0), (0, 0, -1), (-1, 0, 0))
+    )
+    points = columns([(0.5, 0.1, -0.0625), (-2.0, 0.1, -0.0625)])
+    heights = heights_of(BOX, points, points)
+    assert touched_plane(heights, 0, 0.5, right) == bottom
+    assert touched_plane(heights, 0, 0.5, bottom) == right
+    assert touched_plane(heights, 0, 0.5, left) in (right, bottom)
+    # On one face alone there is no choice, and deeper than that there is none.
+    assert (
+        touched_plane(heights_of(BOX, points - [[0.2], [0], [0]], points - [[0.2], [0], [0]]), 0, 0.0, bottom) == bottom
+    )
+    assert touched_plane(heights_of(BOX, 0.5 * points, 0.5 * points), 0, 0.0, -1) == -1
+    # It lies over the lower face, whichever part of it one takes.
+    assert least_deep_plane(heights, 0.5, 0.0, 0.4) == bottom
 
 
 @given(seeds)
