@@ -26,8 +26,8 @@ def test_the_flags_method_holds_the_organ_under_the_spatula(result: PressResult)
     assert result.residual_mean <= result.residual_max <= 0.01
     assert result.lower_nodes > 10 and result.upper_nodes == 0
     assert result.pairs_steps == 0 and result.inside_share == 0.0
-    # The organ weighs 0.18 N; pressing it 1.4 u down takes much more.
-    assert result.force_mean > 1.0
+    # The organ weighs 0.03 N; pressing it 1.4 u down takes much more.
+    assert result.force_mean > 0.3
     assert result.force_peak_of_run >= result.force_peak >= result.force_mean
 
 

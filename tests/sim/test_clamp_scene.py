@@ -84,6 +84,7 @@ def test_the_jaws_squeeze_the_ridge_from_both_sides(simulation, gripped):
     np.testing.assert_allclose(first[1], -second[1], rtol=0.05)
     for force in (first, second):
         assert np.hypot(force[0], force[2]) < 0.1 * abs(force[1])
+    assert -first[1] * simulation.scene.scale.force == pytest.approx(0.25, rel=0.15)
     # Contact is on the inner faces only. A jaw's frame has its z axis along negative y.
     for contacts, side in zip(report.all_contacts, (-1.0, 1.0), strict=True):
         tool = simulation.scene.tools[0].tool

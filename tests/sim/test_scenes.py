@@ -46,15 +46,6 @@ def test_the_scene_of_the_seed():
     assert organ.vertices[:, 2].min() >= -1e-9
 
 
-def test_the_seed_has_the_density_of_brain_tissue():
-    for mass in (10.0, 3.0):
-        scene = scenes.seed(mass=mass)
-        kilograms = mass * scene.scale.mass
-        cubic_metres = scene.organs[0].organ.volume * scene.scale.length**3
-        assert kilograms / cubic_metres == pytest.approx(1040.0)
-        assert scene.scale.length == 0.02
-
-
 def test_options_of_the_seed():
     scene = scenes.seed((2.0, 1.0, 0.25), 5.0, 1.0 / 60.0, nodes_per_edge=4, faces="all", friction=0.3)
     np.testing.assert_array_equal(scene.tools[0].tool.size, [2.0, 1.0, 0.25])
@@ -88,16 +79,6 @@ def test_the_seed_refuses_tool_sizes(value):
 
 
 # Fissure and clamp -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("make", [scenes.fissure, scenes.clamp])
-@pytest.mark.parametrize("mass", [10.0, 3.0])
-def test_other_scenes_have_the_density_of_brain_tissue_too(make, mass):
-    scene = make(mass=mass)
-    kilograms = scene.organs[0].mass * scene.scale.mass
-    assert kilograms / (scene.organs[0].organ.volume * scene.scale.length**3) == pytest.approx(1040.0)
-    assert scene.scale.length == 0.02
-    assert scene.dt == 1.0 / 240.0
 
 
 def test_the_scene_of_the_fissure():
@@ -143,7 +124,7 @@ def test_the_scene_of_the_clamp():
         assert (side * corners[:, 1]).min() == pytest.approx(0.4 + scenes.JAW_CLEARANCE)
         assert block.foot_height < corners[:, 2].min()
         assert corners[:, 2].max() < block.vertices[:, 2].max()
-        assert placed.friction == 0.6
+        assert placed.friction == 0.4
 
 
 def test_options_of_the_clamp():
@@ -188,6 +169,46 @@ def test_fissure_and_clamp_can_be_compared_hashed_and_sent():
         sent = pickle.loads(pickle.dumps(scene))
         assert sent == scene
         np.testing.assert_array_equal(sent.organs[0].organ.base, scene.organs[0].organ.base)
+
+
+# Scale -------------------------------------------------------------------------------------------------------------
+
+PRESETS = [scenes.seed, scenes.retract, scenes.fissure, scenes.clamp, scenes.palpate]
+
+
+@pytest.mark.parametrize("make", PRESETS)
+def test_a_scene_is_twenty_millimetres_in_a_unit_by_either_scale(make):
+    for scale in ("stiffness", "density"):
+        assert make(scale=scale).scale.length == 0.02
+    assert make().scale == make(scale="stiffness").scale != make(scale="density").scale
+
+
+@pytest.mark.parametrize("make", PRESETS)
+@pytest.mark.parametrize("mass", [10.0, 3.0])
+def test_a_scene_may_have_the_density_of_brain_tissue(make, mass):
+    scene = make(mass=mass, dt=1.0 / 120.0, scale="density")
+    kilograms = scene.organs[0].mass * scene.scale.mass
+    assert kilograms / (scene.organs[0].organ.volume * scene.scale.length**3) == pytest.approx(1040.0)
+
+
+@pytest.mark.parametrize("make", PRESETS)
+def test_by_stiffness_kilograms_stay_and_steps_change_them(make):
+    kilograms = 10.0 * make().scale.mass
+    assert 3.0 * make(mass=3.0).scale.mass == pytest.approx(kilograms)
+    assert 10.0 * make(dt=1.0 / 120.0).scale.mass == pytest.approx(4.0 * kilograms)
+
+
+@pytest.mark.parametrize("make", PRESETS)
+def test_a_scene_takes_a_scale(make):
+    given = scenes.Scale(length=0.01, mass=0.25)
+    assert make(scale=given).scale is given
+
+
+@pytest.mark.parametrize("make", PRESETS)
+@pytest.mark.parametrize("value", ["weight", None, 1.0, ["stiffness"]])
+def test_scenes_refuse_other_scales(make, value):
+    with pytest.raises(ValueError, match=r"scale must be one of .*'stiffness', 'density'.* or a Scale"):
+        make(scale=value)
 
 
 # The parts ---------------------------------------------------------------------------------------------------------

@@ -1,0 +1,45 @@
+"""What stands in a scene: organs, tools, ground, and the scale that turns scene units into SI.
+
+`seed`, `retract`, `fissure`, `clamp` and `palpate` are presets; `Scene` and what it holds make any other.
+"""
+
+from __future__ import annotations
+
+from spatula_env.scenes.base import (
+    STANDARD_DENSITY,
+    TISSUE_MODULUS,
+    Ground,
+    PlacedOrgan,
+    PlacedTool,
+    Scale,
+    ScaleName,
+    Scene,
+)
+from spatula_env.scenes.clamp import JAW_CLEARANCE, clamp
+from spatula_env.scenes.fissure import FISSURE_CLEARANCE, ON_EDGE, fissure
+from spatula_env.scenes.palpate import palpate
+from spatula_env.scenes.retract import BLADE_CLEARANCE, QUARTER_TURN, UPRIGHT, retract
+from spatula_env.scenes.seed import RESTING_SPHERE, seed
+
+__all__ = [
+    "BLADE_CLEARANCE",
+    "FISSURE_CLEARANCE",
+    "JAW_CLEARANCE",
+    "ON_EDGE",
+    "QUARTER_TURN",
+    "RESTING_SPHERE",
+    "STANDARD_DENSITY",
+    "TISSUE_MODULUS",
+    "UPRIGHT",
+    "Ground",
+    "PlacedOrgan",
+    "PlacedTool",
+    "Scale",
+    "ScaleName",
+    "Scene",
+    "clamp",
+    "fissure",
+    "palpate",
+    "retract",
+    "seed",
+]
