@@ -1,0 +1,169 @@
+"""The FTDI chip of an emulated Falcon: what control requests do to it, and when it hands over what it has received.
+
+After power-up, nothing about the line is set, and what is set wrongly makes the bytes on it unreadable: a driver has
+to make all the requests. The chip fills IN packets of 64 bytes, of which two are status; it hands one over when it is
+full, or when the latency timer runs out, with whatever there is. The timer starts anew with every packet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+PACKET = 64
+STATUS = 2
+MODEM_STATUS = 0x01
+CLEAR_TO_SEND = 0x10
+LINE_STATUS = 0x60
+"""First and second status byte: fixed bits; the Falcon is clear to send; transmitter empty."""
+
+BITS_PER_BYTE = 10
+"""Start bit, eight data bits, stop bit."""
+
+CLOCK = 3_000_000.0
+"""What the chip's divisors divide [Hz]."""
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """How the serial line is set up; None where nothing has been said since power-up.
+
+    Attributes:
+        divisor: Raw baud rate value.
+        data_format: Raw value; 8 is 8N1.
+        flow_control: Raw value; 0 is none.
+        is_terminal_ready: The DTR line.
+        requests_to_send: The RTS line.
+    """
+
+    divisor: int | None = None
+    data_format: int | None = None
+    flow_control: int | None = None
+    is_terminal_ready: bool | None = None
+    requests_to_send: bool | None = None
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether a device that keeps to 8N1 without flow control can read what is sent, at the right baud rate."""
+        return self.data_format == 8 and self.flow_control == 0
+
+    @property
+    def byte_time(self) -> float:
+        """How long a byte takes on the line [s]."""
+        if self.divisor is None:
+            return BITS_PER_BYTE / 9600.0
+        # Bits 14 and 15 are eighths of the divisor in a code of their own: 0, 1/2, 1/4, 1/8. 0 and 1 are special.
+        whole = self.divisor & 0x3FFF
+        if whole == 0:
+            return BITS_PER_BYTE / CLOCK
+        fraction = (0.0, 0.5, 0.25, 0.125)[self.divisor >> 14 & 3]
+        return BITS_PER_BYTE * (whole + fraction) / CLOCK
+
+
+class RefusedRequest(ValueError):
+    """A control request that the chip does not know."""
+
+
+class FtdiChip:
+    """The chip's registers and its buffer for what comes from the Falcon.
+
+    Attributes:
+        settings: Of the serial line.
+        latency: Of the timer [s].
+        purges: How often each direction was purged: received, to send.
+    """
+
+    def __init__(self, now: float, leftover: bytes = b"") -> None:
+        """Power up.
+
+        Args:
+            now: The time [s].
+            leftover: What is in the buffer, for a chip that has been used before.
+        """
+        self.settings = LineSettings()
+        self.latency = 0.016
+        self.purges = [0, 0]
+        self._received = bytearray(leftover)
+        self._last_packet = now
+
+    def control(self, request_type: int, request: int, value: int, index: int) -> bool:
+        """Do what a control request asks for.
+
+        Args:
+            request_type: bmRequestType.
+            request: bRequest.
+            value: wValue.
+            index: wIndex.
+
+        Returns:
+            Whether DTR has gone from low to high.
+
+        Raises:
+            RefusedRequest: If the chip does not know it.
+        """
+        if request_type != 0x40 or index != 0:
+            raise RefusedRequest(f"request type 0x{request_type:02x}, index {index}")
+        old = self.settings
+        ready, sending, divisor, data_format, flow = (
+            old.is_terminal_ready,
+            old.requests_to_send,
+            old.divisor,
+            old.data_format,
+            old.flow_control,
+        )
+        if request == 0 and value in (1, 2):
+            self.purges[value - 1] += 1
+            if value == 1:
+                self._received.clear()
+        elif request == 0 and value == 0:
+            self._received.clear()
+        elif request == 1 and value & 0x0300:
+            # The high byte says which lines are meant, the low byte what they shall be.
+            ready = bool(value & 0x01) if value & 0x0100 else ready
+            sending = bool(value & 0x02) if value & 0x0200 else sending
+        elif request == 2:
+            flow = value
+        elif request == 3:
+            divisor = value
+        elif request == 4:
+            data_format = value
+        elif request == 9 and 1 <= value <= 255:
+            self.latency = value / 1000.0
+        else:
+            raise RefusedRequest(f"request {request}, value 0x{value:04x}")
+        self.settings = LineSettings(divisor, data_format, flow, ready, sending)
+        return old.is_terminal_ready is False and ready is True
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes from the Falcon.
+
+        Args:
+            data: The bytes.
+        """
+        self._received += data
+
+    def ready_at(self, now: float) -> float:
+        """When the next IN packet can be taken, if the Falcon sends nothing more.
+
+        Args:
+            now: The time [s].
+
+        Returns:
+            The time, not before `now` [s].
+        """
+        if len(self._received) >= PACKET - STATUS:
+            return now
+        return max(now, self._last_packet + self.latency)
+
+    def take_packet(self, now: float) -> bytes:
+        """Hand an IN packet over.
+
+        Args:
+            now: The time [s].
+
+        Returns:
+            Two status bytes and at most 62 others.
+        """
+        data = bytes(self._received[: PACKET - STATUS])
+        del self._received[: PACKET - STATUS]
+        self._last_packet = now
+        return bytes((MODEM_STATUS | CLEAR_TO_SEND, LINE_STATUS)) + data

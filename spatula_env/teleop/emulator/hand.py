@@ -1,0 +1,250 @@
+"""The operator's hand on the grip, and where the energy goes.
+
+Frame: the Falcon's (see :mod:`spatula_env.teleop.emulator.legs`); metres, newtons, kilograms, seconds, joules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+from spatula_env.teleop.emulator.legs import OutOfReachError, Point, leg_angles
+
+Motion = Callable[[float], Point]
+"""Where something is at a time."""
+
+GRIP_MASS = 0.090
+"""What the mechanism weighs at the grip; found by others for gravity compensation [kg]."""
+PUSHED_IN: Point = (0.0, 0.0, 0.085)
+PULLED_OUT: Point = (0.0, 0.0, 0.170)
+MIDDLE: Point = (0.0, 0.0, 0.120)
+"""Places on the z axis [m]."""
+
+
+@dataclass
+class Energies:
+    """What has been exchanged since the beginning [J].
+
+    For an `ElasticHand`: kinetic energy = motors + arm - dissipated - stops, to rounding.
+
+    Attributes:
+        motors: Work of the motors on the hand; what a passive device and controller may never give more of than they
+            took.
+        arm: Work of the arm's spring on the hand.
+        dissipated: What the hand's damping took.
+        stops: What ending a motion at a mechanical stop took.
+    """
+
+    motors: float = 0.0
+    arm: float = 0.0
+    dissipated: float = 0.0
+    stops: float = 0.0
+
+
+class Hand(Protocol):
+    """What holds the grip.
+
+    Attributes:
+        position: Where the grip is [m].
+        velocity: How it moves [m/s].
+        energies: What has been exchanged.
+    """
+
+    position: Point
+    velocity: Point
+    energies: Energies
+
+    def advance(self, time: float, step: float, motor_force: Point) -> None:
+        """Move on.
+
+        Args:
+            time: At the step's beginning, since the emulator was made [s].
+            step: How long [s].
+            motor_force: What the grip does to the hand during the step [N].
+        """
+
+
+class ElasticHand:
+    """A mass that an arm pulls, by a spring, to where the operator wants it; damped against the room.
+
+    The step is the implicit midpoint rule, which is stable for any spring and loses or makes no energy: what the motors
+    work goes, to rounding, into motion, spring, damping and stops (`Energies`).
+
+    Attributes:
+        position: Where the grip is [m].
+        velocity: How it moves [m/s].
+        energies: What has been exchanged.
+        mass: Of hand and grip [kg].
+        stiffness: Of the arm [N/m]; 0 for a grip that nobody holds.
+        damping: Of the arm [N s/m].
+        target: Where the operator wants the grip; None for where it was first.
+    """
+
+    def __init__(
+        self,
+        target: Motion | None = None,
+        *,
+        position: Point = MIDDLE,
+        mass: float = GRIP_MASS + 0.2,
+        stiffness: float = 300.0,
+        damping: float = 6.0,
+    ) -> None:
+        """Take hold of the grip.
+
+        Args:
+            target: Where the operator wants the grip, against time.
+            position: Where it is first [m].
+            mass: Of hand and grip, positive [kg].
+            stiffness: Of the arm [N/m].
+            damping: Of the arm [N s/m].
+
+        Raises:
+            ValueError: If the mass is not positive, or stiffness or damping is negative.
+        """
+        if not mass > 0.0:
+            raise ValueError(f"mass must be positive, got {mass!r}")
+        if not (stiffness >= 0.0 and damping >= 0.0):
+            raise ValueError(f"stiffness and damping must not be negative, got {stiffness!r} and {damping!r}")
+        self.position = position
+        self.velocity: Point = (0.0, 0.0, 0.0)
+        self.energies = Energies()
+        self.mass = mass
+        self.stiffness = stiffness
+        self.damping = damping
+        self.target = target
+        self._rest = position
+
+    @property
+    def kinetic_energy(self) -> float:
+        """Of hand and grip [J]."""
+        return 0.5 * self.mass * _dot(self.velocity, self.velocity)
+
+    def advance(self, time: float, step: float, motor_force: Point) -> None:
+        """See `Hand`."""
+        wanted = self._rest if self.target is None else self.target(time + 0.5 * step)
+        inertia = 2.0 * self.mass / step
+        resistance = inertia + 0.5 * step * self.stiffness + self.damping
+        mean = [
+            (inertia * speed + force + self.stiffness * (goal - place)) / resistance
+            for speed, force, goal, place in zip(self.velocity, motor_force, wanted, self.position, strict=True)
+        ]
+        moved = (mean[0] * step, mean[1] * step, mean[2] * step)
+        velocity = tuple(2.0 * middle - speed for middle, speed in zip(mean, self.velocity, strict=True))
+        reached, stopped = _until_stop(self.position, moved)
+
+        before = self.kinetic_energy
+        old = self.position
+        displacement = (reached[0] - old[0], reached[1] - old[1], reached[2] - old[2])
+        pull = (
+            self.stiffness * (wanted[0] - 0.5 * (old[0] + reached[0])),
+            self.stiffness * (wanted[1] - 0.5 * (old[1] + reached[1])),
+            self.stiffness * (wanted[2] - 0.5 * (old[2] + reached[2])),
+        )
+        self.energies.motors += _dot(motor_force, displacement)
+        self.energies.arm += _dot(pull, displacement)
+        self.position = reached
+        self.velocity = (
+            0.0 if stopped[0] else velocity[0],
+            0.0 if stopped[1] else velocity[1],
+            0.0 if stopped[2] else velocity[2],
+        )
+        lost = before + _dot(motor_force, displacement) + _dot(pull, displacement) - self.kinetic_energy
+        if any(stopped):
+            self.energies.stops += lost
+        else:
+            self.energies.dissipated += lost
+
+
+class GuidedHand:
+    """A hand so strong that the grip is exactly where it should be, whatever the motors do.
+
+    Attributes:
+        position: Where the grip is [m].
+        velocity: How it moves [m/s].
+        energies: What has been exchanged; only the motors' work.
+        motion: Where the grip is, against time.
+    """
+
+    def __init__(self, motion: Motion, start: float = 0.0) -> None:
+        """Take hold of the grip.
+
+        Args:
+            motion: Where the grip is, against time; has to stay within reach.
+            start: The time at first [s].
+        """
+        self.motion = motion
+        self.position = motion(start)
+        self.velocity: Point = (0.0, 0.0, 0.0)
+        self.energies = Energies()
+
+    def advance(self, time: float, step: float, motor_force: Point) -> None:
+        """See `Hand`."""
+        x, y, z = self.motion(time + step)
+        old = self.position
+        moved = (x - old[0], y - old[1], z - old[2])
+        self.energies.motors += _dot(motor_force, moved)
+        self.velocity = (moved[0] / step, moved[1] / step, moved[2] / step)
+        self.position = (x, y, z)
+
+
+def homing_motion(then: Motion | None = None, start: float = 0.05, duration: float = 1.0) -> Motion:
+    """What an operator does to home a Falcon: pull the grip all the way out, push it all the way in, go to the middle.
+
+    Args:
+        then: What follows, with a time that begins at 0; None to stay in the middle.
+        start: When the operator begins [s].
+        duration: How long it takes [s].
+
+    Returns:
+        The motion.
+    """
+    corners = ((0.0, MIDDLE), (0.3, PULLED_OUT), (0.4, PULLED_OUT), (0.8, PUSHED_IN), (0.9, PUSHED_IN), (1.0, MIDDLE))
+
+    def motion(time: float) -> Point:
+        share = (time - start) / duration
+        if share >= 1.0:
+            return MIDDLE if then is None else then(time - start - duration)
+        if share <= 0.0:
+            return MIDDLE
+        for (first, here), (last, there) in pairwise(corners):
+            if share <= last:
+                way = (share - first) / (last - first)
+                smooth = way * way * (3.0 - 2.0 * way)
+                return 0.0, 0.0, here[2] + smooth * (there[2] - here[2])
+        raise AssertionError("the corners end at 1")
+
+    return motion
+
+
+def _until_stop(position: Point, moved: Point) -> tuple[Point, tuple[bool, bool, bool]]:
+    """Move the grip as far as the mechanism allows, along each axis on its own if not along all at once.
+
+    Returns:
+        The new place, and along which axes a stop was hit.
+    """
+    x, y, z = position
+    free = (x + moved[0], y + moved[1], z + moved[2])
+    if _is_within_reach(free):
+        return free, (False, False, False)
+    stopped = [False, False, False]
+    reached = [x, y, z]
+    for axis in range(3):
+        reached[axis] += moved[axis]
+        if not _is_within_reach((reached[0], reached[1], reached[2])):
+            reached[axis] = position[axis]
+            stopped[axis] = True
+    return (reached[0], reached[1], reached[2]), (stopped[0], stopped[1], stopped[2])
+
+
+def _is_within_reach(position: Point) -> bool:
+    try:
+        leg_angles(position)
+    except OutOfReachError:
+        return False
+    return True
+
+
+def _dot(first: Point, second: Point) -> float:
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]

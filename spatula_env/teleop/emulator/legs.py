@@ -1,0 +1,155 @@
+"""The Falcon's mechanism, from vectors along its links.
+
+Frame: the Falcon's, x right, y up, z towards the operator, origin on the base, metres. Each of the three legs is a
+chain::
+
+    axis -> hip -> (thigh) -> knee -> (shin: a piece, a parallelogram's edge, a piece) -> grip's joint -> grip's middle
+
+The thigh turns in the leg's plane, which contains the z direction and is turned about z by the leg's azimuth. The two
+pieces at the shin's ends stay in that plane; the parallelogram's edge leaves it sideways. In the plane the knee is
+where two circles meet: of the thigh around the hip, and of the shin's share around the grip's joint.
+
+The link that a leg pushes the grip with is the parallelogram's edge: its ends are hinges, so its force lies along it.
+Hence a torque t on the thigh pushes the grip with t / (arm) along the edge, arm the lever of that line about the hip::
+
+    force = t edge / (edge . d(knee)/d(theta))
+
+No derivative of an inverse kinematics is taken. The driver's module does it the other way, and shares no code with
+this. The lengths are those of libnifalcon.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, pi, sin, sqrt
+
+Point = tuple[float, float, float]
+
+HIP_FROM_AXIS = 0.0400
+HIP_SIDEWAYS = -0.02309
+THIGH_LENGTH = 0.0600
+SHIN_PIECES = 0.01125 + 0.01125
+SHIN_EDGE = 0.1025
+JOINT_FROM_MIDDLE = 0.01443
+JOINT_SIDEWAYS = -0.025
+AZIMUTHS = (105.0, -15.0, -135.0)
+"""Lengths [m] and azimuths [deg] of the mechanism."""
+
+DEGREES_PER_COUNT = 360.0 / (4 * 320) * 14.25 / 110.0
+ZERO_DEGREES = 35.0
+"""What an encoder counts, and the thigh's angle where it counts 0."""
+NEWTON_METRES_PER_COUNT = -1e-4
+"""Torque on a thigh for one motor count."""
+
+FIRST_STOP = -75.0
+LAST_STOP = 115.0
+"""Where the thighs hit their stops [deg]. Assumed: wider than the cube of +-40 mm needs."""
+
+_RADIAL = tuple((cos(azimuth * pi / 180.0), sin(azimuth * pi / 180.0)) for azimuth in AZIMUTHS)
+
+
+class OutOfReachError(ValueError):
+    """The mechanism cannot stand like that."""
+
+
+def leg_angles(grip: Point) -> Point:
+    """The thighs' angles that go with a place of the grip.
+
+    Args:
+        grip: The grip's middle [m].
+
+    Returns:
+        The angles [deg].
+
+    Raises:
+        OutOfReachError: If a leg is too short, or would be beyond a stop.
+    """
+    first, second, third = (_leg(leg, grip)[0] for leg in range(3))
+    return first, second, third
+
+
+def encoder_counts(grip: Point) -> tuple[int, int, int]:
+    """What the encoders count, from their true zeros.
+
+    Args:
+        grip: The grip's middle [m].
+
+    Returns:
+        The counts.
+
+    Raises:
+        OutOfReachError: If the grip cannot be there.
+    """
+    first, second, third = (round((angle - ZERO_DEGREES) / DEGREES_PER_COUNT) for angle in leg_angles(grip))
+    return first, second, third
+
+
+def grip_force(grip: Point, motors: tuple[int, int, int]) -> Point:
+    """What the grip does to the hand while the motors push.
+
+    Args:
+        grip: The grip's middle [m].
+        motors: Motor counts.
+
+    Returns:
+        The force [N].
+
+    Raises:
+        OutOfReachError: If the grip cannot be there.
+    """
+    x = y = z = 0.0
+    for leg, count in enumerate(motors):
+        if count:
+            _, edge, arm = _leg(leg, grip)
+            tension = NEWTON_METRES_PER_COUNT * count / arm
+            x += tension * edge[0]
+            y += tension * edge[1]
+            z += tension * edge[2]
+    return x, y, z
+
+
+def _leg(leg: int, grip: Point) -> tuple[float, Point, float]:
+    """One leg's state.
+
+    Returns:
+        The thigh's angle [deg], the parallelogram's edge from knee to grip [m], and the component of the knee's
+        motion per radian along that edge, times the edge's length [m2].
+    """
+    radial_x, radial_y = _RADIAL[leg]
+    # The grip's joint, seen from the hip: outwards, sideways (a quarter turn on), up.
+    outwards = grip[0] * radial_x + grip[1] * radial_y + JOINT_FROM_MIDDLE - HIP_FROM_AXIS
+    sideways = grip[1] * radial_x - grip[0] * radial_y + JOINT_SIDEWAYS - HIP_SIDEWAYS
+    up = grip[2]
+
+    share = SHIN_EDGE**2 - sideways**2
+    if share <= 0.0:
+        raise OutOfReachError(f"leg {leg} does not reach {sideways:.4f} m sideways")
+    edge_in_plane = sqrt(share)
+    shin = SHIN_PIECES + edge_in_plane
+
+    # The two circles meet on a chord across the line from hip to joint.
+    span = sqrt(outwards**2 + up**2)
+    foot = (span**2 + THIGH_LENGTH**2 - shin**2) / (2.0 * span)
+    half_chord_squared = THIGH_LENGTH**2 - foot**2
+    if half_chord_squared <= 0.0:
+        raise OutOfReachError(f"leg {leg} does not reach {span:.4f} m from its hip")
+    half_chord = sqrt(half_chord_squared)
+    along_outwards, along_up = outwards / span, up / span
+    # Of the two points the one on the outer side, where the knee of a Falcon is.
+    knee_outwards = foot * along_outwards + half_chord * along_up
+    knee_up = foot * along_up - half_chord * along_outwards
+
+    angle = atan2(knee_up, knee_outwards) * 180.0 / pi
+    if not FIRST_STOP <= angle <= LAST_STOP:
+        raise OutOfReachError(f"leg {leg} would be beyond its stop, at {angle:.1f} degrees")
+
+    direction_outwards = (outwards - knee_outwards) / shin
+    direction_up = (up - knee_up) / shin
+    edge_outwards, edge_up = edge_in_plane * direction_outwards, edge_in_plane * direction_up
+    # A radian of the thigh moves the knee by a quarter turn of the thigh itself.
+    arm = edge_up * knee_outwards - edge_outwards * knee_up
+    edge = (
+        edge_outwards * radial_x - sideways * radial_y,
+        edge_outwards * radial_y + sideways * radial_x,
+        edge_up,
+    )
+    return angle, edge, arm

@@ -1,0 +1,123 @@
+"""What runs on an emulated Falcon once its firmware is loaded: packets in, packets out, homing.
+
+Written from the description of the bytes, and not with the driver's module for them.
+"""
+
+from __future__ import annotations
+
+from spatula_env.teleop.emulator.chip import LineSettings
+from spatula_env.teleop.emulator.faults import Faults
+
+DIVISOR = 0x0002
+"""Of 1.5 MBaud."""
+
+HOMING_OUT = 55.0
+HOMING_IN = 5.0
+"""A thigh is homed when it has been beyond the first and then before the second angle [deg].
+
+Assumed: all that is known is that the operator has to pull the grip all the way out and push it all the way in.
+"""
+
+Counts = tuple[int, int, int]
+
+
+class Program:
+    """The device's side of the 16-byte packets.
+
+    Attributes:
+        motors: What the motors are told, cut to what they can do.
+        lights: The light bits: 2 green, 4 blue, 8 red.
+        buttons: The button bits: 1 plus, 2 forward, 4 centre, 8 minus.
+        homed: For each leg, whether its encoder counts from its true zero.
+        packets: How many packets have been understood.
+        is_homing: Whether the last one asked for homing.
+        demanded: What the last one told the motors, before it was cut.
+    """
+
+    def __init__(self, faults: Faults, homed: bool = False) -> None:
+        """Start.
+
+        Args:
+            faults: What goes wrong.
+            homed: Whether the encoders have found their zeros already.
+        """
+        self.motors: Counts = (0, 0, 0)
+        self.demanded: Counts = (0, 0, 0)
+        self.lights = 0
+        self.buttons = 0
+        self.homed = [homed] * 3
+        self.packets = 0
+        self.is_homing = False
+        self._faults = faults
+        self._has_been_out = [False] * 3
+        self._first_counts: Counts | None = None
+        self._buffer = b""
+
+    def receive(self, data: bytes, settings: LineSettings, angles: tuple[float, ...], counts: Counts) -> bytes:
+        """Hear bytes.
+
+        Args:
+            data: What was sent.
+            settings: How.
+            angles: Where the thighs are [deg].
+            counts: What the encoders would count from their true zeros.
+
+        Returns:
+            What the Falcon answers: a packet for each packet.
+        """
+        if settings.divisor != DIVISOR or not settings.is_readable:
+            return b""
+        self._buffer += data
+        answer = b""
+        while len(self._buffer) >= 16:
+            if self._buffer[:1] != b"<" or self._buffer[15:16] != b">":
+                self._buffer = self._buffer[1:]
+                continue
+            packet, self._buffer = self._buffer[:16], self._buffer[16:]
+            answer += self._answer(packet, angles, counts)
+        return answer
+
+    def _answer(self, packet: bytes, angles: tuple[float, ...], counts: Counts) -> bytes:
+        nibbles = [byte - ord("A") for byte in packet[1:13]]
+        if not all(0 <= nibble < 16 for nibble in nibbles):
+            return b""
+        self.packets += 1
+        hexadecimal = ["".join(f"{nibble:x}" for nibble in reversed(nibbles[i : i + 4])) for i in (0, 4, 8)]
+        first, second, third = (int.from_bytes(bytes.fromhex(number), "big", signed=True) for number in hexadecimal)
+        limit = self._faults.motor_limit
+        self.demanded = (first, second, third)
+        self.motors = (_cut(first, limit), _cut(second, limit), _cut(third, limit))
+        command = packet[13] - ord("A")
+        self.is_homing = bool(command & 1)
+        self.lights = command & 0x0E
+        self._home(angles)
+        if self._first_counts is None:
+            self._first_counts = counts
+        return self._reply(counts)
+
+    def _home(self, angles: tuple[float, ...]) -> None:
+        for leg, angle in enumerate(angles):
+            if not self.is_homing:
+                # Whoever takes the bit back has to start again.
+                self._has_been_out[leg] = False
+            elif angle > HOMING_OUT:
+                self._has_been_out[leg] = True
+            elif angle < HOMING_IN and self._has_been_out[leg]:
+                self.homed[leg] = True
+
+    def _reply(self, counts: Counts) -> bytes:
+        if self._faults.is_silent:
+            return b""
+        assert self._first_counts is not None
+        reply = "<"
+        for leg in range(3):
+            # Before it is homed, an encoder counts from where it was when the program began.
+            count = counts[leg] - (0 if self.homed[leg] else self._first_counts[leg])
+            digits = f"{count & 0xFFFF:04x}"
+            reply += "".join(chr(ord("A") + int(digit, 16)) for digit in reversed(digits))
+        status = self.buttons + 16 * sum(2**leg for leg in range(3) if self.homed[leg])
+        return reply.encode("latin-1") + bytes((ord("A") + status,)) + b"A>"
+
+
+def _cut(count: int, limit: int) -> int:
+    return max(-limit, min(limit, count))

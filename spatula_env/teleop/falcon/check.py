@@ -1,0 +1,195 @@
+"""Finding out, step by step and in plain words, whether a Falcon works."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from spatula_env.teleop.device import DeviceError, FloatArray, limit_force
+from spatula_env.teleop.falcon.driver import Falcon
+from spatula_env.teleop.falcon.servo import PERIOD
+from spatula_env.teleop.falcon.transport import find_falcons
+
+Say = Callable[[str], None]
+Ask = Callable[[str], bool]
+
+LISTENING_TIME = 0.5
+"""How long packets are counted [s]."""
+LEAST_SHARE = 0.5
+"""Packets that must be answered, of those that could be at 1 kHz."""
+
+TEST_FORCE = 1.0
+"""Of the gentle test, about what an apple weighs [N]."""
+TEST_RISE = 0.2
+TEST_DURATION = 0.6
+"""How long the force rises, and how long it lasts in all [s]."""
+TEST_DAMPING = 10.0
+"""Keeps a grip that nobody holds from speeding up [N s/m]."""
+GREATEST_TEST_FORCE = 1.5
+"""Damping included: the hand may be moving fast [N]."""
+FAR_ENOUGH = 0.010
+"""A push ends when the grip has moved so far [m]."""
+LEAST_MOTION = 0.0005
+"""A grip that has moved less has not been pushed [m]."""
+REST = 0.3
+"""Between two pushes [s]."""
+
+PUSHES = (
+    ("to the right", (1.0, 0.0, 0.0)),
+    ("to the left", (-1.0, 0.0, 0.0)),
+    ("away from you", (0.0, 1.0, 0.0)),
+    ("towards you", (0.0, -1.0, 0.0)),
+    ("up", (0.0, 0.0, 1.0)),
+    ("down", (0.0, 0.0, -1.0)),
+)
+CONSENT = (
+    f"May the Falcon push your hand gently, with {TEST_FORCE:g} N, six times? Hold the grip loosely, "
+    "in the middle of its range."
+)
+
+
+@dataclass(frozen=True)
+class CheckStep:
+    """One step of the check.
+
+    Attributes:
+        name: ``"found"``, ``"firmware"``, ``"packets"``, ``"homed"`` or ``"force"``.
+        passed: Whether it went well; None if it was left out.
+        message: What came of it, for the operator.
+    """
+
+    name: str
+    passed: bool | None
+    message: str
+
+
+def check_falcon(
+    falcon: Falcon, say: Say, ask: Ask, find: Callable[[], Sequence[object]] | None = find_falcons
+) -> list[CheckStep]:
+    """Check a Falcon from the cable to the motors. The first step that fails is the last.
+
+    Args:
+        falcon: The device, not open; it is closed at the end.
+        say: Takes sentences for the operator.
+        ask: Takes a question for the operator, returns whether the answer was yes. Without a yes, no motor moves.
+        find: Lists the devices on the USB; None to leave that step out.
+
+    Returns:
+        The steps that were made.
+    """
+    steps: list[CheckStep] = []
+
+    def make(name: str, step: Callable[[], tuple[bool | None, str]]) -> bool:
+        try:
+            passed, message = step()
+        except (DeviceError, ImportError) as error:
+            passed, message = False, str(error)
+        steps.append(CheckStep(name, passed, message))
+        say(f"{'skipped' if passed is None else 'ok' if passed else 'FAILED'}: {message}")
+        return passed is not False
+
+    try:
+        if find is not None and not make("found", lambda: _look(find())):
+            return steps
+        _ = (
+            make("firmware", lambda: _open(falcon))
+            and make("packets", lambda: _listen(falcon))
+            and make("homed", lambda: _home(falcon, say))
+            and make("force", lambda: _push(falcon, say, ask))
+        )
+    finally:
+        falcon.close()
+    return steps
+
+
+def _look(found: Sequence[object]) -> tuple[bool, str]:
+    if not found:
+        return False, "no Novint Falcon on the USB; check the cable and the power supply"
+    return True, f"found {', '.join(map(str, found))}"
+
+
+def _open(falcon: Falcon) -> tuple[bool, str]:
+    falcon.open()
+    return True, f"the {falcon.name} is open and its firmware runs"
+
+
+def _listen(falcon: Falcon) -> tuple[bool, str]:
+    first = falcon.state()
+    until = falcon.now() + LISTENING_TIME
+    while falcon.now() < until:
+        falcon.wait_for_sample()
+    last = falcon.state()
+    rate = (last.sequence - first.sequence) / max(last.time - first.time, PERIOD)
+    statistics = falcon.statistics()
+    message = (
+        f"{rate:.0f} packets/s; 99 of 100 came within {1000.0 * statistics.late_period:.1f} ms, all within "
+        f"{1000.0 * statistics.longest_period:.1f} ms; {statistics.missed} not answered, "
+        f"{statistics.discarded_bytes} bytes of noise"
+    )
+    if rate * PERIOD < LEAST_SHARE:
+        return False, f"too few packets: {message}. Is the machine busy, or the Falcon behind a USB hub?"
+    return True, message
+
+
+def _home(falcon: Falcon, say: Say) -> tuple[bool, str]:
+    falcon.calibrate(say)
+    x, y, z = (1000.0 * value for value in _position(falcon).tolist())
+    return True, f"homed; the grip is {x:.1f} mm right of the middle, {y:.1f} mm beyond it, {z:.1f} mm above it"
+
+
+def _push(falcon: Falcon, say: Say, ask: Ask) -> tuple[bool | None, str]:
+    if not ask(CONSENT):
+        return None, "no force was tried"
+    weak = []
+    moved = []
+    for label, direction in PUSHES:
+        say(f"Pushing {label}.")
+        distance = _push_once(falcon, np.array(direction))
+        moved.append(f"{label} {1000.0 * distance:.1f} mm")
+        if distance < LEAST_MOTION:
+            weak.append(label)
+        _rest(falcon)
+    message = f"the grip moved {', '.join(moved)}"
+    if weak:
+        return False, (
+            f"not pushed {', '.join(weak)}: {message}. Was the grip held tight? Otherwise check the power supply, "
+            "and that it was homed by pulling and pushing all the way"
+        )
+    return True, message
+
+
+def _push_once(falcon: Falcon, direction: FloatArray) -> float:
+    """Push the grip until it has moved, or the time is over.
+
+    Returns:
+        How far it moved in that direction [m].
+    """
+    start = falcon.now()
+    origin = _position(falcon)
+    distance = 0.0
+    try:
+        while (elapsed := falcon.now() - start) < TEST_DURATION and distance < FAR_ENOUGH:
+            sample = falcon.read()
+            assert sample.position is not None
+            distance = float((sample.position - origin) @ direction)
+            strength = TEST_FORCE * min(1.0, elapsed / TEST_RISE)
+            force = strength * direction - TEST_DAMPING * sample.velocity
+            falcon.send_force(limit_force(force, GREATEST_TEST_FORCE))
+            falcon.wait_for_sample()
+    finally:
+        falcon.send_force(np.zeros(3))
+    return distance
+
+
+def _rest(falcon: Falcon) -> None:
+    until = falcon.now() + REST
+    while falcon.now() < until:
+        falcon.wait_for_sample()
+
+
+def _position(falcon: Falcon) -> FloatArray:
+    position = falcon.read().position
+    assert position is not None
+    return position

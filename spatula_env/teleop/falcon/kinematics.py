@@ -1,0 +1,264 @@
+"""Where the grip is, from three encoders; what the motors must do for a force on the grip.
+
+The Falcon is a translational parallel manipulator of the kind described by Stamper ("A three degree of freedom
+parallel manipulator with only translational degrees of freedom", PhD thesis, University of Maryland, 1997) and Tsai
+("Robot Analysis", Wiley, 1999), with one more offset, `TANGENT`. Three equal legs stand around the z axis. In each, a
+motor turns a thigh; a parallelogram, the shin, links the thigh's end, the knee, to the grip and keeps the grip from
+turning. The lengths are those that libnifalcon uses.
+
+Everything here is in the Falcon's frame (:mod:`spatula_env.teleop.falcon.frames`), in metres, newtons and radians. A
+leg's
+own frame is the Falcon's, turned about z by the leg's azimuth and moved to its hip. With the grip at (u, v, w) there::
+
+    sine   = sqrt(1 - ((v + PLATE_TANGENT) / SHIN)^2)        the shin's share in the plane the thigh turns in
+    reach  = SHIN_ENDS + SHIN sine                           from knee to grip in that plane
+    theta  = atan2(w, U) - acos((U^2 + w^2 + THIGH^2 - reach^2) / (2 THIGH sqrt(U^2 + w^2))),    U = u + PLATE
+
+which is the law of cosines in the triangle hip, knee, grip. theta = 0 is a thigh that lies in the plane of the base.
+"""
+
+from __future__ import annotations
+
+import math
+
+from spatula_env.teleop.falcon.vector import Matrix, Vector, norm, solve, transpose
+
+THIGH = 0.060
+"""From hip to knee [m]; the literature's a."""
+SHIN = 0.1025
+"""The parallelogram's long edge [m]; b."""
+PLATE = 0.01443
+"""From the grip's middle to its joint, radially [m]; c."""
+SHIN_ENDS = 0.01125 + 0.01125
+"""The two pieces that hold the parallelogram, together [m]; d + e."""
+PLATE_TANGENT = -0.025
+"""The grip's joint out of the leg's plane [m]; f."""
+RADIUS = 0.0400
+"""From the z axis to a hip, radially [m]; r."""
+TANGENT = -0.02309
+"""From the z axis to a hip, tangentially [m]; s."""
+AZIMUTHS: Vector = (math.radians(105.0), math.radians(-15.0), math.radians(-135.0))
+"""Where the legs stand around z, in the order of the encoders and motors [rad]."""
+
+COUNT_ANGLE = (0.01425 / 0.110) * 2.0 * math.pi / (320 * 4)
+"""What a thigh turns in one encoder count [rad]: encoder of 320 lines read fourfold, geared 14.25 mm to 110 mm."""
+ZERO_COUNT_ANGLE = math.radians(35.0)
+"""A thigh's angle where its homed encoder counts 0 [rad]."""
+
+COUNTS_PER_TORQUE = -10_000.0
+"""Motor counts for a torque on the thigh [1/(N m)].
+
+Not a calibration: libnifalcon chose the number so that forces felt like those of the vendor's program.
+"""
+MOTOR_LIMIT = 4095
+"""Greatest magnitude of a motor count."""
+
+LEAST_ANGLE = math.radians(-75.0)
+GREATEST_ANGLE = math.radians(120.0)
+"""Angles beyond these are not a Falcon's [rad]; the cube of `frames.HALF_WIDTH` takes -48 to 98 degrees."""
+
+CONVERGED = 1e-13
+"""Newton's iteration ends at a step this short [m]."""
+MOST_ITERATIONS = 60
+SHORTEST_FRACTION = 2.0**-20
+"""A Newton step is cut down to this fraction before the iteration is given up."""
+
+_LEGS = tuple((math.cos(azimuth), math.sin(azimuth)) for azimuth in AZIMUTHS)
+
+
+class UnreachableError(ValueError):
+    """A position or a set of angles that the device cannot take."""
+
+
+def inverse(position: Vector) -> Vector:
+    """The thighs' angles that put the grip somewhere.
+
+    Args:
+        position: The grip, Falcon's frame [m].
+
+    Returns:
+        The three angles [rad].
+
+    Raises:
+        UnreachableError: If a leg does not reach there.
+    """
+    angles, _ = inverse_with_jacobian(position)
+    return angles
+
+
+def inverse_with_jacobian(position: Vector) -> tuple[Vector, Matrix]:
+    """The thighs' angles, and how they change with the grip's position.
+
+    Args:
+        position: The grip, Falcon's frame [m].
+
+    Returns:
+        The three angles [rad], and their derivatives, one row for each leg [rad/m].
+
+    Raises:
+        UnreachableError: If a leg does not reach there, or is stretched so far that the derivative has no limit.
+    """
+    x, y, z = position
+    angles = []
+    rows = []
+    for cosine, sine in _LEGS:
+        radial = cosine * x + sine * y - RADIUS + PLATE
+        sideways = cosine * y - sine * x - TANGENT + PLATE_TANGENT
+        in_plane_squared = SHIN * SHIN - sideways * sideways
+        distance_squared = radial * radial + z * z
+        if not (in_plane_squared > 0.0 and distance_squared > 0.0):
+            raise _unreachable(position)
+        in_plane = math.sqrt(in_plane_squared)
+        distance = math.sqrt(distance_squared)
+        reach = SHIN_ENDS + in_plane
+        projection = (distance_squared + THIGH * THIGH - reach * reach) / (2.0 * THIGH)
+        ratio = projection / distance
+        if not -1.0 < ratio < 1.0:
+            raise _unreachable(position)
+        angles.append(math.atan2(z, radial) - math.acos(ratio))
+
+        # The total differential of theta in (radial, sideways, z), then the chain rule to (x, y, z).
+        slope = 1.0 / math.sqrt(1.0 - ratio * ratio)
+        by_distance = slope * (1.0 / THIGH - ratio / distance)
+        by_radial = by_distance * radial / distance - z / distance_squared
+        by_z = by_distance * z / distance + radial / distance_squared
+        by_sideways = slope * reach * sideways / (in_plane * THIGH * distance)
+        rows.append((by_radial * cosine - by_sideways * sine, by_radial * sine + by_sideways * cosine, by_z))
+    return (angles[0], angles[1], angles[2]), (rows[0], rows[1], rows[2])
+
+
+def forward(angles: Vector, start: Vector | None = None) -> Vector:
+    """Where the grip is, by Newton's method on `inverse_with_jacobian`.
+
+    Args:
+        angles: The three angles [rad].
+        start: Where to start, best the last known position [m]. None starts on the z axis.
+
+    Returns:
+        The grip, Falcon's frame, to within `CONVERGED` [m].
+
+    Raises:
+        UnreachableError: If the angles are no position's.
+    """
+    first, second, third = angles
+    if not (LEAST_ANGLE <= min(angles) and max(angles) <= GREATEST_ANGLE):
+        raise _impossible(angles)
+    position = start if start is not None else _on_axis(angles)
+    try:
+        current, jacobian = inverse_with_jacobian(position)
+    except UnreachableError:
+        position = _on_axis(angles)
+        current, jacobian = inverse_with_jacobian(position)
+    missing = (first - current[0], second - current[1], third - current[2])
+    for _ in range(MOST_ITERATIONS):
+        try:
+            step = solve(jacobian, missing)
+        except ZeroDivisionError:
+            raise _impossible(angles) from None
+        fraction = 1.0
+        length = norm(step)
+        # Towards the edge of the workspace a full step may leave it or lead away: shorten it until it helps.
+        while True:
+            trial = tuple(old + fraction * change for old, change in zip(position, step, strict=True))
+            try:
+                trial_angles, trial_jacobian = inverse_with_jacobian((trial[0], trial[1], trial[2]))
+            except UnreachableError:
+                pass
+            else:
+                trial_missing = (first - trial_angles[0], second - trial_angles[1], third - trial_angles[2])
+                # At the end, rounding decides which of two residuals is smaller: the step is taken, and the last.
+                if norm(trial_missing) < norm(missing) or length < CONVERGED:
+                    break
+            fraction *= 0.5
+            if fraction < SHORTEST_FRACTION:
+                raise _impossible(angles)
+        position = (trial[0], trial[1], trial[2])
+        missing, jacobian = trial_missing, trial_jacobian
+        if length < CONVERGED:
+            return position
+    raise _impossible(angles)
+
+
+def torques(force: Vector, jacobian: Matrix) -> Vector:
+    """The torques on the thighs that push the hand with a force.
+
+    The power is the same on both sides, torques . angular rates = force . velocity, and rates = jacobian . velocity.
+
+    Args:
+        force: What the grip does to the hand, Falcon's frame [N].
+        jacobian: Of `inverse_with_jacobian`, where the grip is [rad/m].
+
+    Returns:
+        The three torques [N m].
+
+    Raises:
+        UnreachableError: If the grip is where legs line up, so that no torques make such a force.
+    """
+    try:
+        return solve(transpose(jacobian), force)
+    except ZeroDivisionError:
+        raise UnreachableError("the legs line up here, so that some forces cannot be made") from None
+
+
+def torques_to_counts(values: Vector, limit: int = MOTOR_LIMIT) -> tuple[tuple[int, int, int], float]:
+    """Motor counts for torques; all three are scaled down together if one is too much, so that the direction stays.
+
+    Args:
+        values: The three torques [N m].
+        limit: Greatest magnitude of a count.
+
+    Returns:
+        The counts, and the factor by which they were scaled, at most 1.
+    """
+    first, second, third = (COUNTS_PER_TORQUE * value for value in values)
+    greatest = max(abs(first), abs(second), abs(third))
+    scale = limit / greatest if greatest > limit else 1.0
+    return (round(first * scale), round(second * scale), round(third * scale)), scale
+
+
+def counts_to_angles(counts: tuple[int, int, int]) -> Vector:
+    """The thighs' angles that homed encoders tell.
+
+    Args:
+        counts: The three encoders.
+
+    Returns:
+        The angles [rad].
+    """
+    first, second, third = counts
+    return (
+        ZERO_COUNT_ANGLE + first * COUNT_ANGLE,
+        ZERO_COUNT_ANGLE + second * COUNT_ANGLE,
+        ZERO_COUNT_ANGLE + third * COUNT_ANGLE,
+    )
+
+
+def angles_to_counts(angles: Vector) -> tuple[int, int, int]:
+    """What homed encoders count at some angles of the thighs.
+
+    Args:
+        angles: The three angles [rad].
+
+    Returns:
+        The nearest counts.
+    """
+    first, second, third = ((angle - ZERO_COUNT_ANGLE) / COUNT_ANGLE for angle in angles)
+    return round(first), round(second), round(third)
+
+
+def _on_axis(angles: Vector) -> Vector:
+    """A point on the z axis whose angles are about the mean of the three.
+
+    The line goes through the angles at z = 0.09 and 0.17 m. It stays within reach whatever the angles are.
+    """
+    mean = math.degrees(sum(angles) / 3.0)
+    return 0.0, 0.0, min(max(0.0913 + 0.00118 * mean, 0.04), 0.175)
+
+
+def _unreachable(position: Vector) -> UnreachableError:
+    return UnreachableError(f"the Falcon does not reach ({', '.join(f'{value:.4f}' for value in position)}) m")
+
+
+def _impossible(angles: Vector) -> UnreachableError:
+    degrees = ", ".join(f"{math.degrees(angle):.2f}" for angle in angles)
+    return UnreachableError(f"the legs of a Falcon cannot stand at ({degrees}) degrees")
