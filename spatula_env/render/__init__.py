@@ -1,16 +1,19 @@
-"""Pictures without a window: a small software rasteriser and what it draws.
+"""Pictures without a window, by a small software rasteriser, and a window drawn with OpenGL.
 
-`Renderer` draws `Mesh` and `Segments` seen by a `Camera`, on a `Ground`, as bytes and depth. Importing this package
-does not load Numba: the kernels are compiled, or taken from Numba's cache, when `Renderer` is first asked for.
+`Renderer` draws `Mesh` and `Segments` seen by a `Camera`, on a `Ground`, as bytes and depth. `SceneView` draws a
+`Moment` of a scene with it, and `Window` shows one. Importing this package loads neither Numba nor pyglet: kernels are
+compiled, or taken from Numba's cache, when one of the three is first asked for.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.render import palette
 from spatula_env.render.camera import Camera
+from spatula_env.render.moment import Moment
 from spatula_env.render.palette import PRESSURE, SPEED, Color, ColorMap
 from spatula_env.render.primitives import (
     BRUSHED_STEEL,
@@ -24,10 +27,12 @@ from spatula_env.render.primitives import (
     Mesh,
     Segments,
 )
-from spatula_env.render.shapes import arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh
+from spatula_env.render.shapes import arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh, tube_mesh
 
 if TYPE_CHECKING:
     from spatula_env.render.renderer import Renderer
+    from spatula_env.render.scene_view import SceneView
+    from spatula_env.render.window import Window
 
 __all__ = [
     "BRUSHED_STEEL",
@@ -44,20 +49,27 @@ __all__ = [
     "Lighting",
     "Material",
     "Mesh",
+    "Moment",
     "Renderer",
+    "SceneView",
     "Segments",
+    "Window",
     "arrow_mesh",
     "box_mesh",
     "disc_mesh",
     "palette",
     "ring_mesh",
     "sphere_mesh",
+    "tube_mesh",
 ]
 
 
+_LATER = MappingProxyType({"Renderer": "renderer", "SceneView": "scene_view", "Window": "window"})
+
+
 def __getattr__(name: str) -> Any:
-    if name == "Renderer":
-        return import_module("spatula_env.render.renderer").Renderer
+    if name in _LATER:
+        return getattr(import_module(f"spatula_env.render.{_LATER[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

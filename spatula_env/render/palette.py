@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +26,10 @@ FORCE: Color = (0.13, 0.42, 0.80)
 """Arrows of forces."""
 GOAL: Color = (0.10, 0.62, 0.47)
 """Goals and targets."""
+MARKER: Color = (0.34, 0.20, 0.62)
+"""Gentian violet, with which surgeons mark tissue: parts of the organ that a task is about."""
+CAUTION: Color = (0.62, 0.07, 0.10)
+"""What must be spared."""
 FEASIBLE: Color = (0.16, 0.65, 0.35)
 """Contact nodes whose contact counts."""
 UNFEASIBLE: Color = (0.84, 0.20, 0.22)
@@ -106,18 +111,27 @@ class ColorMap:
 
     The stops are joined by straight lines in Oklab and the path is walked at constant speed, so no part of the range
     looks flatter than another and none shows an edge that the data does not have. If the lightness of the stops is
-    monotonic, so is the map's, and it can be read in grey as well.
+    monotonic, so is the map's, and it can be read in grey as well. Where values are named at which stops are to be
+    reached, the speed is constant between two stops.
 
     Attributes:
         stops: two or more colours, from the lowest value to the highest.
+        positions: where in the range each stop is reached, from 0 to 1, ascending; None: where constant speed gets.
     """
 
     stops: tuple[Color, ...]
+    positions: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self.stops) < 2:
             raise ValueError(f"stops must be two colours or more, got {len(self.stops)}")
         object.__setattr__(self, "stops", tuple(to_color(stop, "stops") for stop in self.stops))
+        if self.positions is None:
+            return
+        at = tuple(float(position) for position in self.positions)
+        if len(at) != len(self.stops) or at[0] != 0.0 or at[-1] != 1.0 or any(b <= a for a, b in pairwise(at)):
+            raise ValueError(f"positions must ascend from 0 to 1, {len(self.stops)} of them, got {self.positions}")
+        object.__setattr__(self, "positions", at)
 
     @cached_property
     def table(self) -> NDArray[np.float64]:
@@ -127,6 +141,8 @@ class ColorMap:
         if not bool(np.all(lengths > 0.0)):
             raise ValueError(f"stops must differ from one to the next, got {self.stops}")
         at = np.concatenate([[0.0], np.cumsum(lengths)]) / lengths.sum()
+        if self.positions is not None:
+            at = np.array(self.positions)
         wanted = np.linspace(0.0, 1.0, 256)
         table = oklab_to_srgb(np.stack([np.interp(wanted, at, stops[:, k]) for k in range(3)], axis=1))
         table.flags.writeable = False
@@ -157,8 +173,18 @@ class ColorMap:
         return np.asarray(self.table[index] * (1.0 - part) + self.table[index + 1] * part)
 
 
-PRESSURE = ColorMap((TISSUE, (0.88, 0.51, 0.16), (0.74, 0.25, 0.11), (0.36, 0.03, 0.07)))
-"""Contact pressure on the organ: bare tissue, amber, red, dark red. Lightness only falls, so it reads in grey too."""
+PRESSURE_LIMITS = (2670.0, 4000.0)
+"""Contact pressures that colours warn of: 20 and 30 mmHg [Pa]."""
+
+HIGHEST_PRESSURE = 8000.0
+"""Where the colours of pressure end [Pa]."""
+
+PRESSURE = ColorMap(
+    (TISSUE, (0.89, 0.48, 0.02), (0.70, 0.07, 0.13), (0.27, 0.0, 0.16)),
+    positions=(0.0, PRESSURE_LIMITS[0] / HIGHEST_PRESSURE, PRESSURE_LIMITS[1] / HIGHEST_PRESSURE, 1.0),
+)
+"""Contact pressure on the organ from zero to `HIGHEST_PRESSURE`: bare tissue, amber at the lower limit, crimson at the
+upper one, nearly black. Lightness only falls, so it reads in grey too; between the limits it falls fastest."""
 
 SPEED = ColorMap(((0.80, 0.86, 0.95), (0.30, 0.55, 0.85), (0.08, 0.20, 0.50)))
 """Motion, for trails and speeds: pale to deep blue."""

@@ -19,7 +19,7 @@ _STYLES = {"plain": 0.0, "grid": 1.0, "checker": 2.0}
 _BAND = 16384
 """Samples in a band."""
 
-_WRAPS = (0.50, 0.22, 0.16)
+WRAPS = (0.50, 0.22, 0.16)
 """How far red, green and blue light bleeds around in flesh, as a cosine: red is absorbed least."""
 
 
@@ -275,7 +275,7 @@ class Renderer:
                 flags |= k.CAPPED
             point, normal = mesh.clip_plane
             plane = (*normal, sum(x * n for x, n in zip(point, normal, strict=True)))
-        wraps = [reach * material.subsurface for reach in _WRAPS]
+        wraps = [reach * material.subsurface for reach in WRAPS]
         # The order of the columns in `layout`.
         self._parameters[m] = (
             mesh.opacity,

@@ -39,7 +39,7 @@ from spatula_env.render.rasterizer import bounds, collect_limits, edges, is_thin
 
 
 @kernel("void(f8[:,::1], f8[:,::1], i4[:,::1], i4[::1], i8, i4[::1], f8[:,::1], f4[:,::1], i4[:,::1])")
-def _draw_flat(
+def draw_flat(
     points: Floats,
     p: Floats,
     triangles: Indices,
@@ -222,7 +222,7 @@ def cast_shadows(
         light[MAP_BOX + k] = box[k] + (2.0 * soft + 2.0 * texel) * (1.0 if k & 1 else -1.0)
     map_depth[:] = -math.inf
     map_mesh[:] = -1
-    _draw_flat(points, p, triangles, owner, count, flags, parameters, map_depth, map_mesh)
+    draw_flat(points, p, triangles, owner, count, flags, parameters, map_depth, map_mesh)
     if view[GROUND_SEEN] == 0.0:
         return
 
@@ -250,7 +250,7 @@ def cast_shadows(
                 p[i, 1] = (points[i, 1] - light[UNDER_Y]) / texel
                 p[i, 2] = height - points[i, 2]
     under_depth[:] = -math.inf
-    _draw_flat(points, p, triangles, owner, count, flags, parameters, under_depth, under_mesh)
+    draw_flat(points, p, triangles, owner, count, flags, parameters, under_depth, under_mesh)
     reach = 1.0 / max(4.0 * soft, 1e-6)
     for y in range(under_size):
         for x in range(under_size):

@@ -1,4 +1,4 @@
-"""Ready-made meshes: spheres, boxes, arrows, discs and rings."""
+"""Ready-made meshes: spheres, boxes, arrows, discs, rings and tubes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -283,6 +284,61 @@ def ring_mesh(
         material=material,
         casts_shadow=casts_shadow,
     )
+
+
+def tube_mesh(
+    points: ArrayLike,
+    *,
+    width: float = 0.05,
+    color: Color = GOAL,
+    opacity: float = 1.0,
+    sides: int = 8,
+    material: Material = MATTE,
+    casts_shadow: bool = False,
+) -> Mesh:
+    """A tube from point to point, such as a path. Its ends are open.
+
+    Args:
+        points: u (P, 3); equal neighbours are taken for one point. Fewer than two give a mesh without triangles.
+        width: of the tube, u, above zero.
+        color: of the surface.
+        opacity: 0..1.
+        sides: around it, 3 or more.
+        material: of the surface.
+        casts_shadow: onto the ground and other meshes.
+
+    Returns:
+        An open mesh.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    check_positive(width, "width")
+    _check_sides(sides)
+    line = np.asarray(points, dtype=np.float64)
+    if line.ndim != 2 or line.shape[1] != 3:
+        raise ValueError(f"points must have the shape (P, 3), got {line.shape}")
+    steps = np.diff(line, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    line = line[np.concatenate([[True], lengths > 1e-9])] if len(line) else line
+    look: dict[str, Any] = {"color": color, "opacity": opacity, "material": material, "casts_shadow": casts_shadow}
+    if len(line) < 2:
+        return Mesh(np.zeros((1, 3)), np.zeros((0, 3), dtype=np.int32), **look)
+    directions = (steps / np.maximum(lengths, 1e-300)[:, None])[lengths > 1e-9]
+    along = np.concatenate([directions[:1], directions[1:] + directions[:-1], directions[-1:]])
+    # The axis that no part of the tube runs along.
+    helper = np.eye(3)[int(np.argmin(np.abs(directions).max(axis=0)))]
+    first = np.cross(helper, along) + 1e-9 * np.roll(helper, 1)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(along, first)
+    second /= np.maximum(np.linalg.norm(second, axis=1, keepdims=True), 1e-300)
+    turn = 2.0 * np.pi * np.arange(sides)[None, :, None] / sides
+    rings = line[:, None] + 0.5 * width * (np.cos(turn) * first[:, None] + np.sin(turn) * second[:, None])
+    i, j = np.meshgrid(np.arange(len(line) - 1), np.arange(sides), indexing="ij")
+    a, b = i * sides + j, i * sides + (j + 1) % sides
+    c, d = b + sides, a + sides
+    triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
+    return Mesh(rings.reshape(-1, 3), triangles.astype(np.int32), **look)
 
 
 def quaternion_matrix(orientation: ArrayLike) -> NDArray[np.float64]:

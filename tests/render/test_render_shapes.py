@@ -4,8 +4,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from spatula_env.render import Mesh, Segments, arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh
+from spatula_env.render import Mesh, Segments, arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh, tube_mesh
 
 
 def volume(mesh: Mesh) -> float:
@@ -141,3 +143,32 @@ def test_polyline_and_circle():
 def test_bad_shapes(name, make):
     with pytest.raises(ValueError, match=name):
         make()
+
+
+@given(st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=2, max_size=6, unique=True))
+def test_a_tube_keeps_its_distance_from_the_line(points):
+    line = np.array(points)
+    mesh = tube_mesh(line, width=0.2, sides=6)
+    rings = mesh.vertices.reshape(-1, 6, 3)
+    kept = line[np.concatenate([[True], np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-9])]
+    if len(kept) < 2:
+        assert len(mesh.triangles) == 0
+        return
+    np.testing.assert_allclose(rings.mean(axis=1), kept, atol=1e-9)
+    assert np.linalg.norm(rings - kept[:, None], axis=-1).max() < 0.1 + 1e-9
+    assert len(mesh.triangles) == 2 * 6 * (len(kept) - 1)
+
+
+def test_a_straight_tube_is_a_cylinder_seen_from_outside():
+    mesh = tube_mesh([(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 3.0)], width=0.4, sides=12)
+    np.testing.assert_allclose(np.hypot(*mesh.vertices[:, :2].T), 0.2, atol=1e-6)
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    middle = (a + b + c) / 3.0 * (1.0, 1.0, 0.0)
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), middle) > 0.0).all()
+
+
+def test_a_tube_needs_points_of_three_numbers():
+    with pytest.raises(ValueError, match="points must have the shape"):
+        tube_mesh([(0.0, 1.0)])
+    with pytest.raises(ValueError, match="width"):
+        tube_mesh([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], width=0.0)

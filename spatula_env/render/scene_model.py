@@ -1,0 +1,239 @@
+"""What there is to draw of a scene: organs with their contact pressure, tools, forces, and what a task asks for.
+
+It makes meshes and lines and draws nothing: `SceneView` makes pictures of them, `Window` shows them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from spatula_env.geometry.transforms import rotation_matrix
+from spatula_env.render.camera import Vector
+from spatula_env.render.display_surface import DisplaySurface, vertex_normals
+from spatula_env.render.moment import Moment
+from spatula_env.render.occlusion import openness
+from spatula_env.render.palette import (
+    CAUTION,
+    FORCE,
+    GOAL,
+    HIGHEST_PRESSURE,
+    MARKER,
+    PRESSURE,
+    STEEL,
+    TISSUE,
+    TISSUE_INSIDE,
+)
+from spatula_env.render.primitives import BRUSHED_STEEL, WET_TISSUE, Ground, Mesh
+from spatula_env.render.shapes import arrow_mesh, ring_mesh, sphere_mesh, tube_mesh
+from spatula_env.tasks.marks import Patch, Path, Points, Ring
+
+if TYPE_CHECKING:
+    from spatula_env.scenes import Scene
+
+FloatArray = NDArray[np.float64]
+
+ARROW_LENGTH = 4.0
+"""Length of a force's arrow [u/N]."""
+
+LONGEST_ARROW = 2.5
+"""Arrows of greater forces end there [u]."""
+
+LEAST_FORCE = 0.01
+"""A smaller force is not drawn [N]."""
+
+LINE_WIDTH = 0.05
+"""Of rings and paths [u]."""
+
+PRESSURE_REACH = 0.32
+"""How far around a contact node the organ is coloured [u]: tools hide what lies under them."""
+
+PALE_PRESSURE = 400.0
+"""At this pressure the colour of pressure has taken the place of what is under it [Pa]."""
+
+DARKEST = 0.22
+"""How bright a point of the organ is that sees nothing of the room."""
+
+ROLE_COLORS = MappingProxyType({"goal": GOAL, "target": MARKER, "caution": CAUTION})
+"""Colours of patches."""
+
+
+@dataclass(frozen=True, eq=False)
+class Composition:
+    """What there is to draw at one moment.
+
+    Attributes:
+        meshes: Organs first, then tools and arrows.
+        marks: What shows a goal.
+        ground: The plane under everything, or None.
+        curves: (K, 3) each: points along marks that are to shine through what hides them [u].
+    """
+
+    meshes: list[Mesh]
+    marks: list[Mesh]
+    ground: Ground | None
+    curves: list[FloatArray]
+
+
+class SceneModel:
+    """Makes what there is to draw of one scene, moment after moment."""
+
+    def __init__(self, scene: Scene, triangles: NDArray[np.int32], levels: int | None = None) -> None:
+        """Prepare the meshes.
+
+        Args:
+            scene: With organs and tools.
+            triangles: (T, 3) of all organs, indices of all their nodes.
+            levels: How many times to split the organs' triangles in four; None: until they are small.
+        """
+        nodes = np.concatenate([placed.vertices for placed in scene.organs])
+        self._surface = surface = DisplaySurface(nodes, triangles, levels)
+        normals = vertex_normals(surface.rest, surface.triangles)
+        light = DARKEST + (1.0 - DARKEST) * openness(surface.rest, normals, surface.triangles)
+        # Colours are display values: the root of light, about.
+        self._gain = np.minimum(light, 1.0)[:, None] ** (1.0 / 2.2)
+        self._tissue = np.ascontiguousarray(self._gain * TISSUE)
+        self._organ = Mesh(
+            surface.rest,
+            surface.triangles,
+            color=TISSUE,
+            vertex_colors=self._tissue,
+            material=WET_TISSUE,
+            texture=surface.rest,
+        )
+        self._tools = [
+            Mesh(
+                placed.tool.vertices,
+                placed.tool.triangles,
+                color=STEEL,
+                smooth=False,
+                material=BRUSHED_STEEL,
+                texture=np.array(placed.tool.vertices),
+            )
+            for placed in scene.tools
+        ]
+        self._contact_nodes = [np.array(placed.tool.nodes) for placed in scene.tools]
+        self._contact_normals = [np.array(placed.tool.normals) for placed in scene.tools]
+        self._ground = None
+        if scene.ground is not None:
+            middle = 0.5 * (nodes.min(axis=0) + nodes.max(axis=0))
+            self._ground = Ground(scene.ground.height, center=(float(middle[0]), float(middle[1])))
+
+    def compose(self, moment: Moment, cut: tuple[Vector, Vector] | None = None) -> Composition:
+        """What there is to draw at one moment.
+
+        Args:
+            moment: The moment.
+            cut: (point, normal): organs are cut open, and their part on the side of the normal is taken away.
+
+        Raises:
+            ValueError: If the number of tools, of forces or of pressures is not that of the scene.
+        """
+        count = len(self._tools)
+        positions = _rows(moment.tool_positions, "tool_positions", count, 3)
+        orientations = _rows(moment.tool_orientations, "tool_orientations", count, 4)
+        rotations = [rotation_matrix(orientation) for orientation in orientations]
+        nodes = np.asarray(moment.nodes, dtype=np.float64)
+        points = self._surface.place(nodes)
+        colors = self._tissue
+        patches = [mark for mark in moment.marks if isinstance(mark, Patch)]
+        if patches:
+            colors = self._patched(colors, patches, len(nodes))
+        if moment.pressures is not None:
+            if len(moment.pressures) != count:
+                raise ValueError(f"pressures must be given for {count} tools, got {len(moment.pressures)}")
+            for index, pressure in enumerate(moment.pressures):
+                places = positions[index] + moment.tool_scale * self._contact_nodes[index] @ rotations[index].T
+                out = self._contact_normals[index] @ rotations[index].T
+                colors = self._pressed(colors, points, places, out, pressure)
+        organ = replace(self._organ, vertices=points, vertex_colors=colors)
+        if cut is not None:
+            organ = replace(organ, clip_plane=cut, capped=True, back_color=TISSUE_INSIDE)
+        meshes = [organ]
+        for tool, position, rotation in zip(self._tools, positions, rotations, strict=True):
+            meshes.append(replace(tool, vertices=position + moment.tool_scale * tool.vertices @ rotation.T))
+        if moment.forces is not None:
+            for position, force in zip(positions, _rows(moment.forces, "forces", count, 3), strict=True):
+                size = float(np.linalg.norm(force))
+                if size > LEAST_FORCE:
+                    length = min(ARROW_LENGTH, LONGEST_ARROW / size)
+                    meshes.append(arrow_mesh(position, length * force, color=FORCE, casts_shadow=False))
+        signs: list[Mesh] = []
+        curves: list[FloatArray] = []
+        for mark in moment.marks:
+            if isinstance(mark, Ring):
+                signs.append(ring_mesh(mark.point, mark.radius, width=LINE_WIDTH, casts_shadow=False))
+                curves.append(_circle(mark.point, mark.radius))
+            elif isinstance(mark, Path):
+                signs.append(tube_mesh(mark.points, width=LINE_WIDTH))
+                curves.append(mark.points)
+            elif isinstance(mark, Points):
+                signs.append(sphere_mesh(mark.points, 2.0 * LINE_WIDTH, casts_shadow=False))
+                curves += [_circle(point, 2.0 * LINE_WIDTH) for point in mark.points]
+        ground = self._ground
+        if ground is not None and moment.ground_height is not None:
+            ground = replace(ground, height=moment.ground_height)
+        return Composition(meshes, signs, ground, curves)
+
+    def _patched(self, colors: FloatArray, patches: Sequence[Patch], count: int) -> FloatArray:
+        """Colours (V', 3) with some patches of the organ's `count` nodes coloured."""
+        colors = colors.copy()
+        for patch in patches:
+            inside = np.zeros((count, 1))
+            inside[patch.nodes] = 1.0
+            # Up to the middle of the edges that leave the patch, where it is split that far.
+            share = np.clip(2.0 * self._surface.interpolate(inside) - 1.0, 0.0, 1.0)
+            # Dye darkens less than shadow does: a patch at the bottom of a fissure must be seen.
+            dye = np.sqrt(self._gain) * ROLE_COLORS[patch.role]
+            colors += 0.8 * share * (dye - colors)
+        return colors
+
+    def _pressed(
+        self, colors: FloatArray, points: FloatArray, places: FloatArray, out: FloatArray, pressure: FloatArray
+    ) -> FloatArray:
+        """Colours (V', 3) of vertices at (V', 3) with the pressure (n,) on contact nodes of a tool.
+
+        The nodes are at (n, 3), and their faces look along (n, 3).
+        """
+        pressure = np.asarray(pressure, dtype=np.float64)
+        if pressure.shape != (len(places),):
+            raise ValueError(f"pressures must be given for {len(places)} contact nodes, got {pressure.shape}")
+        pressing = np.flatnonzero(pressure > 0.05 * PALE_PRESSURE)
+        if not len(pressing):
+            return colors
+        places, out, pressure = places[pressing], out[pressing], pressure[pressing]
+        low, high = places.min(axis=0) - PRESSURE_REACH, places.max(axis=0) + PRESSURE_REACH
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+        if not len(near):
+            return colors
+        normals = vertex_normals(points, self._surface.triangles)[near]
+        away = ((points[near, None] - places) ** 2).sum(axis=2) / PRESSURE_REACH**2
+        # The wall that a face presses looks towards it; another wall close by does not.
+        facing = np.clip(0.3 - 2.0 * (normals @ out.T), 0.0, 1.0)
+        falloff = np.maximum(1.0 - away, 0.0)
+        felt = (falloff * facing * pressure).max(axis=1)
+        share = 0.9 * np.minimum(felt / PALE_PRESSURE, 1.0)[:, None]
+        warm = PRESSURE(felt, 0.0, HIGHEST_PRESSURE) * np.sqrt(self._gain[near])
+        colors = colors.copy()
+        colors[near] += share * (warm - colors[near])
+        return colors
+
+
+def _rows(values: ArrayLike, name: str, count: int, size: int) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape == (size,):
+        array = array[None]
+    if array.shape != (count, size):
+        raise ValueError(f"{name} must have the shape ({count}, {size}), got {array.shape}")
+    return array
+
+
+def _circle(point: FloatArray, radius: float) -> FloatArray:
+    angle = np.linspace(0.0, 2.0 * np.pi, 361)
+    circle: FloatArray = point + radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    return circle

@@ -1,0 +1,224 @@
+"""A window in which an episode can be watched, and turned with the mouse."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.render.camera import Camera
+from spatula_env.render.moment import Moment
+from spatula_env.render.orbit import Orbit
+from spatula_env.render.scene_model import Composition, SceneModel
+from spatula_env.render.viewpoints import default_camera
+
+if TYPE_CHECKING:
+    from spatula_env.scenes import Scene
+
+DEGREES_PER_PIXEL = 0.35
+"""How far the scene turns when the mouse is dragged."""
+
+PATIENCE = 1.0 / 60.0
+"""How long the window waits between two looks at mouse and keyboard [s]."""
+
+
+class Window:
+    """Shows one scene, moment after moment, in an OpenGL window.
+
+    Drag with the left button to turn, with the right or the middle one to shift, scroll to move closer; R goes back to
+    the first view, Escape closes the window. Nobody waits for a window that the user has closed.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        triangles: NDArray[np.int32],
+        width: int = 640,
+        height: int = 640,
+        *,
+        frames_per_second: float | None = 20.0,
+        camera: Camera | None = None,
+        title: str = "spatula_env",
+        visible: bool = True,
+    ) -> None:
+        """Open the window.
+
+        Args:
+            scene: With organs and tools.
+            triangles: (T, 3) of all organs.
+            width: Of the picture [pixels].
+            height: Of the picture [pixels].
+            frames_per_second: How many moments are shown in a second at most; None: as many as come.
+            camera: The first view; by default one that suits the kind of scene.
+            title: Of the window.
+            visible: Whether it is on the screen at once.
+
+        Raises:
+            ImportError: If pyglet is not installed.
+            RuntimeError: If there is no display, or no OpenGL 3.3 on it.
+        """
+        self._window, painter = _open(width, height, title, visible)
+        self._painter = painter()
+        self._model = SceneModel(scene, triangles)
+        self._orbit = Orbit(camera or default_camera(scene, width / height))
+        self._period = 0.0 if frames_per_second is None else 1.0 / frames_per_second
+        self._last = -np.inf
+        self._composition: Composition | None = None
+        self._leaving = self._stale = False
+        self._closed = False
+        self._window.push_handlers(
+            on_close=self._on_close,
+            on_key_press=self._on_key_press,
+            on_mouse_drag=self._on_mouse_drag,
+            on_mouse_scroll=self._on_mouse_scroll,
+            on_resize=self._on_change,
+            on_expose=self._on_change,
+        )
+
+    @property
+    def closed(self) -> bool:
+        """Whether the window is gone, whoever closed it."""
+        return self._closed
+
+    @property
+    def camera(self) -> Camera:
+        """The view."""
+        return self._orbit.camera
+
+    def show(self, moment: Moment) -> None:
+        """Show a moment, and return when it is time for the next one; meanwhile the scene can be turned.
+
+        Does nothing if the window is closed.
+
+        Args:
+            moment: What there is to see.
+
+        Raises:
+            ValueError: If an array has a wrong shape.
+        """
+        if self._closed:
+            return
+        self._composition = self._model.compose(moment)
+        self._draw()
+        while True:
+            self._listen()
+            left = self._last + self._period - time.perf_counter()
+            if self._closed or left <= 0.0:
+                break
+            time.sleep(min(left, PATIENCE))
+        self._last = time.perf_counter()
+
+    def listen(self) -> None:
+        """Answer mouse and keyboard, without waiting. Does nothing if the window is closed."""
+        if not self._closed:
+            self._listen()
+
+    def picture(self) -> NDArray[np.uint8]:
+        """What the window shows: (height, width, 3).
+
+        Raises:
+            RuntimeError: If the window is closed, or nothing has been shown yet.
+        """
+        if self._closed or self._composition is None:
+            raise RuntimeError("there is no picture: the window is closed, or nothing has been shown")
+        from spatula_env.render.gl_painter import read_picture
+
+        self._draw(flip=False)
+        return read_picture(*self._window.get_framebuffer_size())
+
+    def close(self) -> None:
+        """Close the window. Closing twice is allowed."""
+        if not self._closed:
+            self._closed = True
+            self._window.close()
+
+    def _draw(self, *, flip: bool = True) -> None:
+        assert self._composition is not None
+        self._window.switch_to()
+        self._painter.draw(self._composition, self.camera, *self._window.get_framebuffer_size())
+        self._stale = False
+        if flip:
+            self._window.flip()
+
+    def _listen(self) -> None:
+        self._window.switch_to()
+        self._window.dispatch_events()
+        if self._leaving:
+            # Not while its events are being handed out.
+            self.close()
+        elif self._stale and self._composition is not None:
+            self._draw()
+
+    # ------------------------------------------------------------------------------------------------ events
+    # A true answer keeps pyglet's own from being given.
+
+    def _on_close(self) -> bool:
+        self._leaving = True
+        return True
+
+    def _on_key_press(self, symbol: int, modifiers: int) -> bool:
+        from pyglet.window import key
+
+        if symbol == key.ESCAPE:
+            self._leaving = True
+        elif symbol == key.R:
+            self._orbit.reset()
+            self._stale = True
+        return True
+
+    def _on_mouse_drag(self, x: float, y: float, right: float, up: float, buttons: int, modifiers: int) -> bool:
+        from pyglet.window import mouse
+
+        if buttons & mouse.LEFT:
+            self._orbit.turn(DEGREES_PER_PIXEL * right, DEGREES_PER_PIXEL * up)
+        else:
+            height = self._window.height
+            self._orbit.shift(right / height, up / height)
+        self._stale = True
+        return True
+
+    def _on_mouse_scroll(self, x: float, y: float, sideways: float, steps: float) -> bool:
+        self._orbit.move(steps)
+        self._stale = True
+        return True
+
+    def _on_change(self, *size: int) -> bool:
+        self._stale = True
+        return True
+
+
+def _open(width: int, height: int, title: str, visible: bool) -> tuple[Any, Any]:
+    """A pyglet window with its context current, and what draws in it."""
+    try:
+        import pyglet
+    except ImportError as error:
+        raise ImportError("a window needs pyglet: pip install 'spatula-env[window]'") from error
+    if "pyglet.gl" not in sys.modules:
+        # Asking for errors after every call takes longer than the calls.
+        pyglet.options.debug_gl = False
+    try:
+        from pyglet.gl import Config
+        from pyglet.window import NoSuchConfigException
+        from pyglet.window import Window as Pane
+
+        make_config: Any = Config
+        options: dict[str, Any] = {"caption": title, "resizable": True, "vsync": False, "visible": visible}
+        version: dict[str, Any] = {"major_version": 3, "minor_version": 3, "double_buffer": True, "depth_size": 24}
+        try:
+            smooth = make_config(sample_buffers=1, samples=4, **version)
+            pane = Pane(width, height, config=smooth, **options)
+        except NoSuchConfigException:
+            pane = Pane(width, height, config=make_config(**version), **options)
+    except Exception as error:
+        raise RuntimeError(
+            "no window with OpenGL 3.3 could be opened: a display is needed (on Linux the variable DISPLAY names it; "
+            "without a screen, run under `xvfb-run`), or use render_mode='rgb_array', which needs none; "
+            f"pyglet said: {type(error).__name__}: {error}"
+        ) from error
+    pane.switch_to()
+    from spatula_env.render.gl_painter import GLPainter
+
+    return pane, GLPainter

@@ -1,0 +1,58 @@
+"""The picture of the tasks: is it of a size for a README, and does it show what its script says?"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import spatula_env  # noqa: F401
+
+Image = pytest.importorskip(
+    "PIL.Image", reason="pictures are put together with Pillow: pip install 'spatula-env[demo]'"
+)
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("task_pictures", ROOT / "scripts" / "task_pictures.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["task_pictures"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["task_pictures"]
+
+
+def test_every_task_has_a_picture(script):
+    ids = {f"Spatula/{task}-v0" for task in script.SEEDS}
+    assert ids == {name for name in gym.registry if name.startswith("Spatula/")}
+    path = ROOT / "docs" / "images" / "tasks.png"
+    assert path.stat().st_size <= script.MOST_BYTES
+    with Image.open(path) as picture:
+        assert picture.size == (5 * script.SIDE + 4 * script.GAP, script.SIDE + 2 * script.STRIP)
+
+
+def test_an_expert_is_shown_when_it_has_solved_its_task(script, capsys):
+    picture = script.solve("Press", "batch", script.SEEDS["Press"])
+    assert picture.shape == (script.SIDE, script.SIDE, 3)
+    assert "Press: solved" in capsys.readouterr().out
+
+
+def test_a_file_is_never_too_large(script):
+    noise = np.random.default_rng(0).integers(0, 256, (script.SIDE, script.SIDE, 3), dtype=np.uint8)
+    smooth = np.broadcast_to(np.arange(script.SIDE, dtype=np.uint8)[:, None, None], noise.shape)
+    sheet = script.tile({"Noise": noise, "Smooth": np.ascontiguousarray(smooth)})
+    data = script.encode(sheet)
+    assert len(data) <= script.MOST_BYTES
+    with Image.open(io.BytesIO(data)) as read:
+        assert read.size == sheet.size
+    wide = Image.fromarray(np.random.default_rng(0).integers(0, 256, (900, 900, 3), dtype=np.uint8))
+    with pytest.raises(ValueError, match="does not fit into 250000 bytes"):
+        script.encode(wide)
