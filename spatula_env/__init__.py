@@ -44,15 +44,24 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
+TASKS = ("Press", "Retract", "Fissure", "Clamp", "Palpate")
+"""Names of the tasks; their ids are Spatula/<name>-v0."""
+
+EPISODE_STEPS = 200
+"""Control steps in an episode, unless `max_episode_steps` says otherwise: 10 s."""
+
+
 def _register() -> None:
     """Tell Gymnasium what there is. It finds nothing in packages that are not imported."""
-    if "Spatula/Press-v0" not in gymnasium.registry:
-        gymnasium.register(
-            id="Spatula/Press-v0",
-            entry_point="spatula_env.envs.press:PressEnv",
-            vector_entry_point="spatula_env.envs.press:PressVectorEnv",
-            max_episode_steps=200,
-        )
+    for name in TASKS:
+        if f"Spatula/{name}-v0" not in gymnasium.registry:
+            module = f"spatula_env.envs.{name.lower()}"
+            gymnasium.register(
+                id=f"Spatula/{name}-v0",
+                entry_point=f"{module}:{name}Env",
+                vector_entry_point=f"{module}:{name}VectorEnv",
+                max_episode_steps=EPISODE_STEPS,
+            )
 
 
 _register()

@@ -5,6 +5,10 @@ They demonstrate, and they show what is possible.
 
 from __future__ import annotations
 
+from agents.experts.clamp import ClampExpert
+from agents.experts.fissure import FissureExpert
+from agents.experts.palpate import PalpateExpert
 from agents.experts.press import PressExpert
+from agents.experts.retract import RetractExpert
 
-__all__ = ["PressExpert"]
+__all__ = ["ClampExpert", "FissureExpert", "PalpateExpert", "PressExpert", "RetractExpert"]

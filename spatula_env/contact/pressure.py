@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, kernel
-from spatula_env.contact.rigid import turn
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, POINT
 
 F8, F8_2, I4 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4"]
@@ -29,6 +28,70 @@ def contact_table(constraints, count):  # type: ignore[no-untyped-def]
         table[c, 6] = constraints.features[c, OWNER]
         table[c, 7] = constraints.features[c, PLANE]
     return table
+
+
+@inline_kernel
+def into_tool_frame(place: np.ndarray, position: np.ndarray, rotation: np.ndarray, point: np.ndarray) -> None:
+    """Write a point (3,) of the world in the frame of a tool at a position (3,), turned by a rotation matrix (9,)."""
+    x, y, z = place[0] - position[0], place[1] - position[1], place[2] - position[2]
+    for axis in range(3):
+        point[axis] = rotation[axis] * x + rotation[3 + axis] * y + rotation[6 + axis] * z
+
+
+@inline_kernel
+def share_push(
+    point: np.ndarray,
+    plane: int,
+    nodes: np.ndarray,
+    face: np.ndarray,
+    areas: np.ndarray,
+    flags: np.ndarray,
+    reach: float,
+    first: int,
+    end: int,
+    shares: np.ndarray,
+) -> float:
+    """Share a push out among the nodes of a tool.
+
+    Args:
+        point: (3,) where, tool frame [u].
+        plane: The face that it acts on.
+        nodes: (n, 3) tool frame [u].
+        face: (n,).
+        areas: (n,) [u2].
+        flags: (n,) nodes in contact.
+        reach: How far a push is spread [u].
+        first: No node of the face comes before this one.
+        end: Nor is this one of them, nor one after it.
+        shares: (n,) written, zero or more; from `first` to `end` if that is not nothing, and else all of them.
+
+    Returns:
+        Their sum.
+    """
+    total, nearest, least = 0.0, 0, np.inf
+    for grade in range(3):
+        # First the flagged nodes of the face, then all of them, then those of any face.
+        low, high = first, end
+        if grade == 2:
+            low, high = 0, nodes.shape[0]
+        total = 0.0
+        for i in range(low, high):
+            shares[i] = 0.0
+            if (grade < 2 and face[i] != plane) or (grade == 0 and not flags[i]):
+                continue
+            x, y, z = nodes[i, 0] - point[0], nodes[i, 1] - point[1], nodes[i, 2] - point[2]
+            away = x * x + y * y + z * z
+            if away < least:
+                nearest, least = i, away
+            falloff = 1.0 - away / (reach * reach)
+            if falloff > 0.0:
+                shares[i] = areas[i] * falloff * falloff
+                total += shares[i]
+        if least < np.inf:
+            break
+    if total == 0.0:
+        shares[nearest] = total = 1.0
+    return total
 
 
 @kernel(types.void(F8_2, types.int64, F8, F8, F8_2, I4, F8, ARRAYS["b1"], types.float64, types.float64, F8_2))
@@ -62,34 +125,86 @@ def spread_forces(
     """
     forces[:] = 0.0
     count = nodes.shape[0]
-    places, shares = np.empty((count, 3)), np.empty(count)
-    for i in range(count):
-        places[i, 0], places[i, 1], places[i, 2] = turn(rotation, nodes[i])
+    shares, point = np.empty(count), np.empty(3)
     for c in range(table.shape[0]):
         if table[c, 6] != tool or (table[c, 3] == 0.0 and table[c, 4] == 0.0 and table[c, 5] == 0.0):
             continue
-        total, nearest, least = 0.0, 0, np.inf
-        for grade in range(3):
-            # First the flagged nodes of the face, then all of them, then those of any face.
-            total = 0.0
-            for i in range(count):
-                shares[i] = 0.0
-                if (grade < 2 and face[i] != table[c, 7]) or (grade == 0 and not flags[i]):
-                    continue
-                away = 0.0
-                for axis in range(3):
-                    away += (places[i, axis] + position[axis] - table[c, axis]) ** 2
-                if away < least:
-                    nearest, least = i, away
-                falloff = 1.0 - away / (reach * reach)
-                if falloff > 0.0:
-                    shares[i] = areas[i] * falloff * falloff
-                    total += shares[i]
-            if total > 0.0 or least < np.inf:
-                break
-        if total == 0.0:
-            shares[nearest] = total = 1.0
+        into_tool_frame(table[c, :3], position, rotation, point)
+        total = share_push(point, int(table[c, 7]), nodes, face, areas, flags, reach, 0, count, shares)
         for i in range(count):
             if shares[i] > 0.0:
                 for axis in range(3):
                     forces[i, axis] -= table[c, 3 + axis] * shares[i] / (total * dt)
+
+
+@inline_kernel
+def node_pressures(
+    rows: np.ndarray,
+    features: np.ndarray,
+    push_count: int,
+    tool: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    nodes: np.ndarray,
+    normals: np.ndarray,
+    face: np.ndarray,
+    areas: np.ndarray,
+    flags: np.ndarray,
+    reach: float,
+    dt: float,
+    shares: np.ndarray,
+    pressures: np.ndarray,
+) -> float:
+    """The pressure on a tool's nodes: what `spread_forces` gives, as far as it is against the faces, by their areas.
+
+    Args:
+        rows: (C, 24) of `Constraints` after a step.
+        features: (C, 5) of them.
+        push_count: How many of them count.
+        tool: Its index.
+        position: (3,) of the tool [u].
+        rotation: (9,) of the tool.
+        nodes: (n, 3) tool frame [u].
+        normals: (n, 3) of their faces, tool frame.
+        face: (n,).
+        areas: (n,) or more [u2].
+        flags: (n,) or more, nodes in contact.
+        reach: How far a push is spread [u].
+        dt: Length of the step [s].
+        shares: (n,) or more, workspace.
+        pressures: (n,) or more, written [kg/(u s2)].
+
+    Returns:
+        The greatest [kg/(u s2)].
+    """
+    count = nodes.shape[0]
+    for i in range(count):
+        pressures[i] = 0.0
+    point, impulse = np.empty(3), np.empty(3)
+    plane, first, end = -1, 0, count
+    for c in range(push_count):
+        if features[c, OWNER] != tool:
+            continue
+        x, y, z = rows[c, IMPULSE], rows[c, IMPULSE + 1], rows[c, IMPULSE + 2]
+        if x == 0.0 and y == 0.0 and z == 0.0:
+            continue
+        for axis in range(3):
+            impulse[axis] = rotation[axis] * x + rotation[3 + axis] * y + rotation[6 + axis] * z
+        if features[c, PLANE] != plane:
+            # Pushes on one face follow each other; where its nodes are is looked up once.
+            plane, first, end = features[c, PLANE], count, 0
+            for i in range(count):
+                if face[i] == plane:
+                    first, end = min(first, i), i + 1
+        into_tool_frame(rows[c, POINT : POINT + 3], position, rotation, point)
+        total = share_push(point, plane, nodes, face, areas, flags, reach, first, end, shares)
+        low, high = (first, end) if first < end else (0, count)
+        for i in range(low, high):
+            if shares[i] > 0.0:
+                against = impulse[0] * normals[i, 0] + impulse[1] * normals[i, 1] + impulse[2] * normals[i, 2]
+                pressures[i] += against * shares[i] / (total * dt * areas[i])
+    greatest = 0.0
+    for i in range(count):
+        pressures[i] = max(pressures[i], 0.0)
+        greatest = max(greatest, pressures[i])
+    return greatest

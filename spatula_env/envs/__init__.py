@@ -6,8 +6,31 @@ Make them by id, with `gymnasium.make("Spatula/Press-v0")` for one agent and `gy
 
 from __future__ import annotations
 
+from spatula_env.envs.clamp import ClampEnv, ClampVectorEnv
+from spatula_env.envs.fissure import FissureEnv, FissureVectorEnv
+from spatula_env.envs.observations import lerobot_keys
+from spatula_env.envs.palpate import PalpateEnv, PalpateVectorEnv
 from spatula_env.envs.press import PressEnv, PressVectorEnv
+from spatula_env.envs.retract import RetractEnv, RetractVectorEnv
+from spatula_env.envs.settings import Definition, EnvSettings, ObservationSettings
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 
-__all__ = ["PressEnv", "PressVectorEnv", "SpatulaEnv", "SpatulaVectorEnv"]
+__all__ = [
+    "ClampEnv",
+    "ClampVectorEnv",
+    "Definition",
+    "EnvSettings",
+    "FissureEnv",
+    "FissureVectorEnv",
+    "ObservationSettings",
+    "PalpateEnv",
+    "PalpateVectorEnv",
+    "PressEnv",
+    "PressVectorEnv",
+    "RetractEnv",
+    "RetractVectorEnv",
+    "SpatulaEnv",
+    "SpatulaVectorEnv",
+    "lerobot_keys",
+]

@@ -1,4 +1,4 @@
-"""From an agent's action to the tool's motion: the workspace, and control by velocity."""
+"""From an agent's action to the tools' motion: the workspace, and control by velocity."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
+from spatula_env.tasks.base import PartSpec
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+    from spatula_env.tasks.base import Setting, Situation, ToolShape
 
 FloatArray = NDArray[np.float64]
 
@@ -21,7 +25,7 @@ FALCON_WORKSPACE = 0.1016
 
 @dataclass(frozen=True)
 class Workspace:
-    """A cube that the tool's position is kept in, and the frame whose origin is the cube's middle.
+    """A cube that the grip is kept in, and the frame whose origin is the cube's middle.
 
     The axes are those of the scene: x to the right, y away from the operator, z up. A Falcon's own axes are x
     to the right, y up, z towards the operator, so x = x_F, y = -z_F and z = y_F.
@@ -60,49 +64,271 @@ class Workspace:
         return np.asarray(points, dtype=np.float64) / self.length + self.center
 
 
-class VelocityControl:
-    """The action is the tool's velocity, as a fraction of the greatest speed along each axis.
-
-    The tool is stopped at the workspace's faces: the component of the velocity that would lead out of it is
-    cut to what just reaches the face by the end of the control step.
+@dataclass(frozen=True)
+class ControlLayout:
+    """What an action moves, besides the grip along x, y and z.
 
     Attributes:
-        max_speed: Along each axis [m/s].
-        size: Numbers in an action.
+        rotations: The axes of the workspace frame about which it turns the tools, some of "xyz".
+        jaws: Whether it opens and closes two tools along the line from one to the other.
+        max_turn: By how much the tools can be turned away from how the scene has them [rad].
+        opening_range: Least and greatest free width between the jaws [m].
     """
 
-    size = 3
+    rotations: str = ""
+    jaws: bool = False
+    max_turn: float = 0.5 * np.pi
+    opening_range: tuple[float, float] = (0.0, 0.04)
 
-    def __init__(self, workspace: Workspace, max_speed: float, period: float) -> None:
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if "".join(axis for axis in "xyz" if axis in self.rotations) != self.rotations:
+            raise ValueError(f"rotations must be some of 'xyz', in this order, got {self.rotations!r}")
+        if not 0.0 < self.max_turn <= np.pi:
+            raise ValueError(f"max_turn must be positive and pi at most, got {self.max_turn!r}")
+        low, high = self.opening_range
+        if not 0.0 <= low < high < np.inf:
+            raise ValueError(f"opening_range must be two lengths, zero or more and ascending, got {self.opening_range}")
+
+
+TRANSLATION = ControlLayout()
+"""Three velocities."""
+
+ALL_SIX = ControlLayout(rotations="xyz")
+"""Three velocities and three rates of rotation."""
+
+
+class VelocityControl:
+    """The action is the grip's velocity, its rates of rotation and the jaws' speed, as fractions of the greatest.
+
+    Tools turn about the grip, like a rigid body; jaws move along the line between them, and the grip stays in the
+    middle. All comes to rest at a limit: the grip at the workspace's faces, a turn at `max_turn`, jaws where they are
+    open or closed. What would lead beyond is cut to what just reaches it by the end of the control step.
+
+    Attributes:
+        layout: What an action moves.
+        max_speed: Of the grip along each axis [m/s].
+        max_rotation_rate: About each axis [rad/s].
+        max_jaw_speed: At which the free width between jaws changes [m/s].
+        names: Of the A numbers in an action.
+        units: Of what their greatest value stands for.
+        parts: Pieces of the observation that tell of what the control turns and opens.
+    """
+
+    def __init__(
+        self,
+        layout: ControlLayout,
+        setting: Setting,
+        max_speed: float,
+        max_rotation_rate: float = 1.0,
+        max_jaw_speed: float = 0.05,
+    ) -> None:
         """Set up the control.
 
         Args:
-            workspace: Where the tool may move.
-            max_speed: Along each axis [m/s].
-            period: Length of a control step [s].
+            layout: What an action moves.
+            setting: The tools, and where they may move.
+            max_speed: Of the grip along each axis [m/s].
+            max_rotation_rate: About each axis [rad/s].
+            max_jaw_speed: At which the free width between jaws changes [m/s].
 
         Raises:
-            ValueError: If a number is not positive and finite.
+            ValueError: If a number is not positive and finite, or there are no two tools to be jaws.
         """
-        check_positive(max_speed, "max_speed")
-        check_positive(period, "period")
-        self.max_speed = float(max_speed)
-        self._rate = 1.0 / period
-        self._low, self._high = workspace.low, workspace.high
+        for name, value in (
+            ("max_speed", max_speed),
+            ("max_rotation_rate", max_rotation_rate),
+            ("max_jaw_speed", max_jaw_speed),
+        ):
+            check_positive(value, name)
+        tools = setting.tools
+        if layout.jaws and len(tools) != 2:
+            raise ValueError(f"jaws need two tools, the scene has {len(tools)}")
+        self.layout = layout
+        self.max_speed, self.max_rotation_rate = float(max_speed), float(max_rotation_rate)
+        self.max_jaw_speed = float(max_jaw_speed)
+        self.names = (
+            *(f"velocity_{axis}" for axis in "xyz"),
+            *(f"rotation_{axis}" for axis in layout.rotations),
+            *(("jaw_speed",) if layout.jaws else ()),
+        )
+        self.units = ("m/s",) * 3 + ("rad/s",) * len(layout.rotations) + ("m/s",) * layout.jaws
+        self._low, self._high = setting.workspace_low, setting.workspace_high
+        self._axes = ["xyz".index(axis) for axis in layout.rotations]
+        self._orientations = np.stack([tool.orientation for tool in tools])
+        self._offsets = np.stack([tool.offset for tool in tools])
+        self._away, self._reach = _line_between(tools) if layout.jaws else (np.zeros(3), 0.0)
+        self.parts = self._make_parts()
 
-    def velocity(self, action: FloatArray, position: FloatArray) -> FloatArray:
-        """The velocity of the coming control step.
+    @property
+    def size(self) -> int:
+        """A."""
+        return len(self.names)
+
+    @property
+    def coordinates(self) -> int:
+        """K, how many further coordinates there are: 1 with jaws, the free width between them [m]."""
+        return int(self.layout.jaws)
+
+    def place(
+        self,
+        grip: FloatArray,
+        orientation: FloatArray | None = None,
+        coordinates: FloatArray | None = None,
+        tool_scale: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where the tools are at the beginning of episodes.
 
         Args:
-            action: (W, 3) in [-1, 1].
-            position: (W, 3) of the tool [m].
+            grip: (W, 3) [m].
+            orientation: (W, 4) of the first tool; None: as the scene has it.
+            coordinates: (W, K); None: as the scene has them.
+            tool_scale: (W,) how large the tools are; ones by default.
 
         Returns:
-            (W, 3) [m/s].
+            Positions (W, N, 3) [m] and orientations (W, N, 4).
         """
-        fastest = (self._high - position) * self._rate
-        slowest = (self._low - position) * self._rate
-        return np.asarray(np.minimum(np.maximum(action * self.max_speed, slowest), fastest))
+        count = len(grip)
+        offsets = np.repeat(self._offsets[None], count, axis=0)
+        if self.layout.jaws and coordinates is not None:
+            scale = np.ones(count) if tool_scale is None else tool_scale
+            distance = coordinates[:, 0] + self._reach * scale
+            middle = offsets.mean(axis=1, keepdims=True)
+            offsets = middle + 0.5 * distance[:, None, None] * np.stack([-self._away, self._away])
+        if orientation is None:
+            return grip[:, None] + offsets, np.repeat(self._orientations[None], count, axis=0)
+        turned = self._turned(orientation)[:, None]
+        return grip[:, None] + turn(turned, offsets), multiply(turned, self._orientations)
+
+    def opening(self, positions: FloatArray, tool_scale: FloatArray) -> FloatArray:
+        """(W, K) further coordinates of tools at positions (W, N, 3), `tool_scale` (W,) large [m]."""
+        if not self.layout.jaws:
+            return np.zeros((len(positions), 0))
+        apart = np.sqrt(((positions[:, 1] - positions[:, 0]) ** 2).sum(axis=1))
+        return np.asarray(apart - self._reach * tool_scale)[:, None]
+
+    def motion(
+        self,
+        actions: FloatArray,
+        grip: FloatArray,
+        positions: FloatArray,
+        orientations: FloatArray,
+        period: float,
+        tool_scale: FloatArray | None = None,
+    ) -> Motion:
+        """What tools do in the coming control step.
+
+        Args:
+            actions: (W, A) in [-1, 1].
+            grip: (W, 3) [m].
+            positions: (W, N, 3) of the tools [m].
+            orientations: (W, N, 4) of the tools.
+            period: Length of a control step [s].
+            tool_scale: (W,) how large the tools are; ones by default.
+
+        Returns:
+            Constant velocities that take the tools where they are to be at its end.
+        """
+        fastest, slowest = (self._high - grip) / period, (self._low - grip) / period
+        velocity = np.minimum(np.maximum(actions[:, :3] * self.max_speed, slowest), fastest)
+        count = len(grip)
+        rate = np.zeros((count, 3))
+        if self._axes:
+            rate[:, self._axes] = actions[:, 3 : 3 + len(self._axes)] * self.max_rotation_rate
+            rate = self._kept_within_limits(rate, orientations[:, 0], period)
+        linear = np.repeat(velocity[:, None], positions.shape[1], axis=1)
+        angular = np.repeat(rate[:, None], positions.shape[1], axis=1)
+        coordinate_rate = np.zeros((count, self.coordinates))
+        if positions.shape[1] > 1:
+            arms = positions - grip[:, None]
+            ends = turn(from_rotation_vector(rate * period)[:, None], arms) if self._axes else arms
+            if self.layout.jaws:
+                opening = self.opening(positions, np.ones(count) if tool_scale is None else tool_scale)[:, 0]
+                wanted = opening + actions[:, -1] * self.max_jaw_speed * period
+                low, high = self.layout.opening_range
+                # Jaws that are beyond a limit already do not jump back to it.
+                wanted = np.minimum(np.maximum(wanted, np.minimum(low, opening)), np.maximum(high, opening))
+                away = ends[:, 1] - ends[:, 0]
+                away /= np.sqrt((away**2).sum(axis=1, keepdims=True))
+                change = 0.5 * (wanted - opening)[:, None] * away
+                ends = ends + np.stack([-change, change], axis=1)
+                coordinate_rate[:, 0] = (wanted - opening) / period
+            linear = linear + (ends - arms) / period
+        return Motion(linear, angular, velocity, rate, coordinate_rate)
+
+    def observe(self, situation: Situation) -> list[FloatArray]:
+        """The values (W, k) of `parts`."""
+        values = []
+        if self._axes:
+            turned = to_rotation_vector(self._turned(situation.tool_orientation))
+            values += [turned[:, self._axes], situation.tool_rotation_rate[:, self._axes]]
+        if self.layout.jaws:
+            values += [situation.control, situation.control_rate]
+        return values
+
+    def _turned(self, orientation: FloatArray) -> FloatArray:
+        """By what rotation (W, 4) tools are turned away from the scene's, from the first one's orientation (W, 4)."""
+        return multiply(orientation, conjugate(self._orientations[0]))
+
+    def _kept_within_limits(self, rate: FloatArray, orientation: FloatArray, period: float) -> FloatArray:
+        """Rates of rotation (W, 3) that do not lead beyond the greatest turn."""
+        now = self._turned(orientation)
+        after = to_rotation_vector(multiply(from_rotation_vector(rate * period), now))
+        angle = np.sqrt((after**2).sum(axis=1))
+        beyond = np.flatnonzero(angle > self.layout.max_turn)
+        if len(beyond):
+            target = from_rotation_vector(after[beyond] * (self.layout.max_turn / angle[beyond])[:, None])
+            # Only about the axes that the control has.
+            allowed = np.zeros((len(beyond), 3))
+            back = to_rotation_vector(multiply(target, conjugate(now[beyond]))) / period
+            allowed[:, self._axes] = back[:, self._axes]
+            rate[beyond] = np.minimum(np.maximum(allowed, -self.max_rotation_rate), self.max_rotation_rate)
+        return rate
+
+    def _make_parts(self) -> tuple[PartSpec, ...]:
+        parts = []
+        if self._axes:
+            ones = np.ones(len(self._axes))
+            limit, rate = self.layout.max_turn * ones, self.max_rotation_rate * ones
+            parts += [
+                PartSpec("tool_orientation", "rad", -limit, limit),
+                PartSpec("tool_rotation_rate", "rad/s", -rate, rate),
+            ]
+        if self.layout.jaws:
+            low, high = self.layout.opening_range
+            speed = np.full(1, self.max_jaw_speed)
+            parts += [
+                PartSpec("jaw_opening", "m", np.full(1, low), np.full(1, high)),
+                PartSpec("jaw_speed", "m/s", -speed, speed),
+            ]
+        return tuple(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How tools move during a control step.
+
+    Attributes:
+        linear: (W, N, 3) velocities of the tools [m/s].
+        angular: (W, N, 3) [rad/s].
+        velocity: (W, 3) of the grip [m/s].
+        rate: (W, 3) of rotation about the grip [rad/s].
+        coordinate_rate: (W, K) of the further coordinates [m/s].
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+    velocity: FloatArray
+    rate: FloatArray
+    coordinate_rate: FloatArray
+
+
+def _line_between(tools: tuple[ToolShape, ...]) -> tuple[FloatArray, float]:
+    """The direction (3,) from the first of two tools to the second, and how far they reach towards each other [m]."""
+    away = tools[1].offset - tools[0].offset
+    away = away / np.sqrt(away @ away)
+    first, second = ((turn(tool.orientation, tool.vertices) @ away) for tool in tools)
+    return away, float(first.max() - second.min())
 
 
 def as_action(value: Any, size: int) -> FloatArray:

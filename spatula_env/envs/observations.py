@@ -4,56 +4,113 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from spatula_env.tasks.surface import farthest_points
+from spatula_env.geometry.rotations import turn
+from spatula_env.tasks.base import PartSpec
+from spatula_env.tasks.surface import farthest_points, surface_samples
 
 if TYPE_CHECKING:
+    from spatula_env.envs.control import VelocityControl
+    from spatula_env.envs.settings import ObservationSettings
     from spatula_env.tasks.base import Evaluation, FloatArray, Setting, Situation, Task
 
-Observation = NDArray[np.float32] | dict[str, NDArray[np.float32]]
+Observation = NDArray[Any] | dict[str, NDArray[Any]]
 """Of one world, or of many with a first axis that counts them."""
-
-OBS_MODES = ("state", "dict")
-"""How observations can be laid out: see `ObservationBuilder`."""
 
 LANDMARKS = 16
 """Number of the organ's nodes that are followed."""
 
-GREATEST_FORCE = 50.0
-"""Observed forces are clipped to this along each axis [N]; 1 to 6 N is usual, and a Falcon renders 9 N."""
+GREATEST_FORCE = 10.0
+"""Observed forces are clipped to this along each axis [N]; 0.1 to 2 N is usual, and a Falcon renders 9 N."""
+
+GREATEST_TORQUE = 0.2
+"""Observed torques are clipped to this about each axis [N m]."""
+
+GREATEST_PRESSURE = 20e3
+"""Observed pressures are clipped to this [Pa]."""
 
 GREATEST_CONTACT_DEPTH = 0.05
 """Observed contact depths are clipped to this [m]."""
 
 GREATEST_DISPLACEMENT = 0.1
-"""Observed displacements of landmarks are clipped to this along each axis [m]."""
+"""Observed displacements of landmarks, and places of points, are clipped to this along each axis [m]."""
+
+FARTHEST = 1.0
+"""Observed distances from the camera are clipped to this [m]."""
+
+NOISE: Mapping[str, float] = MappingProxyType(
+    {
+        "m": 1e-4,
+        "m/s": 1e-3,
+        "rad": 2e-3,
+        "rad/s": 1e-2,
+        "N": 0.02,
+        "N m": 4e-4,
+        "Pa": 50.0,
+        "1": 0.01,
+    }
+)
+"""Standard deviation of what is measured, by unit, at `noise=1`: 0.1 mm, 0.02 N and so on."""
+
+EXACT_PARTS = ("goal",)
+"""Parts that are told, not measured: they have no noise and are not late."""
+
+ROBOT_PARTS = (
+    "tool_position",
+    "tool_velocity",
+    "tool_orientation",
+    "tool_rotation_rate",
+    "jaw_opening",
+    "jaw_speed",
+    "contact_force",
+    "contact_torque",
+    "path_ahead",
+    "progress",
+    "felt",
+    "normal_force",
+    "goal",
+)
+"""What is known without looking at the organ: "state" where pictures or points are observed."""
+
+LEROBOT_KEYS: Mapping[str, str] = MappingProxyType(
+    {
+        "observation": "observation.state",
+        "state": "observation.state",
+        "image": "observation.images.front",
+        "depth": "observation.images.front_depth",
+        "organ": "observation.points.organ",
+        "tool": "observation.points.tool",
+        "desired_goal": "observation.goal",
+        "achieved_goal": "observation.achieved_goal",
+        "action": "action",
+    }
+)
+"""What LeRobot's datasets call the entries of observations."""
+
+
+def lerobot_keys(space: spaces.Space[Any]) -> dict[str, str]:
+    """How to rename an observation's entries for a dataset of LeRobot.
+
+    Args:
+        space: Of the observations of one environment.
+
+    Returns:
+        New names by old ones: "observation.state" for a vector (under the name "observation" where the observation is
+        nothing but it) or "state", "observation.images.front" for "image", and "observation.<name>" for other parts.
+    """
+    names = list(space.spaces) if isinstance(space, spaces.Dict) else ["observation"]
+    return {name: LEROBOT_KEYS.get(name, f"observation.{name}") for name in names}
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """A named piece of an observation.
-
-    Attributes:
-        name: Its key in an observation of mode "dict".
-        unit: Of all its numbers.
-        low: (size,) float32, least values.
-        high: (size,) float32, greatest values.
-    """
-
-    name: str
-    unit: str
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
-
-    @property
-    def size(self) -> int:
-        """How many numbers it holds."""
-        return len(self.low)
+class Part(PartSpec):
+    """A named piece of an observation, bounds in single precision."""
 
     @property
     def space(self) -> spaces.Box:
@@ -64,9 +121,15 @@ class Part:
 class ObservationBuilder:
     """Turns situations into observations.
 
-    In mode "state" an observation is one vector of all parts, in mode "dict" a dictionary of them. A goal
-    interface has "achieved_goal" and "desired_goal" as entries of a dictionary, beside "observation" or
-    beside the parts; what depends on the goal then is no part, because hindsight replay replaces goals.
+    - "state": one vector of all parts.
+    - "dict": a dictionary of the parts.
+    - "rgb": a dictionary of a picture, "image" (height, width, 3) uint8, and "state", the vector of `ROBOT_PARTS`.
+    - "rgbd": "depth" (height, width, 1) as well, the distance from the camera's plane [m].
+    - "pointcloud": a dictionary of points on the organ's surface, "organ" (P, 3), on the tools', "tool" (Q, 3), always
+      the same ones, in the workspace frame [m], and "state".
+
+    A goal interface has "achieved_goal" and "desired_goal" as entries of a dictionary, beside "observation" or
+    beside the others; what depends on the goal then is no part, because hindsight replay replaces goals.
 
     Every number is clipped to the bounds of its space.
 
@@ -74,119 +137,265 @@ class ObservationBuilder:
         parts: In the order of the vector.
         space: Of the observations of one world.
         landmarks: (L,) indices of the nodes whose displacement is observed.
+        settings: Noise, delay, history, and sizes.
+        needs_picture: Whether pictures are a part.
+        needs_depth: Whether distances from the camera are one.
     """
 
     def __init__(
         self,
         setting: Setting,
         task: Task,
-        face_count: int,
-        max_speed: float,
+        control: VelocityControl,
         obs_mode: str,
+        settings: ObservationSettings,
         *,
         goal_interface: bool,
     ) -> None:
         """Lay out the observation.
 
         Args:
-            setting: Organ and workspace.
-            task: For the goals.
-            face_count: How many faces of the tool carry contact nodes.
-            max_speed: Of the tool along each axis [m/s].
-            obs_mode: "state" or "dict".
+            setting: Organ, tools and workspace.
+            task: For the goals, and for what else it has to tell.
+            control: For the speeds, and for what else it moves.
+            obs_mode: See the class.
+            settings: Noise, delay, history, and sizes.
             goal_interface: Whether goals are entries of their own.
-
-        Raises:
-            ValueError: If `obs_mode` is not one of those.
         """
-        if obs_mode not in OBS_MODES:
-            raise ValueError(f"obs_mode must be one of {list(OBS_MODES)}, got {obs_mode!r}")
-        self._flat = obs_mode == "state"
+        self.settings = settings
+        self._mode = obs_mode
+        self._control = control
         self._goal_interface = goal_interface
+        self.needs_picture = obs_mode in ("rgb", "rgbd")
+        self.needs_depth = obs_mode == "rgbd"
         rest = setting.rest_nodes
         upper = np.flatnonzero(rest[:, 2] >= 0.5 * (rest[:, 2].min() + rest[:, 2].max()))
         self.landmarks: NDArray[np.int64] = upper[farthest_points(rest[upper], min(LANDMARKS, len(upper)))]
         self._rest_landmarks = rest[self.landmarks]
-        self._goal_part = _part("desired_goal", "m", task.goal_low, task.goal_high)
-        count = 3 * len(self.landmarks)
-        parts = [
-            _part("tool_position", "m", setting.workspace_low, setting.workspace_high),
-            _part("tool_velocity", "m/s", np.full(3, -max_speed), np.full(3, max_speed)),
-            _part("contact_force", "N", np.full(3, -GREATEST_FORCE), np.full(3, GREATEST_FORCE)),
-            _part("contact_share", "1", np.zeros(face_count), np.ones(face_count)),
-            _part("contact_depth", "m", np.zeros(1), np.full(1, GREATEST_CONTACT_DEPTH)),
-            _part(
-                "landmarks",
-                "m",
-                np.full(count, -GREATEST_DISPLACEMENT),
-                np.full(count, GREATEST_DISPLACEMENT),
-            ),
-        ]
-        if not goal_interface:
-            reach = task.goal_high - task.goal_low
-            parts += [_part("goal", "m", task.goal_low, task.goal_high), _part("error", "m", -reach, reach)]
+        self._goal_space = spaces.Box(task.goal_low, task.goal_high, dtype=np.float32)
+        parts = self._list_parts(setting, task)
+        if obs_mode in ("rgb", "rgbd", "pointcloud"):
+            parts = [part for part in parts if part.name in ROBOT_PARTS]
         self.parts = tuple(parts)
         self._low = np.concatenate([part.low for part in parts]).astype(np.float64)
         self._high = np.concatenate([part.high for part in parts]).astype(np.float64)
         ends = np.cumsum([part.size for part in parts]).tolist()
         self._slices = {part.name: slice(end - part.size, end) for part, end in zip(parts, ends, strict=True)}
-        self.space: spaces.Space[Any] = self._make_space()
+        self._deviations = np.concatenate([_deviation(part) for part in parts])
+        if obs_mode == "pointcloud":
+            self._prepare_points(setting)
+        self.frame_space: spaces.Space[Any] = self._make_space()
+        self.space: spaces.Space[Any] = self._stacked(self.frame_space)
+
+    def _list_parts(self, setting: Setting, task: Task) -> list[Part]:
+        tools, control = len(setting.tools), self._control
+        displaced = np.full(3 * len(self.landmarks), GREATEST_DISPLACEMENT)
+        speed, force, torque = np.full(3, control.max_speed), np.full(3 * tools, GREATEST_FORCE), GREATEST_TORQUE
+        specs = [
+            PartSpec("tool_position", "m", setting.workspace_low, setting.workspace_high),
+            PartSpec("tool_velocity", "m/s", -speed, speed),
+            *control.parts,
+            PartSpec("contact_force", "N", -force, force),
+            PartSpec("contact_torque", "N m", np.full(3, -torque), np.full(3, torque)),
+            PartSpec("contact_share", "1", np.zeros(setting.face_count), np.ones(setting.face_count)),
+            PartSpec("contact_depth", "m", np.zeros(1), np.full(1, GREATEST_CONTACT_DEPTH)),
+            PartSpec("contact_pressure", "Pa", np.zeros(2), np.full(2, GREATEST_PRESSURE)),
+            PartSpec("landmarks", "m", -displaced, displaced),
+            *task.extra_parts,
+        ]
+        self._extra = [part.name for part in task.extra_parts]
+        if not self._goal_interface:
+            low, high = task.goal_low, task.goal_high
+            unit = " ".join(dict.fromkeys(task.goal_units))
+            specs += [PartSpec("goal", unit, low, high), PartSpec("error", unit, low - high, high - low)]
+        return [Part(spec.name, spec.unit, spec.low.astype(np.float32), spec.high.astype(np.float32)) for spec in specs]
 
     @property
     def slices(self) -> Mapping[str, slice]:
         """Where each part is in the vector of all parts."""
         return dict(self._slices)
 
-    def build(self, situation: Situation, goal: FloatArray, evaluation: Evaluation) -> Observation:
-        """The observations of W worlds, as Gymnasium batches them.
+    def build(
+        self,
+        situation: Situation,
+        goal: FloatArray,
+        evaluation: Evaluation,
+        noise: FloatArray | None = None,
+        pictures: Mapping[str, NDArray[Any]] | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """One frame of the observations of W worlds.
 
         Args:
             situation: Of the worlds.
             goal: (W, G).
             evaluation: Of the situation.
+            noise: (W, size of the vector) errors of measurement, in standard deviations; None: none.
+            pictures: "image" (W, height, width, 3) and "depth" (W, height, width, 1) [m] where they are needed.
 
         Returns:
-            (W, size), or a dictionary of (W, size of the part); arrays of their own.
+            (W, ...) by name; a vector alone has the name "". Arrays of their own.
         """
         moved = situation.nodes[:, self.landmarks] - self._rest_landmarks
-        values = [
-            situation.tool_position,
-            situation.tool_velocity,
-            situation.contact_force,
-            situation.contact_share,
-            situation.contact_depth[:, None],
-            moved.reshape(len(goal), -1),
-        ]
-        if not self._goal_interface:
-            values += [goal, evaluation.error]
-        wide = np.concatenate(values, axis=1)
+        count = len(goal)
+        values = {
+            "tool_position": situation.tool_position,
+            "tool_velocity": situation.tool_velocity,
+            **dict(zip((part.name for part in self._control.parts), self._control.observe(situation), strict=True)),
+            "contact_force": situation.contact_forces.reshape(count, -1),
+            "contact_torque": situation.contact_torque,
+            "contact_share": situation.contact_share,
+            "contact_depth": situation.contact_depth[:, None],
+            "contact_pressure": np.stack([situation.peak_pressure, situation.mean_pressure], axis=1),
+            "landmarks": moved.reshape(count, -1),
+            **{name: evaluation.parts[name] for name in self._extra},
+            "goal": goal,
+            "error": evaluation.error,
+        }
+        wide = np.concatenate([values[part.name] for part in self.parts], axis=1)
+        if noise is not None:
+            wide = wide + noise * self._deviations
         vectors = np.minimum(np.maximum(wide, self._low), self._high).astype(np.float32)
-        if self._flat and not self._goal_interface:
-            return vectors
-        if self._flat:
-            result = {"observation": vectors}
-        else:
+        result: dict[str, NDArray[Any]]
+        if self._mode == "state":
+            result = {"observation" if self._goal_interface else "": vectors}
+        elif self._mode == "dict":
             result = {name: vectors[:, part].copy() for name, part in self._slices.items()}
+        else:
+            result = {**self._look(situation, pictures), "state": vectors}
         if self._goal_interface:
             result["achieved_goal"] = evaluation.achieved.astype(np.float32)
             result["desired_goal"] = goal.astype(np.float32)
         return result
 
+    def _look(self, situation: Situation, pictures: Mapping[str, NDArray[Any]] | None) -> dict[str, NDArray[Any]]:
+        if self._mode == "pointcloud":
+            corners = situation.nodes[:, self._organ_corners]
+            organ = np.einsum("wpka,pk->wpa", corners, self._organ_weights)
+            scale = situation.tool_scale[:, None, None]
+            tool = np.concatenate(
+                [
+                    turn(situation.tool_orientations[:, k, None], points * scale) + situation.tool_positions[:, k, None]
+                    for k, points in enumerate(self._tool_points)
+                ],
+                axis=1,
+            )
+            clipped = (np.minimum(np.maximum(points, -2.0 * GREATEST_DISPLACEMENT), 2.0 * GREATEST_DISPLACEMENT)
+                       for points in (organ, tool))  # fmt: skip
+            return dict(zip(("organ", "tool"), (points.astype(np.float32) for points in clipped), strict=True))
+        if pictures is None:
+            raise ValueError(f"pictures are needed with obs_mode={self._mode!r}")
+        result = {"image": pictures["image"]}
+        if self.needs_depth:
+            result["depth"] = np.minimum(np.maximum(pictures["depth"], 0.0), FARTHEST).astype(np.float32)
+        return result
+
+    def _prepare_points(self, setting: Setting) -> None:
+        """Choose the points of a point cloud."""
+        chosen, self._organ_weights = surface_samples(setting.rest_nodes, setting.triangles, self.settings.organ_points)
+        self._organ_corners = np.asarray(setting.triangles)[chosen]
+        shares = np.diff(np.linspace(0, self.settings.tool_points, len(setting.tools) + 1).round().astype(int))
+        self._tool_points = []
+        for tool, share in zip(setting.tools, shares.tolist(), strict=True):
+            chosen, weights = surface_samples(tool.vertices, tool.triangles, share)
+            corners = tool.vertices[np.asarray(tool.triangles)[chosen]]
+            self._tool_points.append(np.einsum("pka,pk->pa", corners, weights))
+
     def _make_space(self) -> spaces.Space[Any]:
         flat = spaces.Box(self._low.astype(np.float32), self._high.astype(np.float32), dtype=np.float32)
-        if self._flat and not self._goal_interface:
-            return flat
-        named: dict[str, spaces.Space[Any]] = {"observation": flat}
-        if not self._flat:
-            named = {part.name: part.space for part in self.parts}
+        named: dict[str, spaces.Space[Any]] = {}
+        if self._mode == "state":
+            if not self._goal_interface:
+                return flat
+            named["observation"] = flat
+        elif self._mode == "dict":
+            named.update({part.name: part.space for part in self.parts})
+        elif self._mode == "pointcloud":
+            reach = 2.0 * GREATEST_DISPLACEMENT
+            for name, count in (("organ", self.settings.organ_points), ("tool", self.settings.tool_points)):
+                named[name] = spaces.Box(-reach, reach, (count, 3), dtype=np.float32)
+            named["state"] = flat
+        else:
+            size = tuple(self.settings.image_size)
+            named["image"] = spaces.Box(0, 255, (*size, 3), dtype=np.uint8)
+            if self.needs_depth:
+                named["depth"] = spaces.Box(0.0, FARTHEST, (*size, 1), dtype=np.float32)
+            named["state"] = flat
         if self._goal_interface:
-            named["achieved_goal"] = self._goal_part.space
-            named["desired_goal"] = self._goal_part.space
+            named["achieved_goal"] = self._goal_space
+            named["desired_goal"] = self._goal_space
         return spaces.Dict(named)
 
+    def _stacked(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
+        """The space of as many frames as are shown."""
+        history = self.settings.history
+        if history == 1:
+            return space
+        if isinstance(space, spaces.Dict):
+            return spaces.Dict(
+                {name: one if name in GOAL_ENTRIES else self._stacked(one) for name, one in space.spaces.items()}
+            )
+        assert isinstance(space, spaces.Box)
+        low, high = (np.repeat(bound[None], history, axis=0) for bound in (space.low, space.high))
+        return spaces.Box(low, high, dtype=space.dtype.type)
 
-def _part(name: str, unit: str, low: NDArray[Any], high: NDArray[Any]) -> Part:
-    return Part(name, unit, low.astype(np.float32), high.astype(np.float32))
+
+GOAL_ENTRIES = ("achieved_goal", "desired_goal")
+"""Entries that are neither late nor stacked."""
+
+
+class FrameMemory:
+    """The last frames of W worlds: what is shown late, or more than once."""
+
+    def __init__(self, settings: ObservationSettings) -> None:
+        """Remember nothing yet.
+
+        Args:
+            settings: Delay and history.
+        """
+        self._depth = settings.delay + settings.history
+        self._history = settings.history
+        self._frames: dict[str, NDArray[Any]] = {}
+
+    def push(self, frames: dict[str, NDArray[Any]], worlds: NDArray[np.int64], count: int, *, first: bool) -> None:
+        """Take up one more frame.
+
+        Args:
+            frames: (n, ...) by name.
+            worlds: (n,) of which worlds.
+            count: W.
+            first: Whether episodes begin with these frames: then there are none before them.
+        """
+        for name, values in frames.items():
+            if name not in self._frames:
+                self._frames[name] = np.zeros((count, self._depth, *values.shape[1:]), dtype=values.dtype)
+            kept = self._frames[name]
+            if first:
+                kept[worlds] = values[:, None]
+            else:
+                kept[worlds, :-1] = kept[worlds, 1:]
+                kept[worlds, -1] = values
+
+    def show(self) -> dict[str, NDArray[Any]]:
+        """(W, ...) by name, or (W, history, ...), the oldest first; arrays of their own."""
+        shown = {}
+        for name, kept in self._frames.items():
+            if name in GOAL_ENTRIES:
+                shown[name] = kept[:, -1].copy()
+            elif self._history == 1:
+                shown[name] = kept[:, 0].copy()
+            else:
+                shown[name] = kept[:, : self._history].copy()
+        return shown
+
+
+def _deviation(part: PartSpec) -> FloatArray:
+    """(size,) standard deviations of a part's numbers."""
+    if part.name in EXACT_PARTS:
+        return np.zeros(part.size)
+    if part.unit in NOISE:
+        return np.full(part.size, NOISE[part.unit])
+    # Of a unit of its own, or of several: a two-hundredth of what there can be.
+    return np.asarray(0.005 * (part.high.astype(np.float64) - part.low))
 
 
 def first_of(batch: Observation) -> Observation:

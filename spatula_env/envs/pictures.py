@@ -1,56 +1,163 @@
-"""Pictures of the worlds that episodes run in."""
+"""Pictures of the worlds that episodes run in: for people, and for agents that see."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.render.moment import Moment
+from spatula_env.tasks.marks import Mark, Patch, Path, Points, Ring
+
 if TYPE_CHECKING:
+    from spatula_env.envs.control import Workspace
     from spatula_env.envs.episodes import Episodes
     from spatula_env.render.scene_view import SceneView
+    from spatula_env.render.window import Window
+
+FloatArray = NDArray[np.float64]
 
 
 class EpisodePictures:
-    """Draws the worlds of some episodes, one after the other, with one view."""
+    """Draws the worlds of some episodes, one after the other, with one view.
 
-    def __init__(self, episodes: Episodes, width: int, height: int) -> None:
-        """Remember what to draw; meshes are prepared when the first picture is drawn.
+    Views are made when the first picture is drawn; who never looks pays nothing.
+    """
+
+    def __init__(self, episodes: Episodes, width: int, height: int, frames_per_second: float = 20.0) -> None:
+        """Remember what to draw.
 
         Args:
             episodes: Whose worlds.
             width: Of a picture [pixels].
             height: Of a picture [pixels].
+            frames_per_second: How fast `show` is allowed to go.
         """
         self._episodes = episodes
         self._size = (width, height)
+        self._frames_per_second = frames_per_second
         self._view: SceneView | None = None
+        self._sensor: SceneView | None = None
+        self._window: Window | None = None
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """W pictures (height, width, 3): the organ, the tool, the force on it, and the goal.
+        """W pictures (height, width, 3): organ and pressure, tools and the forces on them, and the goal.
 
         Raises:
             ValueError: If the size is not that of a picture.
         """
-        episodes = self._episodes
-        worlds = episodes.worlds
         if self._view is None:
-            from spatula_env.render.scene_view import SceneView
-
-            self._view = SceneView(worlds.scene, worlds.triangles, *self._size)
+            self._view = self._make_view()
         view = self._view
-        organs, positions, orientations = worlds.nodes, worlds.tool_positions[:, 0], worlds.tool_orientations[:, 0]
-        return tuple(
-            view.draw(
-                # Where physics has diverged there is nothing to see but the tool.
-                np.nan_to_num(nodes, nan=0.0, posinf=0.0, neginf=0.0),
-                position,
-                orientation,
-                force=force,
-                targets=episodes.workspace.to_scene(episodes.task.target_points(goal)),
+        return tuple(view.draw(moment) for moment in self._moments())
+
+    def rgbd(self, worlds: Iterable[int] | None = None) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """What a camera in the room sees: no arrows, no colours of pressure and no goal, but a marked patch is there.
+
+        Args:
+            worlds: (n,) whose pictures to take; None: all.
+
+        Returns:
+            Pictures (n, height, width, 3) and their depth (n, height, width), the distance along the optical axis of
+            what is nearest in each pixel [m]. Where there is nothing, depth is that of the horizon, `horizon`.
+
+        Raises:
+            ValueError: If the size is not that of a picture.
+        """
+        if self._sensor is None:
+            # In small pictures, finer triangles than those of the physics cost time and cannot be seen.
+            self._sensor = self._make_view(levels=0 if max(self._size) <= 160 else None)
+        chosen = np.arange(self._episodes.count) if worlds is None else np.fromiter(worlds, dtype=np.int64)
+        width, height = self._size
+        pictures = np.empty((len(chosen), height, width, 3), dtype=np.uint8)
+        depths = np.empty((len(chosen), height, width), dtype=np.float32)
+        moments = self._moments(chosen, physical=True)
+        for picture, depth, moment in zip(pictures, depths, moments, strict=True):
+            _, depth[:] = self._sensor.draw_rgbd(moment, out=picture)
+        depths *= np.float32(self._episodes.workspace.length)
+        return pictures, depths
+
+    @property
+    def horizon(self) -> float:
+        """Depth of a pixel of `rgbd` in which nothing is seen [m]; no depth is greater."""
+        if self._sensor is None:
+            self._sensor = self._make_view(levels=0 if max(self._size) <= 160 else None)
+        return float(np.float32(self._sensor.camera.far) * np.float32(self._episodes.workspace.length))
+
+    def show(self, world: int = 0) -> None:
+        """Show one world in a window, and wait until it is time for the next picture.
+
+        Once the user has closed the window there is nothing to see and nothing to wait for.
+
+        Args:
+            world: Which.
+
+        Raises:
+            ImportError: If what windows need is not installed.
+            RuntimeError: If there is no display to open a window on.
+        """
+        if self._window is None:
+            from spatula_env.render.window import Window
+
+            worlds = self._episodes.worlds
+            self._window = Window(
+                worlds.scene, worlds.triangles, *self._size, frames_per_second=self._frames_per_second
             )
-            for nodes, position, orientation, force, goal in zip(
-                organs, positions, orientations, episodes.forces, episodes.goals, strict=True
+        if not self._window.closed:
+            (moment,) = self._moments([world])
+            self._window.show(moment)
+
+    def close(self) -> None:
+        """Close the window, if there is one. Closing twice is allowed."""
+        if self._window is not None:
+            self._window.close()
+
+    def _make_view(self, levels: int | None = None) -> SceneView:
+        from spatula_env.render.scene_view import SceneView
+
+        worlds = self._episodes.worlds
+        return SceneView(worlds.scene, worlds.triangles, *self._size, levels=levels)
+
+    def _moments(self, chosen: Iterable[int] | None = None, *, physical: bool = False) -> Iterator[Moment]:
+        """What there is to see in each world; only what is really there if `physical`.
+
+        The camera stands in the room, not on the organ: where organs differ from world to world in place, size or
+        pose, pictures show it. So everything is taken from the workspace frame, and then put into the scene as it is
+        without such differences.
+        """
+        episodes = self._episodes
+        situation, workspace, ground = episodes.situation, episodes.workspace, episodes.scene.ground
+        if situation is None:
+            raise ValueError("there is nothing to draw before an episode has begun")
+        pressures = episodes.pressures
+        height = None
+        for world in range(episodes.count) if chosen is None else chosen:
+            marks = episodes.marks(world)
+            if physical:
+                marks = tuple(mark for mark in marks if isinstance(mark, Patch))
+            if ground is not None:
+                lowest = episodes.frames.points_from_scene(np.array([[[0.0, 0.0, ground.height]]]), np.array([world]))
+                height = float(workspace.to_scene(lowest[0, 0])[2])
+            yield Moment(
+                # Where physics has diverged there is nothing to see but the tools.
+                nodes=workspace.to_scene(np.nan_to_num(situation.nodes[world], nan=0.0, posinf=0.0, neginf=0.0)),
+                tool_positions=workspace.to_scene(situation.tool_positions[world]),
+                tool_orientations=situation.tool_orientations[world],
+                forces=None if physical else situation.contact_forces[world],
+                pressures=None if physical else [of_tool[world] for of_tool in pressures],
+                marks=tuple(in_scene(mark, workspace) for mark in marks),
+                tool_scale=float(situation.tool_scale[world]),
+                ground_height=height,
             )
-        )
+
+
+def in_scene(mark: Mark, workspace: Workspace) -> Mark:
+    """A mark in the frame and the unit of the scene."""
+    if isinstance(mark, Ring):
+        return replace(mark, point=workspace.to_scene(mark.point), radius=mark.radius / workspace.length)
+    if isinstance(mark, Path | Points):
+        return replace(mark, points=workspace.to_scene(mark.points))
+    return mark

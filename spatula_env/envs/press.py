@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
-
-from gymnasium.vector import AutoresetMode
-
 from spatula_env import scenes
+from spatula_env.envs.settings import Definition
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
-from spatula_env.tasks.base import Setting, config_from_mapping
 from spatula_env.tasks.press import PressConfig, PressTask
 
-WORKSPACE_HEIGHT = 0.025
-"""Of the workspace's middle above the organ's top [m]: the cube reaches 76 mm above it and 26 mm below it."""
+PRESS = Definition(
+    name="press",
+    scene=scenes.seed,
+    task=PressTask,
+    config=PressConfig,
+    # The cube reaches 76 mm above the organ's top and 26 mm below it.
+    workspace_height=0.025,
+)
+"""A spatula over a sphere."""
 
 
 class PressEnv(SpatulaEnv):
@@ -35,8 +37,8 @@ class PressEnv(SpatulaEnv):
     ## Action Space
     The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It
     moves with constant velocity for a whole step and is stopped at the faces of its workspace. The spatula
-    does not turn. Numbers beyond the bounds are clipped; an action of the wrong shape or that is not finite
-    is a `ValueError`.
+    does not turn; with `control="velocity_6d"`, which has six numbers, it does. Numbers beyond the bounds are
+    clipped; an action of the wrong shape or that is not finite is a `ValueError`.
 
     | Num | Action                           | Min | Max | Name       | Falcon | Unit                  |
     | --- | -------------------------------- | --- | --- | ---------- | ------ | --------------------- |
@@ -50,23 +52,26 @@ class PressEnv(SpatulaEnv):
     operator.
 
     ## Observation Space
-    With `obs_mode="state"` the observation is a `Box((66,), float32)` of the following parts; with
+    With `obs_mode="state"` the observation is a `Box((71,), float32)` of the following parts; with
     `obs_mode="dict"` a `Dict` of the same parts by name. Everything is in SI units, and is clipped to the
     bounds.
 
-    | Num   | Observation                                     | Min     | Max    | Name          | Unit |
-    | ----- | ----------------------------------------------- | ------- | ------ | ------------- | ---- |
-    | 0-2   | position of the spatula's middle (x, y, z)      | -0.0508 | 0.0508 | tool_position | m    |
-    | 3-5   | velocity of the spatula in the last step        | -0.1    | 0.1    | tool_velocity | m/s  |
-    | 6-8   | mean force on the spatula in the last step      | -50     | 50     | contact_force | N    |
-    | 9     | share of the lower face's nodes in contact      | 0       | 1      | contact_share | 1    |
-    | 10    | the same of the upper face                      | 0       | 1      | contact_share | 1    |
-    | 11    | deepest contact, before the organ gives way     | 0       | 0.05   | contact_depth | m    |
-    | 12-59 | displacement of 16 nodes of the organ (x, y, z) | -0.1    | 0.1    | landmarks     | m    |
-    | 60-61 | place asked for (x, y)                          | -0.0508 | 0.0508 | goal          | m    |
-    | 62    | depth asked for                                 | -0.03   | 0.06   | goal          | m    |
-    | 63-64 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error         | m    |
-    | 65    | depth asked for minus depth there               | -0.09   | 0.09   | error         | m    |
+    | Num   | Observation                                     | Min     | Max    | Name             | Unit |
+    | ----- | ----------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the spatula's middle (x, y, z)      | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the spatula in the last step        | -0.1    | 0.1    | tool_velocity    | m/s  |
+    | 6-8   | mean force on the spatula in the last step      | -10     | 10     | contact_force    | N    |
+    | 9-11  | mean torque on it about its middle              | -0.2    | 0.2    | contact_torque   | N m  |
+    | 12    | share of the lower face's nodes in contact      | 0       | 1      | contact_share    | 1    |
+    | 13    | the same of the upper face                      | 0       | 1      | contact_share    | 1    |
+    | 14    | deepest contact, before the organ gives way     | 0       | 0.05   | contact_depth    | m    |
+    | 15    | greatest pressure in the last step              | 0       | 20000  | contact_pressure | Pa   |
+    | 16    | mean pressure on the face that is pressed most  | 0       | 20000  | contact_pressure | Pa   |
+    | 17-64 | displacement of 16 nodes of the organ (x, y, z) | -0.1    | 0.1    | landmarks        | m    |
+    | 65-66 | place asked for (x, y)                          | -0.0508 | 0.0508 | goal             | m    |
+    | 67    | depth asked for                                 | -0.03   | 0.06   | goal             | m    |
+    | 68-69 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error            | m    |
+    | 70    | depth asked for minus depth there               | -0.09   | 0.09   | error            | m    |
 
     The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The organ
     lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
@@ -107,135 +112,26 @@ class PressEnv(SpatulaEnv):
     stays true until the next reset.
 
     ### Termination
-    Never, unless `terminate_on_success` is set: then by success.
+    Never, unless `terminate_on_success` or `damage_limit` is set.
 
     ### Truncation
     After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
 
     ## Info
-    The same keys after `reset` and `step`: `is_success`; `within_tolerance`; `diverged`, whether physics has
-    broken down, which only a vector environment lives to tell; `hold_time`, for how long the goal has been
-    kept [s]; `time` [s]; `force`, the magnitude of the contact force averaged over the step, and
-    `peak_force`, the greatest in it [N]; `depth`, `depth_error` and `place_error` [m]; and `reward/<name>`
-    for each term.
+    Besides what every environment tells (see `SpatulaEnv`): `depth`, `depth_error` and `place_error` [m].
 
     ## Arguments
-    `gymnasium.make_vec("Spatula/Press-v0", num_envs=64)` makes as many environments that are stepped together,
-    with the batch engine; `PressVectorEnv` has their arguments.
-
-    | Parameter              | Type            | Default      | Description                               |
-    | ---------------------- | --------------- | ------------ | ----------------------------------------- |
-    | `engine`               | **str**         | `"bullet"`   | What integrates it: `"bullet"`, `"batch"` |
-    | `contact`              | **str**         | `"flags"`    | `"flags"`, `"second_step"` or `"bullet"`  |
-    | `obs_mode`             | **str**         | `"state"`    | `"state"` or `"dict"`                     |
-    | `control`              | **str**         | `"velocity"` | What an action means: `"velocity"`        |
-    | `reward`               | **str**         | `"dense"`    | `"dense"` or `"sparse"`                   |
-    | `task`                 | **dict**        | `None`       | Fields of `PressConfig` to change         |
-    | `max_speed`            | **float**       | `0.1`        | Greatest speed along each axis [m/s]      |
-    | `control_frequency`    | **float**       | `20.0`       | Control steps in a second, divides 240 Hz |
-    | `terminate_on_success` | **bool**        | `False`      | Whether success ends the episode          |
-    | `render_mode`          | **str \| None** | `None`       | `None` or `"rgb_array"`                   |
-    | `width`                | **int**         | `480`        | Of pictures [pixels]                      |
-    | `height`               | **int**         | `480`        | Of pictures [pixels]                      |
+    Those of `SpatulaEnv`; `task` changes fields of `PressConfig`. `gymnasium.make_vec("Spatula/Press-v0", num_envs=64)`
+    makes as many environments that are stepped together, with the batch engine.
 
     ## Version History
     * v0: first version.
     """
 
-    def __init__(
-        self,
-        *,
-        engine: str = "bullet",
-        contact: str = "flags",
-        obs_mode: str = "state",
-        control: str = "velocity",
-        reward: str = "dense",
-        task: Mapping[str, Any] | PressConfig | None = None,
-        max_speed: float = 0.1,
-        control_frequency: float = 20.0,
-        terminate_on_success: bool = False,
-        render_mode: str | None = None,
-        width: int = 480,
-        height: int = 480,
-    ) -> None:
-        """Load the scene; the class says what the arguments mean."""
-        super().__init__(
-            scenes.seed(),
-            _task_maker(task),
-            workspace_height=WORKSPACE_HEIGHT,
-            engine=engine,
-            contact=contact,
-            obs_mode=obs_mode,
-            control=control,
-            reward=reward,
-            max_speed=max_speed,
-            control_frequency=control_frequency,
-            terminate_on_success=terminate_on_success,
-            render_mode=render_mode,
-            width=width,
-            height=height,
-        )
+    definition = PRESS
 
 
 class PressVectorEnv(SpatulaVectorEnv):
-    r"""`PressEnv` in many worlds at once, as `gymnasium.make_vec` makes it.
+    """`PressEnv` in many worlds at once, as `gymnasium.make_vec` makes it; `SpatulaVectorEnv` has the arguments."""
 
-    ## Arguments
-    Those of `PressEnv`, but for `engine`, and some more:
-
-    | Parameter           | Type                     | Default       | Description                                   |
-    | ------------------- | ------------------------ | ------------- | --------------------------------------------- |
-    | `num_envs`          | **int**                  | `1`           | How many worlds, W                            |
-    | `max_episode_steps` | **int \| None**         | `None`        | Episodes are cut then; `make_vec` passes 200  |
-    | `autoreset_mode`    | **str or AutoresetMode** | `"next_step"` | `"next_step"`, `"same_step"` or `"disabled"`  |
-    | `engine`            | **str**                  | `"batch"`     | What integrates organs: `"batch"`, `"bullet"` |
-    """
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        max_episode_steps: int | None = None,
-        autoreset_mode: str | AutoresetMode = "next_step",
-        engine: str = "batch",
-        contact: str = "flags",
-        obs_mode: str = "state",
-        control: str = "velocity",
-        reward: str = "dense",
-        task: Mapping[str, Any] | PressConfig | None = None,
-        max_speed: float = 0.1,
-        control_frequency: float = 20.0,
-        terminate_on_success: bool = False,
-        render_mode: str | None = None,
-        width: int = 480,
-        height: int = 480,
-    ) -> None:
-        """Load the scene; `PressEnv` and `SpatulaVectorEnv` say what the arguments mean."""
-        super().__init__(
-            scenes.seed(),
-            _task_maker(task),
-            num_envs,
-            workspace_height=WORKSPACE_HEIGHT,
-            max_episode_steps=max_episode_steps,
-            autoreset_mode=autoreset_mode,
-            engine=engine,
-            contact=contact,
-            obs_mode=obs_mode,
-            control=control,
-            reward=reward,
-            max_speed=max_speed,
-            control_frequency=control_frequency,
-            terminate_on_success=terminate_on_success,
-            render_mode=render_mode,
-            width=width,
-            height=height,
-        )
-
-
-def _task_maker(task: Mapping[str, Any] | PressConfig | None) -> Callable[[Setting], PressTask]:
-    config = config_from_mapping(PressConfig, task, "task")
-
-    def make_task(setting: Setting) -> PressTask:
-        return PressTask(config, setting)
-
-    return make_task
+    definition = PRESS

@@ -3,102 +3,203 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
-from spatula_env.envs.control import Workspace, as_action
-from spatula_env.envs.episodes import RENDER_MODES, Episodes, check_render_mode
+from spatula_env.envs.control import VelocityControl, Workspace, as_action
+from spatula_env.envs.episodes import Episodes
 from spatula_env.envs.observations import Observation, ObservationBuilder, first_of
+from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
+from spatula_env.envs.settings import RENDER_MODES, Definition
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 from spatula_env.sim.worlds import SeparateWorlds
-from spatula_env.tasks.base import FloatArray, Setting, Task
+from spatula_env.tasks.base import FloatArray, Task
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
 
 class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """Any task, in any scene with one organ and one tool, for one agent.
+    r"""Any task, in any scene with one organ, for one agent.
 
-    Environments with an id, such as `PressEnv`, are this class with a scene and a task chosen. `SpatulaVectorEnv` is
-    the same for many worlds at once.
+    Environments with an id, such as `PressEnv`, are this class with a `Definition`: a scene and a task. They share all
+    that follows. `SpatulaVectorEnv` is the same for many worlds at once.
+
+    ## Action Space
+    `control="velocity"` is what the task needs, and `control="velocity_6d"` moves along and turns about all three axes
+    (and opens and closes jaws, where there are any). An action is a vector of fractions of the greatest velocities.
+    What would lead out of the workspace, or turn or open the tools too far, is cut to what just reaches the limit.
+    Numbers beyond -1 and 1 are clipped; an action of the wrong shape or that is not finite is a `ValueError`.
+
+    ## Observation Space
+    All positions are in the workspace frame [m]: x to the operator's right, y away from the operator, z up. Every
+    number is clipped to the bounds of its space, which are finite.
+
+    | `obs_mode`   | Observation                                                                                     |
+    | ------------ | ----------------------------------------------------------------------------------------------- |
+    | `state`      | a vector of the parts that the task's table lists                                               |
+    | `dict`       | a dictionary of these parts                                                                     |
+    | `rgb`        | `image` (84, 84, 3) uint8, and `state`, the parts known without looking at the organ            |
+    | `rgbd`       | `depth` (84, 84, 1) as well, the distance from the camera's plane [m], at most 1 m              |
+    | `pointcloud` | `organ` (256, 3) and `tool` (64, 3), always the same points of the surfaces [m], and `state`    |
+
+    `state` then holds, in this order, the pose and the velocity of the tools, force and torque on them, and the goal.
+
+    With `reward="sparse"` observations are dictionaries with Gymnasium-Robotics' goal interface: "achieved_goal" and
+    "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal.
+
+    `observation` changes what is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm, 1 mm/s,
+    2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` in control steps; `history`, how many observations are
+    shown at once, the oldest first, on a first axis; `image_size` (height, width); `organ_points` and `tool_points`.
+    Goals are exact and never late.
+
+    Names that LeRobot's datasets have for these entries; `observations.lerobot_keys(space)` gives them:
+
+    | Entry                          | LeRobot                          |
+    | ------------------------------ | -------------------------------- |
+    | the vector, or `observation`   | `observation.state`              |
+    | `state`                        | `observation.state`              |
+    | `image`                        | `observation.images.front`       |
+    | `depth`                        | `observation.images.front_depth` |
+    | `organ`, `tool`                | `observation.points.<name>`      |
+    | `desired_goal`                 | `observation.goal`               |
+    | any other                      | `observation.<name>`             |
+    | the action                     | `action`                         |
+
+    ## Rewards
+    `reward="dense"`: the weighted sum of the task's terms. `reward="sparse"`: 0 within tolerance, -1 elsewhere;
+    `compute_reward(achieved_goal, desired_goal, info)` gives it for any goals, one or many, as hindsight replay needs.
+
+    ## Safety
+    Pressure is a channel of its own and never a part of the reward. The *cost* of a step is the integral over time of
+    what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is a pressure above 4.0 kPa
+    (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15 minutes (J. Rosenorn and
+    N. Diemer, J Neurosurg 63:608, 1985): they are doses, not limits for a moment. `damage_limit` ends an episode whose
+    cost exceeds it.
+
+    ## Episode End
+    Success is to have been within tolerance for `hold_time` without a break.
+
+    ### Termination
+    By success if `terminate_on_success` is set, and by damage if `damage_limit` is; else never.
+
+    ### Truncation
+    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+
+    ## Domain Randomisation
+    `randomization` is "none", "default" or a mapping of some of these names to their ranges, from which each episode
+    draws uniformly; `info` tells what was drawn.
+
+    | Name           | Default range   | What                                                       |
+    | -------------- | --------------- | ---------------------------------------------------------- |
+    | `stiffness`    | 0.7 to 1.4      | factor on the organ's stiffness and density                |
+    | `friction`     | 0.5 to 1.5      | factor on the friction between tools and organ             |
+    | `organ_size`   | 0.95 to 1.05    | factor on the organ's lengths, of the same material        |
+    | `organ_x`      | -0.004 to 0.004 | shift of the organ [m]                                     |
+    | `organ_y`      | -0.004 to 0.004 | shift of the organ [m]                                     |
+    | `organ_yaw`    | not varied      | turn of the organ about the vertical [rad]                 |
+    | `tool_size`    | 0.95 to 1.05    | factor on the tools' lengths                               |
+    | `sensor_noise` | 0 to 1          | replaces `observation["noise"]`                            |
+    | `action_delay` | 0 to 1          | how late actions are, a whole number of control steps      |
+
+    ## Info
+    The same keys after `reset` and `step`:
+
+    | Key                      | Meaning                                                                             |
+    | ------------------------ | ----------------------------------------------------------------------------------- |
+    | `is_success`             | whether the goal has been held in this episode                                      |
+    | `within_tolerance`       | whether it is fulfilled now                                                         |
+    | `diverged`               | whether physics has broken down, which only a vector environment lives to tell      |
+    | `is_damaged`             | whether the cost of the episode exceeds `damage_limit`                              |
+    | `hold_time`              | for how long the goal has been kept [s]                                             |
+    | `time`                   | since the reset [s]                                                                 |
+    | `force`                  | magnitude of the contact force, averaged over the step [N]                          |
+    | `peak_force`             | greatest force on a tool in a physics step of it [N]                                |
+    | `peak_pressure`          | greatest contact pressure in a physics step of it [Pa]                              |
+    | `mean_pressure`          | the greatest normal force on a face of a tool by its area, averaged over it [Pa]    |
+    | `cost`                   | of the step [Pa s]                                                                  |
+    | `violation`              | whether there was one in the step                                                   |
+    | `work`                   | done by the tools on the organ in the step [J]                                      |
+    | `episode_cost`           | sum over the episode [Pa s]                                                         |
+    | `episode_work`           | sum over the episode [J]                                                            |
+    | `episode_violation_time` | length of the steps with a violation [s]                                            |
+    | `episode_peak_force`     | greatest in the episode [N]                                                         |
+    | `episode_peak_pressure`  | greatest in the episode [Pa]                                                        |
+    | `reward/<name>`          | each reward term before weighting                                                   |
+    | `randomization/<name>`   | what was drawn, of all that is drawn                                                |
+
+    and what the task measures.
+
+    ## Arguments
+
+    | Parameter              | Type               | Default      | Description                                         |
+    | ---------------------- | ------------------ | ------------ | --------------------------------------------------- |
+    | `engine`               | **str**            | `"bullet"`   | What integrates the organ: `"bullet"`, `"batch"`    |
+    | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"` or, in Bullet, `"bullet"`|
+    | `obs_mode`             | **str**            | `"state"`    | See above                                           |
+    | `control`              | **str**            | `"velocity"` | `"velocity"` or `"velocity_6d"`                     |
+    | `reward`               | **str**            | `"dense"`    | `"dense"` or `"sparse"`                             |
+    | `task`                 | **dict**           | `None`       | Fields of the task's configuration to change        |
+    | `max_speed`            | **float**          | `0.1`        | Greatest speed along each axis [m/s]                |
+    | `max_rotation_rate`    | **float**          | `1.0`        | Greatest rate of rotation about each axis [rad/s]   |
+    | `max_jaw_speed`        | **float**          | `0.05`       | Greatest speed at which jaws open and close [m/s]   |
+    | `control_frequency`    | **float**          | `20.0`       | Control steps in a second, divides 240 Hz           |
+    | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
+    | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |
+    | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
+    | `observation`          | **dict**           | `None`       | Fields of `ObservationSettings` to change           |
+    | `render_mode`          | **str \| None**    | `None`       | `None`, `"rgb_array"` or `"human"`                  |
+    | `width`                | **int**            | `480`        | Of pictures [pixels]                                |
+    | `height`               | **int**            | `480`        | Of pictures [pixels]                                |
 
     Attributes:
+        definition: Scene and task; subclasses have one.
         simulation: The physics.
+        settings: All options.
     """
 
     # Not a ClassVar: Gymnasium lets an environment have metadata of its own.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
-    def __init__(
-        self,
-        scene: Scene,
-        make_task: Callable[[Setting], Task],
-        *,
-        workspace_height: float,
-        engine: str = "bullet",
-        contact: str = "flags",
-        obs_mode: str = "state",
-        control: str = "velocity",
-        reward: str = "dense",
-        max_speed: float = 0.1,
-        control_frequency: float = 20.0,
-        terminate_on_success: bool = False,
-        render_mode: str | None = None,
-        width: int = 480,
-        height: int = 480,
-    ) -> None:
+    definition: ClassVar[Definition]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Let Python tell what arguments there are."""
+        super().__init_subclass__(**kwargs)
+        if "definition" in vars(cls):
+            cls.__signature__ = cls.definition.signature()  # type: ignore[attr-defined]
+
+    def __init__(self, **options: Any) -> None:
         """Load the scene and put the parts together.
 
         Args:
-            scene: With one organ and one tool.
-            make_task: Makes the task for the setting it is told.
-            workspace_height: Of the workspace's middle above the organ's top at rest [m].
-            engine: What integrates the organ; see `Simulation`.
-            contact: What resolves contact; see `Simulation`.
-            obs_mode: "state" or "dict"; see `ObservationBuilder`.
-            control: "velocity"; see `VelocityControl`.
-            reward: "dense": the weighted sum of the task's terms. "sparse": 0 within tolerance, -1 elsewhere,
-                with Gymnasium-Robotics' goal interface.
-            max_speed: Of the tool along each axis [m/s].
-            control_frequency: Control steps in a second [Hz].
-            terminate_on_success: Whether success ends an episode.
-            render_mode: None or "rgb_array".
-            width: Of pictures [pixels].
-            height: Of pictures [pixels].
+            **options: See `EnvSettings`.
 
         Raises:
+            TypeError: If there is no such option.
             ValueError: If an option is not one of those allowed, or a number is out of its range.
         """
-        check_render_mode(render_mode)
+        settings = self.definition.read(options, type(self).__name__)
         self.simulation: Simulation
 
-        def load() -> SeparateWorlds:
-            self.simulation = Simulation(scene, engine=engine, contact=contact)  # type: ignore[arg-type]
+        def load(scene: Scene) -> SeparateWorlds:
+            self.simulation = Simulation(scene, engine=settings.engine, contact=settings.contact)  # type: ignore[arg-type]
             return SeparateWorlds([self.simulation])
 
-        self._episodes = Episodes(
-            scene,
-            load,
-            make_task,
-            workspace_height=workspace_height,
-            obs_mode=obs_mode,
-            control=control,
-            reward=reward,
-            max_speed=max_speed,
-            control_frequency=control_frequency,
-            terminate_on_success=terminate_on_success,
-        )
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(control_frequency)}
+        self._episodes = Episodes(self.definition, settings, load, observed_pictures)
+        self.settings = settings
+        self.render_mode = settings.render_mode
+        self.metadata = {**self.metadata, "render_fps": round(settings.control_frequency)}
         self.observation_space = self._episodes.observation_builder.space
         self.action_space = self._episodes.action_space
-        self._pictures = EpisodePictures(self._episodes, width, height)
+        self._pictures = EpisodePictures(
+            self._episodes, settings.width, settings.height, frames_per_second=settings.control_frequency
+        )
         self._closed = False
         self._started = False
 
@@ -109,7 +210,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Args:
             seed: Starts the random numbers anew; None goes on with them.
-            options: "goal" (G,) and "tool_position" (3,) replace what is drawn [m].
+            options: "goal" (G,) and "tool_position" (3,) [m] replace what is drawn.
 
         Returns:
             The first observation, and `info` with the same keys as after a step.
@@ -122,16 +223,17 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         self._episodes.begin({0: self.np_random}, chosen)
         self._started = True
+        self._show()
         return first_of(self._episodes.observation), self._info()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Move the tool for one control step.
+        """Move the tools for one control step.
 
         Args:
             action: What `control` says; clipped to [-1, 1].
 
         Returns:
-            Observation, reward, whether the episode ends by success, False, and `info`.
+            Observation, reward, whether the episode ends by success or by damage, False, and `info`.
 
         Raises:
             ValueError: If `action` has the wrong shape or is not finite; nothing has then changed.
@@ -145,6 +247,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise SimulationDiverged(
                 f"physics broke down within {episodes.period:.4g} s after {self._info()['time']:.4f} s; call reset()"
             )
+        self._show()
         return (
             first_of(episodes.observation),
             float(outcome.reward[0]),
@@ -154,13 +257,17 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture (height, width, 3) of the scene, or None if `render_mode` is None."""
+        """A picture (height, width, 3) of the scene if `render_mode` is "rgb_array".
+
+        With "human" the window shows every step by itself, and with None there is nothing to see.
+        """
         self._check_started("render")
-        return None if self.render_mode is None else self._pictures.draw()[0]
+        return self._pictures.draw()[0] if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
         """Free the engine. Closing twice is allowed."""
         self._closed = True
+        self._pictures.close()
         self._episodes.close()
 
     @property
@@ -174,6 +281,11 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._episodes.task
 
     @property
+    def control(self) -> VelocityControl:
+        """What an action means."""
+        return self._episodes.control
+
+    @property
     def observation_builder(self) -> ObservationBuilder:
         """How observations are laid out."""
         return self._episodes.observation_builder
@@ -185,7 +297,7 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def goal(self) -> FloatArray:
-        """(G,) what is asked in this episode (a copy) [m]."""
+        """(G,) what is asked in this episode (a copy)."""
         goal: FloatArray = self._episodes.goals[0].copy()
         return goal
 
@@ -197,6 +309,10 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         `reward="dense"`, because libraries tell by it which environments have the goal interface.
         """
         return self._episodes.compute_reward
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._pictures.show()
 
     def _info(self) -> dict[str, Any]:
         return {name: values[0].item() for name, values in self._episodes.info.items()}

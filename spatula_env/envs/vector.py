@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
@@ -14,23 +15,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from spatula_env.envs.control import Workspace, as_actions
-from spatula_env.envs.episodes import (
-    RENDER_MODES,
-    START_OPTIONS,
-    Episodes,
-    Info,
-    check_choice,
-    check_render_mode,
-)
+from spatula_env.envs.control import VelocityControl, Workspace, as_actions
+from spatula_env.envs.episodes import START_OPTIONS, Episodes, Info
 from spatula_env.envs.observations import Observation, ObservationBuilder
+from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
+from spatula_env.envs.settings import Definition, check_choice
 from spatula_env.geometry.checks import check_count
 from spatula_env.sim.worlds import Worlds, make_worlds
-from spatula_env.tasks.base import BoolArray, FloatArray, Setting, Task
+from spatula_env.tasks.base import BoolArray, FloatArray, Task
 
 if TYPE_CHECKING:
-    from spatula_env.scenes import Scene
     from spatula_env.sim.worlds import IntArray
 
 AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
@@ -40,91 +35,82 @@ StepResult = tuple[Observation, FloatArray, BoolArray, BoolArray, dict[str, Any]
 
 
 class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
-    """Any task, in many worlds of a scene with one organ and one tool.
+    r"""Any task, in many worlds of a scene with one organ.
 
     World k of an environment seeded with s goes through the same episodes as a `SpatulaEnv` seeded with s + k, up to
     the accuracy of the engine. Everything that is returned follows Gymnasium's `SyncVectorEnv`, but for a world whose
     physics breaks down: there the episode is cut, and the others go on.
+
+    ## Arguments
+    Those of the environment for one agent, but for the default of `engine`, and some more:
+
+    | Parameter           | Type                     | Default       | Description                                   |
+    | ------------------- | ------------------------ | ------------- | --------------------------------------------- |
+    | `num_envs`          | **int**                  | `1`           | How many worlds, W                            |
+    | `max_episode_steps` | **int \| None**          | `None`        | Episodes are cut then; `make_vec` passes 200  |
+    | `autoreset_mode`    | **str or AutoresetMode** | `"next_step"` | `"next_step"`, `"same_step"` or `"disabled"`  |
+    | `engine`            | **str**                  | `"batch"`     | What integrates organs: `"batch"`, `"bullet"` |
+
+    After an episode's end the next step ignores the action and begins the next episode ("next_step"); or the step that
+    ends an episode returns the beginning of the next one, and what was last seen as `infos["final_obs"]` and
+    `infos["final_info"]` ("same_step"); or `reset` with the option "reset_mask" begins new episodes ("disabled").
+    Gymnasium's `AutoresetMode` has the same.
+
+    Attributes:
+        definition: Scene and task; subclasses have one.
+        settings: All options.
     """
+
+    definition: ClassVar[Definition]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        """Let Python tell what arguments there are."""
+        super().__init_subclass__(**kwargs)
+        if "definition" in vars(cls):
+            own = list(inspect.signature(SpatulaVectorEnv.__init__).parameters.values())[1:-1]
+            cls.__signature__ = cls.definition.signature(*own, engine="batch")  # type: ignore[attr-defined]
 
     def __init__(
         self,
-        scene: Scene,
-        make_task: Callable[[Setting], Task],
         num_envs: int = 1,
         *,
-        workspace_height: float,
         max_episode_steps: int | None = None,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        engine: str = "batch",
-        contact: str = "flags",
-        obs_mode: str = "state",
-        control: str = "velocity",
-        reward: str = "dense",
-        max_speed: float = 0.1,
-        control_frequency: float = 20.0,
-        terminate_on_success: bool = False,
-        render_mode: str | None = None,
-        width: int = 480,
-        height: int = 480,
+        autoreset_mode: str | AutoresetMode = "next_step",
+        **options: Any,
     ) -> None:
-        """Load the scene and put the parts together.
-
-        Args:
-            scene: With one organ and one tool.
-            make_task: Makes the task for the setting it is told.
-            num_envs: How many worlds, W.
-            workspace_height: Of the workspace's middle above the organ's top at rest [m].
-            max_episode_steps: Episodes are cut (truncated) after so many steps; None: never.
-            autoreset_mode: "next_step": the step after an episode's end ignores the action and begins the next one.
-                "same_step": the step that ends an episode returns the beginning of the next one, and what was last
-                seen as `infos["final_obs"]` and `infos["final_info"]`. "disabled": `reset` with the option
-                "reset_mask" begins new episodes. Gymnasium's `AutoresetMode` has the same.
-            engine: "batch" or "bullet"; see `make_worlds`.
-            contact: What resolves contact; see `Simulation`.
-            obs_mode: "state" or "dict"; see `ObservationBuilder`.
-            control: "velocity"; see `VelocityControl`.
-            reward: "dense" or "sparse"; see `SpatulaEnv`.
-            max_speed: Of the tools along each axis [m/s].
-            control_frequency: Control steps in a second [Hz].
-            terminate_on_success: Whether success ends an episode.
-            render_mode: None or "rgb_array".
-            width: Of pictures [pixels].
-            height: Of pictures [pixels].
+        """Load the scene and put the parts together; the class says what the arguments mean.
 
         Raises:
+            TypeError: If there is no such option.
             ValueError: If an option is not one of those allowed, or a number is out of its range.
         """
         check_count(num_envs, "num_envs", 1)
         if max_episode_steps is not None:
             check_count(max_episode_steps, "max_episode_steps", 1)
         self._mode = _as_autoreset_mode(autoreset_mode)
-        check_render_mode(render_mode)
+        settings = self.definition.read(options, type(self).__name__, engine="batch")
+        if settings.render_mode is not None:
+            check_choice(settings.render_mode, "render_mode", (None, "rgb_array"))
         self._episodes = Episodes(
-            scene,
-            lambda: make_worlds(scene, num_envs, engine, contact),
-            make_task,
-            workspace_height=workspace_height,
-            obs_mode=obs_mode,
-            control=control,
-            reward=reward,
-            max_speed=max_speed,
-            control_frequency=control_frequency,
-            terminate_on_success=terminate_on_success,
+            self.definition,
+            settings,
+            lambda scene: make_worlds(scene, num_envs, settings.engine, settings.contact),
+            observed_pictures,
         )
+        self.settings = settings
         self.num_envs = int(num_envs)
         self.max_episode_steps = max_episode_steps
-        self.render_mode = render_mode
+        self.render_mode = settings.render_mode
         self.metadata = {
-            "render_modes": list(RENDER_MODES),
-            "render_fps": round(control_frequency),
+            "render_modes": ["rgb_array"],
+            "render_fps": round(settings.control_frequency),
             "autoreset_mode": self._mode,
         }
         self.single_observation_space = self._episodes.observation_builder.space
         self.single_action_space = self._episodes.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._pictures = EpisodePictures(self._episodes, width, height)
+        self._pictures = EpisodePictures(self._episodes, settings.width, settings.height)
         self._generators: list[np.random.Generator | None] = [None] * self.num_envs
         self._seeds: list[int | None] = [None] * self.num_envs
         self._begun: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
@@ -166,8 +152,8 @@ class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
             actions: (W, A) what `control` says; clipped to [-1, 1].
 
         Returns:
-            Observations, rewards (W,), whether episodes ended by success (W,), whether they were cut (W,), and infos:
-            arrays (W,) under each name, with a mask (W,) under the name after an underscore.
+            Observations, rewards (W,), whether episodes ended by success or damage (W,), whether they were cut
+            (W,), and infos: arrays (W,) under each name, with a mask (W,) under the name after an underscore.
 
         Raises:
             ValueError: If `actions` has the wrong shape or is not finite; nothing has then changed.
@@ -233,6 +219,11 @@ class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
     def task(self) -> Task:
         """What is asked."""
         return self._episodes.task
+
+    @property
+    def control(self) -> VelocityControl:
+        """What an action means."""
+        return self._episodes.control
 
     @property
     def observation_builder(self) -> ObservationBuilder:

@@ -8,7 +8,7 @@ On parallel faces that holds both ways. All coordinates are in the tool's own fr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -210,6 +210,17 @@ class Tool:
             triangles=triangles,
             name=name,
         )
+
+    def scaled(self, factor: float) -> Tool:
+        """The same tool with all lengths times a factor, about its origin; itself where that is one.
+
+        Raises:
+            ValueError: If the factor is not positive and finite.
+        """
+        check_positive(factor, "factor")
+        if factor == 1.0:
+            return self
+        return replace(self, nodes=self.nodes * factor, vertices=self.vertices * factor, areas=self.areas * factor**2)
 
     def __eq__(self, other: object) -> bool:
         """Whether the other is a tool of the same name, nodes and surface."""

@@ -143,6 +143,13 @@ class BatchSimulation:
         self._tool_positions, self._tool_orientations = np.zeros((worlds, count, 3)), np.zeros((worlds, count, 4))
         self._loads = np.zeros((worlds, count, batch_step.LOAD_LENGTH))
         self._summaries = np.zeros((worlds, batch_step.SUMMARY_LENGTH))
+        tools = [placed.tool for placed in scene.tools]
+        self._areas = np.ones((worlds, count, max(len(tool.nodes) for tool in tools)))
+        for index, tool in enumerate(tools):
+            self._areas[:, index, : len(tool.nodes)] = tool.areas
+        self._pressures = np.zeros_like(self._areas)
+        self._face_pressures = np.zeros((worlds, count, max(len(tool.face_normals) for tool in tools)))
+        self._no_limits = np.full(worlds, np.inf)
         self._diverged = np.zeros(worlds, dtype=np.bool_)
         self._times = np.zeros(worlds)
         self.reset()
@@ -363,12 +370,33 @@ class BatchSimulation:
         organs = len(self._scene.organs)
         for row, world in enumerate(indices.tolist()):
             contacts = self._contacts[world]
-            contacts.set_tool(index, shapes[row if len(shapes) > 1 else 0])
+            chosen = row if len(shapes) > 1 else 0
+            contacts.set_tool(index, shapes[chosen])
+            self._areas[world, index, :wanted] = tools[chosen].areas
             for memory in contacts.memories[index * organs : (index + 1) * organs]:
                 memory.states[:] = False
 
+    def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: ArrayLike | None = None) -> None:
+        """Change the tools of some worlds: see `Worlds`.
+
+        Args:
+            friction: (n,) factor on the scene's coefficients between tools and organs.
+            tool_size: (n,) factor on the lengths of the scene's tools.
+            worlds: (n,) which, or (W,) a mask; all by default.
+        """
+        indices = self._body.indices(worlds)
+        for index, placed in enumerate(self._scene.tools):
+            self.set_tools([placed.tool.scaled(size) for size in tool_size.tolist()], indices, index)
+        coefficients = np.array([placed.friction for placed in self._scene.tools])
+        for row, world in enumerate(indices.tolist()):
+            self._contacts[world].friction[:] = coefficients * friction[row]
+
     def advance(
-        self, linear_velocities: ArrayLike, angular_velocities: ArrayLike | None = None, steps: int = 1
+        self,
+        linear_velocities: ArrayLike,
+        angular_velocities: ArrayLike | None = None,
+        steps: int = 1,
+        pressure_limits: ArrayLike | None = None,
     ) -> Loads:
         """Move all worlds on by some physics steps, the tools moving with constant velocity.
 
@@ -376,6 +404,7 @@ class BatchSimulation:
             linear_velocities: (W, N, 3) [u/s].
             angular_velocities: (W, N, 3) world frame [rad/s]; none by default.
             steps: How many.
+            pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; by default none is counted.
 
         Returns:
             What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
@@ -391,7 +420,10 @@ class BatchSimulation:
             angular = self._rows(angular_velocities, "angular_velocities", shape, every)
         if not isinstance(steps, int | np.integer) or steps < 1:
             raise ValueError(f"steps must be an integer, 1 or more, got {steps!r}")
-        self._advance(linear, angular, int(steps), with_tools=True)
+        limits = self._no_limits
+        if pressure_limits is not None:
+            limits = self._rows(pressure_limits, "pressure_limits", (self.count,), every)
+        self._advance(linear, angular, int(steps), with_tools=True, limits=limits)
         ok = ~self._diverged
         self._times[ok] += steps * self.dt
         loads, summaries = self._loads * ok[:, None, None], self._summaries * ok[:, None]
@@ -402,11 +434,26 @@ class BatchSimulation:
             flags=self._flags(),
             penetrations=summaries[:, batch_step.DEEPEST],
             residuals=summaries[:, batch_step.WORST_RESIDUAL],
-            ground_forces=summaries[:, batch_step.GROUND_FORCE :],
+            ground_forces=summaries[:, batch_step.GROUND_FORCE : batch_step.PEAK_PRESSURE],
+            peak_pressures=summaries[:, batch_step.PEAK_PRESSURE],
+            mean_pressures=self._face_pressures.max(axis=(1, 2)) * ok,
+            overpressures=summaries[:, batch_step.OVERPRESSURE],
+            node_pressures=tuple(
+                self._pressures[:, index, : len(placed.tool.nodes)] * ok[:, None]
+                for index, placed in enumerate(self._scene.tools)
+            ),
             diverged=self._diverged.copy(),
         )
 
-    def _advance(self, linear: FloatArray, angular: FloatArray, steps: int, *, with_tools: bool) -> None:
+    def _advance(
+        self,
+        linear: FloatArray,
+        angular: FloatArray,
+        steps: int,
+        *,
+        with_tools: bool,
+        limits: FloatArray | None = None,
+    ) -> None:
         blocks = len(self._body.arrays["positions"])
         # The threads of Numba are not started for nothing: a process that has them must not fork.
         parallel = self._parallel and blocks > 1
@@ -426,8 +473,12 @@ class BatchSimulation:
                 self._tool_orientations,
                 linear,
                 angular,
+                self._areas,
+                self._no_limits if limits is None else limits,
                 self._loads,
                 self._summaries,
+                self._face_pressures,
+                self._pressures,
                 self._diverged,
             )
 

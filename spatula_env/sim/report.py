@@ -108,6 +108,22 @@ class Report:
         """Greatest contact pressure on any node of any tool [Pa]."""
         return max(float(wrench.pressures.max()) for wrench in self.wrenches) * self.scene.scale.pressure
 
+    @cached_property
+    def pressure_summary(self) -> tuple[float, FloatArray]:
+        """Greatest pressure on a node of any tool, and the mean one on each face of each tool (F,) [kg/(u s2)].
+
+        Zero with `contact="bullet"`.
+        """
+        faces = sum(len(placed.tool.face_normals) for placed in self.scene.tools)
+        if self.table is None or not self.loads.any():
+            return 0.0, np.zeros(faces)
+        peak, means = 0.0, []
+        for wrench, placed in zip(self.wrenches, self.scene.tools, strict=True):
+            tool = placed.tool
+            peak = max(peak, float(wrench.pressures.max()))
+            means.append(np.bincount(tool.face, wrench.pressures * tool.areas) / np.bincount(tool.face, tool.areas))
+        return peak, np.concatenate(means)
+
     def _wrench(self, index: int) -> Wrench:
         tool = self.scene.tools[index].tool
         forces = np.full((len(tool.nodes), 3), np.nan)

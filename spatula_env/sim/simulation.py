@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -16,10 +16,12 @@ from spatula_env.sim.bullet import BulletWorld
 from spatula_env.sim.report import Report
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     from spatula_env.contact.flags import FirstStep
-    from spatula_env.scenes import Scene
+    from spatula_env.scenes import PlacedTool, Scene
     from spatula_env.sim.bullet import BulletTools
     from spatula_env.sim.world import SoftWorld
 
@@ -126,7 +128,8 @@ class Simulation:
             self._tools = bullet.tools
         else:
             self._world = BatchWorld(scene, PRECISIONS[precision])
-        self._model = ContactModel(scene, self._world.inverse_masses, "off" if contact == "second_step" else first_step)
+        self._first_step: FirstStep = "off" if contact == "second_step" else first_step
+        self._model = ContactModel(scene, self._world.inverse_masses, self._first_step)
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self._triangles = np.concatenate(
             [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
@@ -177,6 +180,28 @@ class Simulation:
         self._model.forget(index)
         if self._tools is not None:
             self._tools.place(index, new_position, new_orientation)
+
+    def set_tools(self, tools: Sequence[PlacedTool]) -> None:
+        """Exchange the tools' shapes and friction. Everything starts again, as after `reset`.
+
+        Args:
+            tools: As many as there are; organs stay at rest as they were.
+
+        Raises:
+            ValueError: If there is another number of tools.
+        """
+        self._check_open()
+        if len(tools) != len(self.scene.tools):
+            raise ValueError(f"tools must be {len(self.scene.tools)}, as in the scene, got {len(tools)}")
+        if tuple(tools) != self.scene.tools:
+            self.scene = replace(self.scene, tools=tuple(tools))
+            if self._tools is not None:
+                # Bullet cannot exchange the shape of a body.
+                self._world.close()
+                self._world = bullet = BulletWorld(self.scene, with_tools=True)
+                self._tools = bullet.tools
+            self._model = ContactModel(self.scene, self._world.inverse_masses, self._first_step)
+        self.reset()
 
     def step(
         self, linear_velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -33,6 +33,12 @@ class Loads:
         penetrations: (W,) greatest depth of a contact node in the last physics step, before correction [u].
         residuals: (W,) how far tools were still in organs after correction, at most in any physics step [u].
         ground_forces: (W, 3) what the ground does to the organs, averaged [kg u/s2].
+        peak_pressures: (W,) greatest contact pressure on a node of a tool in a physics step [kg/(u s2)]. Zero with
+            `contact="bullet"`, where Bullet does not tell; so are the next three.
+        mean_pressures: (W,) greatest of the tools' faces: normal force on it by its area, averaged over the control
+            step [kg/(u s2)].
+        overpressures: (W,) integral over time of what the greatest pressure exceeds the limit by [kg/(u s)].
+        node_pressures: (W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)].
         diverged: (W,) whether positions are no longer finite.
     """
 
@@ -43,6 +49,10 @@ class Loads:
     penetrations: FloatArray
     residuals: FloatArray
     ground_forces: FloatArray
+    peak_pressures: FloatArray
+    mean_pressures: FloatArray
+    overpressures: FloatArray
+    node_pressures: tuple[FloatArray, ...]
     diverged: BoolArray
 
 
@@ -93,13 +103,29 @@ class Worlds(Protocol):
             worlds: (n,) which.
         """
 
-    def advance(self, linear_velocities: FloatArray, angular_velocities: FloatArray, steps: int) -> Loads:
+    def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: IntArray) -> None:
+        """Change the tools of some worlds. Flags are cleared.
+
+        Args:
+            friction: (n,) factor on the scene's coefficients between tools and organs.
+            tool_size: (n,) factor on the lengths of the scene's tools.
+            worlds: (n,) which.
+        """
+
+    def advance(
+        self,
+        linear_velocities: FloatArray,
+        angular_velocities: FloatArray,
+        steps: int,
+        pressure_limits: FloatArray | None = None,
+    ) -> Loads:
         """Move all worlds on by some physics steps, the tools moving with constant velocity.
 
         Args:
             linear_velocities: (W, N, 3) [u/s].
             angular_velocities: (W, N, 3) world frame [rad/s].
             steps: How many.
+            pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; None: none is counted.
 
         Returns:
             What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
@@ -123,12 +149,13 @@ class SeparateWorlds:
             simulations: At least one; `close` closes them.
         """
         self.simulations = tuple(simulations)
+        self._scene = self.simulations[0].scene
         self._diverged = np.zeros(len(self.simulations), dtype=np.bool_)
 
     @property
     def scene(self) -> Scene:
-        """See `Worlds`."""
-        return self.simulations[0].scene
+        """See `Worlds`; simulations may have got other tools since."""
+        return self._scene
 
     @property
     def count(self) -> int:
@@ -172,9 +199,24 @@ class SeparateWorlds:
             for index, (position, orientation) in enumerate(zip(positions[row], orientations[row], strict=True)):
                 self.simulations[world].place_tool(position, orientation, index=index)
 
-    def advance(self, linear_velocities: FloatArray, angular_velocities: FloatArray, steps: int) -> Loads:
+    def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: IntArray) -> None:
         """See `Worlds`."""
-        tools = self.scene.tools
+        for row, world in enumerate(worlds.tolist()):
+            tools = tuple(
+                replace(placed, tool=placed.tool.scaled(tool_size[row]), friction=placed.friction * friction[row])
+                for placed in self.scene.tools
+            )
+            self.simulations[world].set_tools(tools)
+
+    def advance(
+        self,
+        linear_velocities: FloatArray,
+        angular_velocities: FloatArray,
+        steps: int,
+        pressure_limits: FloatArray | None = None,
+    ) -> Loads:
+        """See `Worlds`."""
+        tools = self._scene.tools
         count = (self.count, len(tools))
         loads = Loads(
             forces=np.zeros((*count, 3)),
@@ -184,20 +226,35 @@ class SeparateWorlds:
             penetrations=np.zeros(self.count),
             residuals=np.zeros(self.count),
             ground_forces=np.zeros((self.count, 3)),
+            peak_pressures=np.zeros(self.count),
+            mean_pressures=np.zeros(self.count),
+            overpressures=np.zeros(self.count),
+            node_pressures=tuple(np.zeros((self.count, len(placed.tool.nodes))) for placed in tools),
             diverged=self._diverged,
         )
+        limits = np.full(self.count, np.inf) if pressure_limits is None else pressure_limits
         for world in np.flatnonzero(~self._diverged).tolist():
             try:
-                self._advance(world, linear_velocities[world], angular_velocities[world], steps, loads)
+                self._advance(world, linear_velocities[world], angular_velocities[world], steps, limits[world], loads)
             except SimulationDiverged:
                 self._diverged[world] = True
-                for values in (loads.forces, loads.torques, loads.peak_forces, *loads.flags, loads.penetrations):
-                    values[world] = 0
-                loads.residuals[world], loads.ground_forces[world] = 0.0, 0.0
+                for name, values in vars(loads).items():
+                    if name != "diverged":
+                        for array in values if isinstance(values, tuple) else (values,):
+                            array[world] = 0
         return Loads(**{**vars(loads), "diverged": self._diverged.copy()})
 
-    def _advance(self, world: int, linear: FloatArray, angular: FloatArray, steps: int, loads: Loads) -> None:
-        reports = [self.simulations[world].step(linear, angular) for _ in range(steps)]
+    def _advance(
+        self, world: int, linear: FloatArray, angular: FloatArray, steps: int, limit: float, loads: Loads
+    ) -> None:
+        simulation = self.simulations[world]
+        reports, peaks = [], np.zeros(steps)
+        face_pressures: FloatArray = np.zeros(1)
+        for step in range(steps):
+            report = simulation.step(linear, angular)
+            reports.append(report)
+            peaks[step], on_faces = report.pressure_summary
+            face_pressures = face_pressures + on_faces
         # Reduced all at once: a little of NumPy after every step adds up.
         wrenches = np.array([report.loads for report in reports])
         mean = wrenches.mean(axis=0)
@@ -205,10 +262,16 @@ class SeparateWorlds:
         loads.peak_forces[world] = np.sqrt((wrenches[:, :, :3] ** 2).sum(axis=2).max(axis=0))
         loads.ground_forces[world] = np.array([report.ground_force for report in reports]).mean(axis=0)
         loads.residuals[world] = max(report.residual for report in reports)
+        loads.peak_pressures[world] = peaks.max()
+        loads.mean_pressures[world] = np.max(face_pressures) / steps
+        loads.overpressures[world] = np.maximum(peaks - limit, 0.0).sum() * simulation.dt
         report = reports[-1]
         loads.penetrations[world] = report.penetration
         for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):
             flags[world] = np.any([found.flags for found in contacts], axis=0)
+        if peaks[-1] > 0.0:
+            for pressures, wrench in zip(loads.node_pressures, report.wrenches, strict=True):
+                pressures[world] = wrench.pressures
 
     def close(self) -> None:
         """See `Worlds`."""

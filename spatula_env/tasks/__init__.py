@@ -7,16 +7,50 @@ share it.
 
 from __future__ import annotations
 
-from spatula_env.tasks.base import Evaluation, Setting, Situation, Start, Task
+from spatula_env.tasks.base import (
+    Evaluation,
+    Memory,
+    PartSpec,
+    Setting,
+    Situation,
+    Start,
+    Task,
+    ToolShape,
+)
+from spatula_env.tasks.clamp import ClampConfig, ClampTask, ClampWeights
+from spatula_env.tasks.fissure import FissureConfig, FissureTask, FissureWeights
+from spatula_env.tasks.marks import Mark, Patch, Path, Points, Ring
+from spatula_env.tasks.palpate import PalpateConfig, PalpateTask, PalpateWeights
 from spatula_env.tasks.press import PressConfig, PressTask, PressWeights
+from spatula_env.tasks.retract import RetractConfig, RetractTask, RetractWeights
 
 __all__ = [
+    "ClampConfig",
+    "ClampTask",
+    "ClampWeights",
     "Evaluation",
+    "FissureConfig",
+    "FissureTask",
+    "FissureWeights",
+    "Mark",
+    "Memory",
+    "PalpateConfig",
+    "PalpateTask",
+    "PalpateWeights",
+    "PartSpec",
+    "Patch",
+    "Path",
+    "Points",
     "PressConfig",
     "PressTask",
     "PressWeights",
+    "RetractConfig",
+    "RetractTask",
+    "RetractWeights",
+    "Ring",
     "Setting",
     "Situation",
     "Start",
     "Task",
+    "ToolShape",
 ]

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spatula_env.geometry.checks import check_positive
 from spatula_env.tasks.base import (
     BoolArray,
     Evaluation,
     FloatArray,
+    IntArray,
+    Memory,
     Setting,
     Situation,
     Start,
+    Task,
+    as_seen,
     check_range,
+    check_weights,
     closeness,
     config_from_mapping,
+    sample_disc,
 )
+from spatula_env.tasks.marks import Mark, Path, Ring
 from spatula_env.tasks.surface import surface_heights
 
 LEAST_DEPTH, GREATEST_DEPTH = -0.03, 0.06
 """Limits of a measured depth [m]: a surface that bulges, and one that has gone from under the tool."""
+
+RING_RATIO = 1.64
+"""Radius of the rings that show a goal, by half the spatula's width: they reach around it."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +55,7 @@ class PressWeights:
 
     def __post_init__(self) -> None:
         """Check the weights."""
-        for name, value in asdict(self).items():
-            if not np.isfinite(value):
-                raise ValueError(f"weights.{name} must be finite, got {value!r}")
+        check_weights(self)
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,7 @@ class PressConfig:
         object.__setattr__(self, "weights", config_from_mapping(PressWeights, self.weights, "weights"))
 
 
-class PressTask:
+class PressTask(Task):
     """Judges a press.
 
     A goal is (x, y, depth): a place in the horizontal plane and how far the organ's surface is to be below
@@ -110,9 +116,13 @@ class PressTask:
 
     Goals, achieved and desired, are rounded to single precision before they are compared, because that is
     what an agent sees and what a replay buffer stores: `compute_reward` gives the same verdict as `evaluate`.
+
+    Attributes:
+        config: What is asked.
     """
 
     goal_names = ("x", "y", "depth")
+    goal_units = ("m", "m", "m")
 
     def __init__(self, config: PressConfig, setting: Setting) -> None:
         """Prepare for a setting.
@@ -124,56 +134,34 @@ class PressTask:
         Raises:
             ValueError: If the deepest goal or a start is out of the tool's reach.
         """
-        self.config = config
-        self._setting = setting
-        self._rest_nodes = np.array(setting.rest_nodes[None])
-        self._triangles = np.array(setting.triangles)
-        self._top = float(setting.rest_nodes[:, 2].max())
-        self._weights: dict[str, float] = asdict(config.weights)
         low, high = setting.workspace_low, setting.workspace_high
-        self._low: NDArray[np.float32] = np.array([low[0], low[1], LEAST_DEPTH], dtype=np.float32)
-        self._high: NDArray[np.float32] = np.array([high[0], high[1], GREATEST_DEPTH], dtype=np.float32)
+        super().__init__(config, setting, [low[0], low[1], LEAST_DEPTH], [high[0], high[1], GREATEST_DEPTH])
+        self.config = config
+        self._triangles = np.array(setting.triangles)
+        self._underside = float(setting.tool_low[2])
         self._check_reach()
 
-    @property
-    def goal_low(self) -> NDArray[np.float32]:
-        """(3,) least values of what can be achieved [m]."""
-        return self._low.copy()
-
-    @property
-    def goal_high(self) -> NDArray[np.float32]:
-        """(3,) greatest values of what can be achieved [m]."""
-        return self._high.copy()
-
-    @property
-    def weights(self) -> Mapping[str, float]:
-        """The weight of each reward term."""
-        return self._weights
-
-    @property
-    def hold_time(self) -> float:
-        """How long the goal must be held without a break for success [s]."""
-        return self.config.hold_time
-
-    def sample(self, generator: np.random.Generator, count: int) -> Start:
+    def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
         """Draw the beginnings of episodes: places uniform in discs, depths and heights in their ranges.
 
         Args:
             generator: Where randomness comes from.
             count: Number of episodes, W.
+            setting: Where the organ is.
 
         Returns:
             Goals (W, 3) and tool positions (W, 3) [m].
         """
         config = self.config
         depth = generator.uniform(*config.depth_range, size=count)
-        place = _sample_disc(generator, config.place_radius, count)
-        start = _sample_disc(generator, config.start_radius, count)
+        place = sample_disc(generator, config.place_radius, count)
+        start = sample_disc(generator, config.start_radius, count)
         height = generator.uniform(*config.start_height_range, size=count)
-        underside = self._top + height
+        middle = setting.organ_position[:2]
+        underside = setting.rest_nodes[:, 2].max() + height
         return Start(
-            goal=np.column_stack([place, depth]),
-            tool_position=np.column_stack([start, underside - self._setting.tool_low[2]]),
+            goal=np.column_stack([middle + place, depth]),
+            tool_position=np.column_stack([middle + start, underside - setting.tool_low[2]]),
         )
 
     def check_goal(self, goal: FloatArray) -> None:
@@ -183,35 +171,44 @@ class PressTask:
             ValueError: If its place is outside the workspace, or its depth is outside the configured range.
         """
         least, greatest = self.config.depth_range
-        if (goal[:2] < self._low[:2]).any() or (goal[:2] > self._high[:2]).any():
-            raise ValueError(f"goal must be at a place from {self._low[:2]} to {self._high[:2]} m, got {goal[:2]}")
+        low, high = self.goal_low[:2], self.goal_high[:2]
+        if (goal[:2] < low).any() or (goal[:2] > high).any():
+            raise ValueError(f"goal must be at a place from {low} to {high} m, got {goal[:2]}")
         if not least <= goal[2] <= greatest:
             raise ValueError(f"goal must have a depth from {least} to {greatest} m, got {goal[2]}")
 
-    def evaluate(self, situation: Situation, goal: FloatArray) -> Evaluation:
+    def new_memory(self, count: int) -> Memory:
+        """Room for the height that the surface is to have at the place, "target_height" (W,) [m]."""
+        return {"target_height": np.zeros(count)}
+
+    def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
+        """See `Task`: the surface at rest is looked up once in an episode."""
+        rest = np.stack([setting.rest_nodes for setting in settings])
+        memory["target_height"][rows] = self._heights(rest, start.goal[:, :2]) - start.goal[:, 2]
+
+    def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
         """Judge a situation.
 
         Args:
             situation: Of W worlds.
             goal: (W, 3) [m].
+            memory: What `begin_memory` wrote.
 
         Returns:
             Reward terms "reach", "depth", "hold", "force" and "action"; what was achieved; the measures
             "depth", "depth_error" and "place_error" [m].
         """
         config = self.config
-        place = np.ascontiguousarray(situation.tool_position[:, :2])
-        depth = self._rest_heights(place)
-        depth -= surface_heights(situation.nodes, self._triangles, place, self._setting.ground_height)
-        measured = np.concatenate([place, depth[:, None]], axis=1)
+        place = situation.tool_position[:, :2]
+        depth = self._heights(situation.rest_nodes, place) - self._heights(situation.nodes, place)
+        measured = np.column_stack([place, depth])
         # Not np.clip: it costs several times as much on a few numbers.
-        achieved = _as_seen(np.minimum(np.maximum(measured, self._low), self._high))
-        error = _as_seen(goal) - achieved
+        achieved = as_seen(np.minimum(np.maximum(measured, self.goal_low), self.goal_high))
+        error = as_seen(goal) - achieved
         place_error, depth_error, within = self._compare(error)
 
-        target = self._rest_heights(np.array(goal[:, :2])) - goal[:, 2]
-        underside = situation.tool_position[:, 2] + self._setting.tool_low[2]
-        distance = np.hypot(place_error, underside - target)
+        underside = situation.tool_position[:, 2] + situation.tool_scale * self._underside
+        distance = np.hypot(place_error, underside - memory["target_height"])
         force = np.sqrt((situation.contact_force**2).sum(axis=1))
         return Evaluation(
             terms={
@@ -227,28 +224,25 @@ class PressTask:
             measures={"depth": achieved[:, 2], "depth_error": depth_error, "place_error": place_error},
         )
 
-    def compute_reward(self, achieved: NDArray[Any], desired: NDArray[Any]) -> NDArray[np.float32]:
-        """The sparse reward, from goals alone.
+    def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Whether the place and the depth are within tolerance of what is desired, (..., 3) each [m]."""
+        return self._compare(desired - achieved)[2]
 
-        Args:
-            achieved: (..., 3) [m].
-            desired: (..., 3) [m].
+    def marks(
+        self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
+    ) -> tuple[Mark, ...]:
+        """Rings at the place on the surface at rest and where it is to go, and a line from one to the other."""
+        rest = self.setting.rest_nodes[None] if situation is None else situation.rest_nodes
+        height = self._heights(rest, goal[None, :2])[0]
+        points = np.array([[*goal[:2], height], [*goal[:2], height - goal[2]]])
+        radius = RING_RATIO * float(self.setting.tool_high[0])
+        return Ring(points[0], radius), Ring(points[1], radius), Path(points)
 
-        Returns:
-            (...) 0 where `achieved` is within tolerance of `desired`, -1 elsewhere.
-        """
-        _, _, within = self._compare(_as_seen(desired) - _as_seen(achieved))
-        return np.asarray(within, dtype=np.float32) - np.float32(1.0)
-
-    def target_points(self, goal: FloatArray) -> FloatArray:
-        """(2, 3): the place on the surface at rest, and where that point of the surface is to go [m]."""
-        height = self._rest_heights(np.array(goal[None, :2]))[0]
-        return np.array([[*goal[:2], height], [*goal[:2], height - goal[2]]])
-
-    def _rest_heights(self, places: FloatArray) -> FloatArray:
-        """(W,) height of the surface at rest at places (W, 2) [m]."""
-        ground = self._setting.ground_height
-        heights: FloatArray = surface_heights(self._rest_nodes, self._triangles, places, ground)
+    def _heights(self, nodes: FloatArray, places: FloatArray) -> FloatArray:
+        """(W,) height of surfaces (W, V, 3) or (1, V, 3) at places (W, 2) [m]."""
+        places = np.ascontiguousarray(places)
+        ground = self.setting.ground_height
+        heights: FloatArray = surface_heights(np.ascontiguousarray(nodes), self._triangles, places, ground)
         return heights
 
     def _compare(self, error: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -258,7 +252,7 @@ class PressTask:
         return place_error, depth_error, within
 
     def _check_reach(self) -> None:
-        config, setting = self.config, self._setting
+        config, setting = self.config, self.setting
         widest = min(float(setting.workspace_high[:2].min()), -float(setting.workspace_low[:2].max()))
         for name in ("place_radius", "start_radius"):
             if getattr(config, name) > widest:
@@ -267,27 +261,15 @@ class PressTask:
                 )
         angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
         rim = config.place_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        lowest = self._rest_heights(rim).min()
+        lowest = self._heights(setting.rest_nodes[None], rim).min()
         deepest = lowest - (setting.workspace_low[2] + setting.tool_low[2])
         if config.depth_range[1] > deepest:
             raise ValueError(
                 f"depth_range must end at {deepest:.4f} m at most, where the workspace ends; got {config.depth_range}"
             )
-        highest = setting.workspace_high[2] + setting.tool_low[2] - self._top
+        highest = setting.workspace_high[2] + setting.tool_low[2] - float(setting.rest_nodes[:, 2].max())
         if config.start_height_range[1] > highest:
             raise ValueError(
                 f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
                 f"got {config.start_height_range}"
             )
-
-
-def _as_seen(goal: NDArray[Any]) -> FloatArray:
-    """Goals as an agent sees them: rounded to single precision."""
-    return np.asarray(goal, dtype=np.float32).astype(np.float64)
-
-
-def _sample_disc(generator: np.random.Generator, radius: float, count: int) -> FloatArray:
-    """(count, 2) points, uniform in a disc around the origin."""
-    distance = radius * np.sqrt(generator.uniform(size=count))
-    angle = generator.uniform(0.0, 2.0 * np.pi, size=count)
-    return np.column_stack([distance * np.cos(angle), distance * np.sin(angle)])

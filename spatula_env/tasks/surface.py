@@ -66,3 +66,30 @@ def farthest_points(points: ArrayLike, count: int) -> NDArray[np.int64]:
         distance = np.minimum(distance, np.linalg.norm(positions - positions[chosen[k - 1]], axis=1))
         chosen[k] = np.argmax(distance)
     return chosen
+
+
+def surface_samples(vertices: ArrayLike, triangles: ArrayLike, count: int) -> tuple[NDArray[np.int64], FloatArray]:
+    """Points spread evenly over a surface, always the same ones.
+
+    They follow a sequence of low discrepancy, whose steps are powers of the reciprocal of the plastic number, through
+    area and the two coordinates in a triangle (M. Roberts, The unreasonable effectiveness of quasirandom sequences,
+    2018).
+
+    Args:
+        vertices: (V, 3).
+        triangles: (T, 3).
+        count: How many.
+
+    Returns:
+        The triangle of each point (count,), and the weights of its corners (count, 3).
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(triangles)]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    share = np.cumsum(areas) / areas.sum()
+    index = np.arange(1, count + 1)
+    # The root of x^4 = x + 1, for three dimensions.
+    steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
+    along, u, v = (0.5 + index[:, None] * steps).T % 1.0
+    chosen = np.minimum(np.searchsorted(share, along), len(areas) - 1)
+    root = np.sqrt(u)
+    return chosen, np.column_stack([1.0 - root, root * (1.0 - v), root * v])

@@ -207,7 +207,7 @@ def test_a_world_has_its_own_start_and_chance(script):
 
 
 def test_the_script_goes_to_the_goal_and_holds(script):
-    observations = np.zeros((3, 66), dtype=np.float32)
+    observations = np.zeros((3, 71), dtype=np.float32)
     observations[:, script.error] = [[0.001, -0.002, 0.01], [0.0, 0.0, 0.0], [0.0, 0.0, 0.005]]
     observations[1:, script.touch] = [0.5, 0.0]
     actions = script.actions(observations)
@@ -258,10 +258,10 @@ def test_odd_worlds_leave_the_script_when_time_is_taken(script):
 
     def step(actions):
         seen.append(actions)
-        return np.zeros((2, 66), dtype=np.float32), np.zeros(2)
+        return np.zeros((2, 71), dtype=np.float32), np.zeros(2)
 
     def reset(worlds):
-        return np.zeros((2, 66), dtype=np.float32)
+        return np.zeros((2, 71), dtype=np.float32)
 
     throughput.Driver(2, 2, script, reset, step, None).turn()
     scripted = np.repeat(script.actions(reset([0, 1]))[None], len(seen), axis=0)

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -15,7 +15,7 @@ import spatula_env  # noqa: F401
 from spatula_env import scenes
 from spatula_env.envs import PressEnv, SpatulaEnv
 from spatula_env.sim.simulation import SimulationDiverged
-from spatula_env.tasks import PressConfig, PressTask, PressWeights
+from spatula_env.tasks import PressWeights
 
 INTERFACES = [(mode, reward) for mode in ("state", "dict") for reward in ("dense", "sparse")]
 DOWN = np.array([0.0, 0.0, -1.0], dtype=np.float32)
@@ -76,8 +76,9 @@ def press(env: PressEnv, steps: int = 40) -> list[tuple[Any, float, bool, dict[s
 @pytest.mark.parametrize(("obs_mode", "reward"), INTERFACES)
 def test_gymnasiums_checker_finds_nothing(obs_mode: str, reward: str) -> None:
     # Warnings are errors in all tests.
-    with gym.make("Spatula/Press-v0", obs_mode=obs_mode, reward=reward, width=64, height=64) as made:
-        check_env(made.unwrapped)
+    with gym.make("Spatula/Press-v0", obs_mode=obs_mode, reward=reward) as made:
+        # What can be rendered is tested elsewhere: a window needs a display.
+        check_env(made.unwrapped, skip_render_check=True)
 
 
 @pytest.mark.parametrize(("obs_mode", "reward"), INTERFACES)
@@ -90,10 +91,10 @@ def test_stable_baselines_checker_finds_nothing(obs_mode: str, reward: str) -> N
 def test_spaces(env: PressEnv, sparse_env: PressEnv) -> None:
     assert env.action_space == spaces.Box(-1.0, 1.0, (3,), np.float32)
     assert isinstance(env.observation_space, spaces.Box)
-    assert env.observation_space.shape == (66,)
+    assert env.observation_space.shape == (71,)
     assert isinstance(sparse_env.observation_space, spaces.Dict)
     assert set(sparse_env.observation_space) == {"observation", "achieved_goal", "desired_goal"}
-    assert sparse_env.observation_space["observation"].shape == (60,)
+    assert sparse_env.observation_space["observation"].shape == (65,)
 
 
 def test_the_episode_is_cut_after_200_steps() -> None:
@@ -103,73 +104,11 @@ def test_the_episode_is_cut_after_200_steps() -> None:
     assert ends == [(False, False)] * 199 + [(False, True)]
 
 
-# ----------------------------------------------------------------------------------------- documentation
+# ----------------------------------------------------------------------------------------- actions
 
 
-def read_tables(text: str) -> dict[str, list[dict[str, str]]]:
-    """The tables of a docstring in Markdown, by the heading of their first column's neighbour."""
-    tables: dict[str, list[dict[str, str]]] = {}
-    for block in re.findall(r"(?:^ *\|.*\n)+", text, flags=re.MULTILINE):
-        rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in block.splitlines()]
-        tables[rows[0][1]] = [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
-    return tables
-
-
-TABLES = read_tables(PressEnv.__doc__ or "")
-
-
-def test_the_documented_observations_are_those_of_the_space(env: PressEnv) -> None:
-    space, builder = env.observation_space, env.observation_builder
-    assert isinstance(space, spaces.Box)
-    units = {part.name: part.unit for part in builder.parts}
-    following = 0
-    for row in TABLES["Observation"]:
-        first, _, last = row["Num"].partition("-")
-        assert int(first) == following
-        following = int(last or first) + 1
-        numbers = slice(int(first), following)
-        assert space.low[numbers] == pytest.approx(np.full(following - int(first), float(row["Min"])), rel=1e-6)
-        assert space.high[numbers] == pytest.approx(np.full(following - int(first), float(row["Max"])), rel=1e-6)
-        part = builder.slices[row["Name"]]
-        assert part.start <= int(first) < following <= part.stop
-        assert row["Unit"] == units[row["Name"]]
-    assert following == space.shape[0]
-    assert f"`Box(({following},), float32)`" in (PressEnv.__doc__ or "")
-
-
-def test_the_documented_actions_are_those_of_the_space(env: PressEnv) -> None:
-    space = env.action_space
-    assert isinstance(space, spaces.Box)
-    assert [int(row["Num"]) for row in TABLES["Action"]] == list(range(space.shape[0]))
-    assert [float(row["Min"]) for row in TABLES["Action"]] == space.low.tolist()
-    assert [float(row["Max"]) for row in TABLES["Action"]] == space.high.tolist()
-
-
-def test_the_documented_weights_are_the_defaults() -> None:
-    documented = {row["Name"]: float(row["Weight"]) for row in TABLES["Weight"]}
-    assert documented == vars(PressWeights())
-
-
-def test_the_documented_arguments_are_those_of_the_constructor() -> None:
-    import inspect
-
-    documented = {row["Parameter"].strip("`"): row["Default"].strip("`") for row in TABLES["Type"]}
-    parameters = list(inspect.signature(PressEnv.__init__).parameters.values())[1:]
-    assert documented == {p.name: repr(p.default).replace("'", '"') for p in parameters}
-
-
-def test_the_documented_info_is_what_there_is(env: PressEnv) -> None:
-    _, info = env.reset(seed=0)
-    section = (PressEnv.__doc__ or "").partition("## Info")[2].partition("##")[0]
-    names = set(re.findall(r"`([a-z_/<>]+)`", section)) - {"reset", "step", "reward/<name>"}
-    assert names == {name for name in info if not name.startswith("reward/")}
-
-
-@pytest.mark.parametrize(
-    ("axis", "name"), [(0, "velocity to the operator's right"), (1, "velocity away"), (2, "velocity upwards")]
-)
-def test_each_action_moves_along_its_axis(env: PressEnv, axis: int, name: str) -> None:
-    assert TABLES["Action"][axis]["Action"].startswith(name)
+@pytest.mark.parametrize("axis", range(3))
+def test_each_action_moves_along_its_axis(env: PressEnv, axis: int) -> None:
     action = np.zeros(3, dtype=np.float32)
     action[axis] = 0.5
     before = env.reset(seed=0)[0][:3]
@@ -231,7 +170,7 @@ def test_a_press_held_for_ten_steps_is_a_success(env: PressEnv) -> None:
     assert infos[first]["hold_time"] == pytest.approx(0.5)
     assert all(success[first:])
     assert infos[first]["depth"] == pytest.approx(GOAL[2], abs=0.001)
-    assert 0.5 < infos[first]["force"] <= infos[first]["peak_force"] < 10.0
+    assert 0.3 < infos[first]["force"] <= infos[first]["peak_force"] < 10.0
 
 
 def test_success_is_kept_until_the_next_reset(env: PressEnv) -> None:
@@ -283,7 +222,7 @@ def test_info_has_the_same_keys_at_reset_and_at_every_step(env: PressEnv) -> Non
 def test_the_organ_is_pressed_where_the_observation_says(env: PressEnv) -> None:
     observation = press(env, steps=25)[-1][0]
     slices = env.observation_builder.slices
-    assert observation[slices["contact_force"]][2] > 0.5
+    assert observation[slices["contact_force"]][2] > 0.3
     lower, upper = observation[slices["contact_share"]]
     assert 0.6 < lower <= 1.0
     assert upper == 0.0
@@ -363,13 +302,15 @@ def test_only_the_goal_interface_has_compute_reward(env: PressEnv, sparse_env: P
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"obs_mode": "rgb"}, r"obs_mode must be one of \['state', 'dict'\], got 'rgb'"),
-        ({"obs_mode": "pointcloud"}, r"obs_mode must be one of \['state', 'dict'\], got 'pointcloud'"),
-        ({"control": "velocity_6d"}, r"control must be one of \['velocity'\], got 'velocity_6d'"),
+        (
+            {"obs_mode": "smell"},
+            r"obs_mode must be one of \['state', 'dict', 'rgb', 'rgbd', 'pointcloud'\], got 'smell'",
+        ),
+        ({"control": "force"}, r"control must be one of \['velocity', 'velocity_6d'\], got 'force'"),
         ({"engine": "magic"}, "engine must be one of .* got 'magic'"),
         ({"contact": "magic"}, r"contact must be one of \['flags', 'second_step', 'bullet'\], got 'magic'"),
         ({"reward": "shaped"}, r"reward must be one of \['dense', 'sparse'\], got 'shaped'"),
-        ({"render_mode": "human"}, r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"),
+        ({"render_mode": "ansi"}, r"render_mode must be one of \[None, 'rgb_array', 'human'\], got 'ansi'"),
         (
             {"control_frequency": 50.0},
             "control_frequency must go a whole number of times into .* 240 Hz; got 50.0",
@@ -380,11 +321,23 @@ def test_only_the_goal_interface_has_compute_reward(env: PressEnv, sparse_env: P
         ({"task": {"colour": 1}}, "task has no colour; allowed are depth_range, depth_scale"),
         ({"task": "deep"}, "task must be a mapping or a PressConfig"),
         ({"task": {"depth_range": (0.005, 0.05)}}, "depth_range must end at 0.0"),
+        ({"damage_limit": -1.0}, "damage_limit must be None, or zero or more and finite, got -1.0"),
+        ({"observation": {"blur": 1}}, "observation has no blur; allowed are delay, history, image_size"),
+        ({"randomization": "some"}, "randomization must be 'none', 'default' or a mapping, got 'some'"),
+        ({"randomization": {"colour": (0, 1)}}, "randomization has no colour; allowed are action_delay, friction"),
+        ({"randomization": {"stiffness": (0, 1)}}, r"randomization.stiffness must lie in 0.05 to 20, got \(0, 1\)"),
+        ({"randomization": {"friction": (2, 1)}}, "randomization.friction must be two finite numbers in ascending"),
+        ({"randomization": {"action_delay": 0.5}}, "randomization.action_delay must be whole numbers, got 0.5"),
     ],
 )
 def test_options_that_do_not_exist_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PressEnv(**options)
+
+
+def test_unknown_options_are_refused() -> None:
+    with pytest.raises(TypeError, match="PressEnv has no option colour; allowed are contact, control, control_freq"):
+        PressEnv(colour=1)
 
 
 @pytest.mark.parametrize(
@@ -451,13 +404,11 @@ def test_a_breakdown_of_physics_asks_for_a_reset(env: PressEnv, monkeypatch: pyt
     assert rollout(env, random_actions(2), seed=1) == expected
 
 
-def test_a_scene_must_have_one_organ_and_one_tool() -> None:
+def test_a_scene_must_have_one_organ() -> None:
     scene = scenes.seed()
-    from dataclasses import replace
 
-    with pytest.raises(ValueError, match="scene must have one organ and one tool, got 1 and 2"):
-        SpatulaEnv(
-            replace(scene, tools=scene.tools * 2),
-            lambda setting: PressTask(PressConfig(), setting),
-            workspace_height=0.025,
-        )
+    class TwoOrgans(SpatulaEnv):
+        definition = replace(PressEnv.definition, scene=lambda: replace(scene, organs=scene.organs * 2))
+
+    with pytest.raises(ValueError, match="scene must have one organ, got 2"):
+        TwoOrgans()

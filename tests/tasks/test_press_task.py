@@ -8,13 +8,37 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spatula_env.geometry import icosphere
-from spatula_env.tasks import PressConfig, PressTask, PressWeights, Setting, Situation
+from spatula_env.geometry import Tool, icosphere
+from spatula_env.tasks import (
+    Evaluation,
+    Path,
+    PressConfig,
+    PressTask,
+    PressWeights,
+    Ring,
+    Setting,
+    Situation,
+    Start,
+    ToolShape,
+)
 from spatula_env.tasks.base import weighted_sum
 
 RADIUS = 0.06
 SPHERE = icosphere(RADIUS, subdivisions=3)
 HALF_THICKNESS = 0.00125
+
+
+def make_spatula() -> ToolShape:
+    tool = Tool.box(size=(0.02, 0.02, 2.0 * HALF_THICKNESS))
+    return ToolShape(
+        vertices=tool.vertices,
+        orientation=np.array([0.0, 0.0, 0.0, 1.0]),
+        offset=np.zeros(3),
+        nodes=tool.nodes,
+        normals=tool.normals,
+        face=tool.face,
+        triangles=tool.triangles,
+    )
 
 
 def make_setting() -> Setting:
@@ -23,8 +47,7 @@ def make_setting() -> Setting:
         rest_nodes=SPHERE.vertices - [0.0, 0.0, RADIUS + 0.025],
         triangles=SPHERE.triangles,
         ground_height=-2.0 * RADIUS - 0.025,
-        tool_low=np.array([-0.01, -0.01, -HALF_THICKNESS]),
-        tool_high=np.array([0.01, 0.01, HALF_THICKNESS]),
+        tools=(make_spatula(),),
         workspace_low=np.full(3, -0.0508),
         workspace_high=np.full(3, 0.0508),
     )
@@ -36,16 +59,23 @@ def make_situation(position: object, sunk: object = 0.0, force: float = 0.0, act
     count = len(tool)
     down = np.broadcast_to(np.asarray(sunk, dtype=np.float64), (count,))
     nodes = make_setting().rest_nodes - down[:, None, None] * [0.0, 0.0, 1.0]
-    return Situation(
-        tool_position=tool,
-        tool_velocity=np.zeros((count, 3)),
+    return Situation.at_rest(
+        make_setting(),
+        tool,
+        nodes=nodes,
         contact_force=np.tile([0.0, 0.0, force], (count, 1)),
         peak_force=np.full(count, force),
-        contact_share=np.zeros((count, 2)),
-        contact_depth=np.zeros(count),
-        nodes=nodes,
         action=np.full((count, 3), action),
     )
+
+
+def judge(task: PressTask, situation: Situation, goal: np.ndarray) -> Evaluation:
+    """What a task makes of a situation, in episodes with these goals."""
+    count = len(goal)
+    memory = task.new_memory(count)
+    start = Start(goal=goal, tool_position=situation.tool_position)
+    task.begin_memory(memory, np.arange(count), start, [make_setting()] * count)
+    return task.evaluate(situation, goal, memory)
 
 
 @pytest.fixture(scope="module")
@@ -55,14 +85,14 @@ def task() -> PressTask:
 
 def test_depth_is_how_far_the_surface_went_down(task: PressTask) -> None:
     positions = [[0.0, 0.0, 0.0], [0.012, -0.004, -0.03], [0.0, 0.01, 0.04]]
-    found = task.evaluate(make_situation(positions, [0.0, 0.007, 0.011]), np.zeros((3, 3)))
+    found = judge(task, make_situation(positions, [0.0, 0.007, 0.011]), np.zeros((3, 3)))
     assert found.achieved[:, :2] == pytest.approx(np.array(positions)[:, :2], abs=1e-8)
     assert found.measures["depth"] == pytest.approx([0.0, 0.007, 0.011], abs=1e-8)
 
 
 def test_a_sunken_spatula_achieves_nothing_if_the_organ_has_not_moved(task: PressTask) -> None:
     goal = np.array([[0.0, 0.0, 0.01]])
-    inside = task.evaluate(make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS]), goal)
+    inside = judge(task, make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS]), goal)
     assert inside.measures["depth"] == pytest.approx([0.0], abs=1e-12)
     assert not inside.within_tolerance[0]
 
@@ -72,14 +102,14 @@ def test_within_tolerance_needs_both_the_place_and_the_depth(task: PressTask) ->
     positions = np.array(
         [[0.005, 0.0, 0.0], [0.0065, 0.001, 0.0], [0.0075, 0.0, 0.0], [0.005, 0.0, 0.0], [0.005, 0.0, 0.0]]
     )
-    found = task.evaluate(make_situation(positions, [0.01, 0.0109, 0.01, 0.0112, 0.0088]), goal)
+    found = judge(task, make_situation(positions, [0.01, 0.0109, 0.01, 0.0112, 0.0088]), goal)
     assert found.within_tolerance.tolist() == [True, True, False, False, False]
     assert found.terms["hold"].tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
 
 
 def test_error_is_goal_minus_achieved(task: PressTask) -> None:
     goal = np.array([[0.01, -0.005, 0.012]])
-    found = task.evaluate(make_situation([0.002, 0.001, 0.0], 0.004), goal)
+    found = judge(task, make_situation([0.002, 0.001, 0.0], 0.004), goal)
     assert found.error == pytest.approx(np.array([[0.008, -0.006, 0.008]]), abs=1e-8)
     assert found.measures["place_error"] == pytest.approx([0.01], abs=1e-8)
     assert found.measures["depth_error"] == pytest.approx([0.008], abs=1e-8)
@@ -87,7 +117,7 @@ def test_error_is_goal_minus_achieved(task: PressTask) -> None:
 
 def test_reward_terms_are_largest_where_the_goal_is_met(task: PressTask) -> None:
     goal = np.array([[0.0, 0.0, 0.01]])
-    met = task.evaluate(make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS], 0.01), goal).terms
+    met = judge(task, make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS], 0.01), goal).terms
     assert met["reach"] == pytest.approx([1.0], abs=1e-6)
     assert met["depth"] == pytest.approx([1.0], abs=1e-6)
     assert met["hold"].tolist() == [1.0]
@@ -97,15 +127,15 @@ def test_reward_terms_are_largest_where_the_goal_is_met(task: PressTask) -> None
 def test_coming_closer_pays(task: PressTask, height: float, step: float) -> None:
     goal = np.tile([0.0, 0.0, 0.01], (2, 1))
     # Both above the organ: only "reach" can tell them apart.
-    found = task.evaluate(make_situation([[0.0, 0.0, height - 0.02], [0.0, 0.0, height - 0.02 + step]]), goal)
+    found = judge(task, make_situation([[0.0, 0.0, height - 0.02], [0.0, 0.0, height - 0.02 + step]]), goal)
     reward = weighted_sum(found.terms, task.weights)
     assert reward[0] > reward[1]
 
 
 def test_force_and_action_are_reported_raw_and_cost_something(task: PressTask) -> None:
     goal = np.array([[0.0, 0.0, 0.01]])
-    idle = task.evaluate(make_situation([0.0, 0.0, 0.0]), goal).terms
-    busy = task.evaluate(make_situation([0.0, 0.0, 0.0], force=3.0, action=0.5), goal).terms
+    idle = judge(task, make_situation([0.0, 0.0, 0.0]), goal).terms
+    busy = judge(task, make_situation([0.0, 0.0, 0.0], force=3.0, action=0.5), goal).terms
     assert busy["force"] == pytest.approx([3.0])
     assert busy["action"] == pytest.approx([0.75])
     difference = weighted_sum(busy, task.weights) - weighted_sum(idle, task.weights)
@@ -113,7 +143,7 @@ def test_force_and_action_are_reported_raw_and_cost_something(task: PressTask) -
 
 
 def test_keys_are_those_of_the_weights(task: PressTask) -> None:
-    found = task.evaluate(make_situation([0.0, 0.0, 0.0]), np.array([[0.0, 0.0, 0.01]]))
+    found = judge(task, make_situation([0.0, 0.0, 0.0]), np.array([[0.0, 0.0, 0.01]]))
     assert set(found.terms) == set(task.weights) == set(asdict(PressWeights()))
     assert all(values.shape == (1,) for values in (*found.terms.values(), *found.measures.values()))
 
@@ -121,10 +151,10 @@ def test_keys_are_those_of_the_weights(task: PressTask) -> None:
 def test_many_worlds_are_judged_as_each_alone(task: PressTask) -> None:
     generator = np.random.default_rng(3)
     positions = generator.uniform(-0.05, 0.05, (7, 3))
-    sunk, goal = generator.uniform(0.0, 0.02, 7), task.sample(generator, 7).goal
-    together = task.evaluate(make_situation(positions, sunk, force=1.0), goal)
+    sunk, goal = generator.uniform(0.0, 0.02, 7), task.sample(generator, 7, make_setting()).goal
+    together = judge(task, make_situation(positions, sunk, force=1.0), goal)
     for w in range(7):
-        alone = task.evaluate(make_situation(positions[w], sunk[w], force=1.0), goal[w : w + 1])
+        alone = judge(task, make_situation(positions[w], sunk[w], force=1.0), goal[w : w + 1])
         assert alone.achieved.tolist() == together.achieved[w : w + 1].tolist()
         for name, values in alone.terms.items():
             assert values.tolist() == together.terms[name][w : w + 1].tolist(), name
@@ -132,7 +162,7 @@ def test_many_worlds_are_judged_as_each_alone(task: PressTask) -> None:
 
 def test_what_is_achieved_stays_within_its_bounds(task: PressTask) -> None:
     # Off the organ's edge, and with the organ gone from under the spatula.
-    found = task.evaluate(make_situation([[0.0508, 0.0508, 0.0], [0.0, 0.0, 0.0]], [0.0, 1.0]), np.zeros((2, 3)))
+    found = judge(task, make_situation([[0.0508, 0.0508, 0.0], [0.0, 0.0, 0.0]], [0.0, 1.0]), np.zeros((2, 3)))
     assert (found.achieved >= task.goal_low).all()
     assert (found.achieved <= task.goal_high).all()
     assert found.achieved[1, 2] == task.goal_high[2]
@@ -140,7 +170,7 @@ def test_what_is_achieved_stays_within_its_bounds(task: PressTask) -> None:
 
 @given(st.integers(0, 2**32 - 1))
 def test_samples_are_in_their_ranges(task: PressTask, seed: int) -> None:
-    start = task.sample(np.random.default_rng(seed), 5)
+    start = task.sample(np.random.default_rng(seed), 5, make_setting())
     assert start.goal.shape == start.tool_position.shape == (5, 3)
     assert (np.hypot(*start.goal[:, :2].T) <= 0.015).all()
     assert (start.goal[:, 2] >= 0.005).all()
@@ -154,14 +184,14 @@ def test_samples_are_in_their_ranges(task: PressTask, seed: int) -> None:
 
 
 def test_sampling_fills_the_disc_evenly(task: PressTask) -> None:
-    goal = task.sample(np.random.default_rng(0), 20_000).goal
+    goal = task.sample(np.random.default_rng(0), 20_000, make_setting()).goal
     # A disc of half the radius holds a quarter of the area.
     assert np.mean(np.hypot(goal[:, 0], goal[:, 1]) < 0.0075) == pytest.approx(0.25, abs=0.015)
     assert np.mean(goal, axis=0) == pytest.approx([0.0, 0.0, 0.0115], abs=2e-4)
 
 
 def test_equal_generators_give_equal_samples(task: PressTask) -> None:
-    first, second = (task.sample(np.random.default_rng(8), 3) for _ in range(2))
+    first, second = (task.sample(np.random.default_rng(8), 3, make_setting()) for _ in range(2))
     assert first.goal.tolist() == second.goal.tolist()
     assert first.tool_position.tolist() == second.tool_position.tolist()
 
@@ -184,11 +214,11 @@ def test_sparse_reward_is_zero_within_tolerance(
 @given(st.integers(0, 2**32 - 1))
 def test_sparse_reward_agrees_with_the_evaluation_to_the_last_bit(task: PressTask, seed: int) -> None:
     generator = np.random.default_rng(seed)
-    goal = task.sample(generator, 8).goal
+    goal = task.sample(generator, 8, make_setting()).goal
     # On the very edge of what is tolerated.
     angle = generator.uniform(0.0, 2.0 * np.pi, 8)
     position = goal + 0.002 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(8)])
-    found = task.evaluate(make_situation(position, goal[:, 2] + generator.choice([-0.001, 0.0, 0.001], 8)), goal)
+    found = judge(task, make_situation(position, goal[:, 2] + generator.choice([-0.001, 0.0, 0.001], 8)), goal)
     stored = task.compute_reward(found.achieved.astype(np.float32), goal.astype(np.float32))
     assert (stored == 0.0).tolist() == found.within_tolerance.tolist()
 
@@ -202,10 +232,40 @@ def test_sparse_reward_takes_one_goal_or_many(task: PressTask) -> None:
     assert (many == -1.0).all()
 
 
-def test_targets_are_the_place_at_rest_and_the_pressed_point(task: PressTask) -> None:
-    surface, pressed = task.target_points(np.array([0.01, 0.0, 0.012]))
-    assert surface == pytest.approx([0.01, 0.0, np.sqrt(RADIUS**2 - 0.01**2) - RADIUS - 0.025], abs=5e-4)
-    assert pressed - surface == pytest.approx([0.0, 0.0, -0.012])
+def test_marks_are_the_place_at_rest_and_the_pressed_point(task: PressTask) -> None:
+    surface, pressed, line = task.marks(np.array([0.01, 0.0, 0.012]))
+    assert isinstance(surface, Ring)
+    assert isinstance(pressed, Ring)
+    assert isinstance(line, Path)
+    assert surface.point == pytest.approx([0.01, 0.0, np.sqrt(RADIUS**2 - 0.01**2) - RADIUS - 0.025], abs=5e-4)
+    assert pressed.point - surface.point == pytest.approx([0.0, 0.0, -0.012])
+    assert line.points.tolist() == [surface.point.tolist(), pressed.point.tolist()]
+    # They reach around the spatula.
+    assert surface.radius > 0.01 * np.sqrt(2.0)
+
+
+def test_an_organ_elsewhere_is_pressed_where_it_is(task: PressTask) -> None:
+    shifted = replace(
+        make_setting(),
+        rest_nodes=make_setting().rest_nodes + np.array([0.004, -0.003, 0.005]),
+        organ_position=np.array([0.004, -0.003, -RADIUS - 0.02]),
+    )
+    here = task.sample(np.random.default_rng(4), 3, make_setting())
+    there = task.sample(np.random.default_rng(4), 3, shifted)
+    assert there.goal - here.goal == pytest.approx(np.tile([0.004, -0.003, 0.0], (3, 1)))
+    assert there.tool_position - here.tool_position == pytest.approx(np.tile([0.004, -0.003, 0.005], (3, 1)))
+    memory = task.new_memory(3)
+    task.begin_memory(memory, np.arange(3), there, [shifted] * 3)
+    at_rest = Situation.at_rest(shifted, there.goal)
+    assert task.evaluate(at_rest, there.goal, memory).measures["depth"] == pytest.approx(np.zeros(3), abs=1e-12)
+
+
+def test_a_larger_spatula_reaches_farther_down(task: PressTask) -> None:
+    goal, memory = np.array([[0.0, 0.0, 0.01]] * 2), task.new_memory(2)
+    situation = replace(make_situation(np.zeros((2, 3)) - [0.0, 0.0, 0.02]), tool_scale=np.array([1.0, 2.0]))
+    task.begin_memory(memory, np.arange(2), Start(goal, situation.tool_position), [make_setting()] * 2)
+    reach = task.evaluate(situation, goal, memory).terms["reach"]
+    assert reach[1] > reach[0]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spatula_env.geometry import box_surface, icosphere
-from spatula_env.tasks.surface import farthest_points, surface_heights
+from spatula_env.tasks.surface import farthest_points, surface_heights, surface_samples
 
 GROUND = -7.0
 
@@ -77,3 +77,20 @@ def test_farthest_points_are_different_and_spread(seed: int, count: int) -> None
 def test_farthest_points_refuses_impossible_counts(count: int) -> None:
     with pytest.raises(ValueError, match=f"count must be from 1 to 4, the number of points, got {count}"):
         farthest_points(np.zeros((4, 3)), count)
+
+
+def test_samples_are_spread_by_area_and_always_the_same() -> None:
+    sphere = icosphere(1.0, subdivisions=3)
+    chosen, weights = surface_samples(sphere.vertices, sphere.triangles, 400)
+    assert chosen.shape == (400,)
+    assert weights.sum(axis=1) == pytest.approx(np.ones(400))
+    assert (weights >= 0.0).all()
+    points = np.einsum("pka,pk->pa", sphere.vertices[sphere.triangles[chosen]], weights)
+    # Half of them lie on each half of the sphere, whichever way it is cut.
+    assert (points > 0.0).mean(axis=0) == pytest.approx(np.full(3, 0.5), abs=0.03)
+    again = surface_samples(sphere.vertices, sphere.triangles, 400)
+    assert again[0].tolist() == chosen.tolist()
+    # A triangle gets as many as its area deserves.
+    vertices = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [9.0, 0.0, 0.0]])
+    chosen, _ = surface_samples(vertices, [[0, 1, 2], [1, 3, 2]], 900)
+    assert (chosen == 0).sum() == pytest.approx(100, abs=3)

@@ -1,0 +1,91 @@
+"""What scripted policies have in common: they read observations by the names of their parts, one or many at once."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import gymnasium
+
+FloatArray = NDArray[np.float64]
+
+
+class Expert(ABC):
+    """A policy without memory: the action follows from the observation. It sees no more than an agent does.
+
+    Attributes:
+        task: Name of the task it solves, as in the environment's `Definition`.
+        max_speed: Of the grip along each axis [m/s].
+        max_rotation_rate: Of the tools about each axis [rad/s].
+        max_jaw_speed: At which jaws open and close [m/s].
+        names: Of the numbers in an action.
+    """
+
+    task: ClassVar[str]
+
+    def __init__(self, env: gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
+        """Learn how the observations and the actions of an environment are laid out.
+
+        Args:
+            env: Of the task, for one agent or many, wrapped or not, in the modes "state" or "dict", with any reward.
+
+        Raises:
+            ValueError: If it is another one.
+        """
+        made: Any = env.unwrapped
+        definition = getattr(made, "definition", None)
+        if definition is None or definition.name != self.task:
+            raise ValueError(f"env must be a {self.task} environment, got {env}")
+        if made.settings.obs_mode not in ("state", "dict"):
+            raise ValueError(f"env must have obs_mode 'state' or 'dict', got {made.settings.obs_mode!r}")
+        self._slices = made.observation_builder.slices
+        control = made.control
+        self.max_speed, self.max_rotation_rate = control.max_speed, control.max_rotation_rate
+        self.max_jaw_speed, self.names = control.max_jaw_speed, control.names
+
+    @abstractmethod
+    def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
+        """What to do, in SI units, by names of numbers in an action: (...) each; what is not named stays still.
+
+        Args:
+            observation: One or a batch; read it with `part`, `goal` and `error`.
+        """
+
+    def __call__(self, observation: Any) -> NDArray[np.float32]:
+        """The action (A,) for an observation, or the actions (W, A) for those of W worlds."""
+        wanted = self.velocities(observation)
+        unknown = set(wanted) - set(self.names)
+        if unknown:
+            raise ValueError(f"actions have no {', '.join(sorted(unknown))}; there are {', '.join(self.names)}")
+        shape = self.part(observation, "tool_position").shape[:-1]
+        columns = [np.broadcast_to(wanted.get(name, 0.0) / self._greatest(name), shape) for name in self.names]
+        return np.asarray(np.clip(np.stack(columns, axis=-1), -1.0, 1.0), dtype=np.float32)
+
+    def part(self, observation: Any, name: str) -> FloatArray:
+        """A part (..., k) of an observation or of many."""
+        if isinstance(observation, Mapping):
+            if name in observation:
+                return np.asarray(observation[name], dtype=np.float64)
+            observation = observation["observation"]
+        return np.asarray(observation, dtype=np.float64)[..., self._slices[name]]
+
+    def goal(self, observation: Any) -> FloatArray:
+        """What is asked (..., G), whatever the reward."""
+        sparse = isinstance(observation, Mapping) and "desired_goal" in observation
+        return self.part(observation, "desired_goal" if sparse else "goal")
+
+    def error(self, observation: Any) -> FloatArray:
+        """What is asked minus what is achieved (..., G), whatever the reward."""
+        if isinstance(observation, Mapping) and "desired_goal" in observation:
+            return self.part(observation, "desired_goal") - self.part(observation, "achieved_goal")
+        return self.part(observation, "error")
+
+    def _greatest(self, name: str) -> float:
+        if name.startswith("rotation"):
+            return float(self.max_rotation_rate)
+        return float(self.max_jaw_speed if name.startswith("jaw") else self.max_speed)

@@ -1,0 +1,169 @@
+"""Does anything break when nobody is careful?
+
+Random actions for many control steps in every task: nothing may diverge or become infinite, no tool may come through an
+organ, and memory may not grow. After every control step each world is inspected: a tool that is inside the organ with
+no contact node flagged was missed, and an organ's surface on the far side of a tool has been tunnelled through.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from benchmarks.inspection import Inspector
+from benchmarks.measure import finish, parser
+from spatula_env import TASKS
+
+WORLDS = {"batch": 32, "bullet": 2}
+"""How many are stepped together."""
+
+STEPS = {"batch": 200_000, "bullet": 20_000}
+"""Control steps in all worlds together."""
+
+DEEP = 0.05
+"""A part of a tool this deep in the organ, with no flag set, was missed [u]: 1 mm."""
+
+LARGEST_GROWTH = 8.0
+"""Memory may grow by so much from the first quarter of a run to its end [MiB]."""
+
+HOLD = 8
+"""A random action is held for so many control steps at most: noise alone does not get anywhere."""
+
+
+@dataclass(frozen=True)
+class Endurance:
+    """What was seen in a run.
+
+    Attributes:
+        steps: Control steps.
+        contact_share: Part of them with a contact node flagged at the end.
+        diverged: Worlds whose physics broke down.
+        non_finite: Control steps with an observation or a reward that is not finite.
+        missed: Control steps after which a tool was in an organ with no flag set.
+        wrong_side: Control steps after which an organ's surface was on the far side of a tool.
+        residual: Greatest depth of a tool in an organ or the other way round after a control step [u].
+        peak_pressure: Greatest [Pa].
+        memory_growth: From the first quarter of the run to its end [MiB].
+        seconds: How long it took, inspections included [s].
+    """
+
+    steps: int
+    contact_share: float
+    diverged: int
+    non_finite: int
+    missed: int
+    wrong_side: int
+    residual: float
+    peak_pressure: float
+    memory_growth: float
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing broke."""
+        broken = self.diverged + self.non_finite + self.missed + self.wrong_side
+        return broken == 0 and self.memory_growth <= LARGEST_GROWTH
+
+
+def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
+    """Make random control steps in some worlds of a task."""
+    count = WORLDS[engine]
+    envs: Any = gymnasium.make_vec(f"Spatula/{task}-v0", num_envs=count, engine=engine)
+    generator = np.random.default_rng(seed)
+    base = envs.unwrapped
+    worlds = base.worlds
+    tools = worlds.scene.tools
+    inspectors = [[Inspector(placed.tool, worlds.triangles) for placed in tools] for _ in range(count)]
+    # The observation tells which share of the contact nodes of each face is flagged.
+    shares = base.observation_builder.slices["contact_share"]
+    of_tool = np.repeat(np.arange(len(tools)), [len(np.unique(placed.tool.face)) for placed in tools])
+    size = envs.single_action_space.shape[0]
+    envs.reset(seed=seed)
+    touching, diverged, non_finite, missed, wrong_side = 0, 0, 0, 0, 0
+    residual, peak_pressure = 0.0, 0.0
+    rounds = -(-steps // count)
+    actions = np.zeros((count, size), dtype=np.float32)
+    left = np.zeros(count, dtype=int)
+    resting = np.zeros(count, dtype=bool)
+    early = None
+    start = time.perf_counter()
+    for index in range(rounds):
+        for world in np.flatnonzero(left == 0):
+            actions[world] = generator.uniform(-1.0, 1.0, size)
+            left[world] = generator.integers(1, HOLD + 1)
+        left -= 1
+        observation, rewards, terminated, truncated, infos = envs.step(actions)
+        finite = np.isfinite(observation).all(axis=1) & np.isfinite(rewards)
+        non_finite += int((~finite).sum())
+        diverged += int(infos["diverged"].sum())
+        peak_pressure = max(peak_pressure, float(infos["peak_pressure"].max()))
+        nodes, positions, orientations = worlds.nodes, worlds.tool_positions, worlds.tool_orientations
+        flagged = observation[:, shares] > 0.0
+        for world in range(count):
+            if resting[world] or not finite[world]:
+                for inspector in inspectors[world]:
+                    inspector.reset()
+                continue
+            touching += flagged[world].any()
+            for tool, inspector in enumerate(inspectors[world]):
+                seen = inspector.inspect(positions[world, tool], orientations[world, tool], nodes[world])
+                deepest = max(seen.node_depth, seen.corner_depth)
+                missed += deepest > DEEP and not flagged[world, of_tool == tool].any()
+                wrong_side += seen.wrong_side
+                residual = max(residual, seen.residual)
+        resting = terminated | truncated
+        if index == rounds // 4:
+            gc.collect()
+            early = _memory()
+    gc.collect()
+    growth = _memory() - early if early is not None else 0.0
+    seconds = time.perf_counter() - start
+    envs.close()
+    total = rounds * count
+    return Endurance(
+        total, touching / total, diverged, non_finite, missed, wrong_side, residual, peak_pressure, growth, seconds
+    )
+
+
+def _memory() -> float:
+    """What this process holds in memory [MiB]."""
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith("VmRSS:"):
+            return float(line.split()[1]) / 1024.0
+    return 0.0
+
+
+def main() -> None:
+    """Run and print."""
+    options = parser(__doc__ or "")
+    options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    options.add_argument("--engines", nargs="+", choices=tuple(STEPS), default=list(STEPS))
+    options.add_argument("--steps", type=int, default=None, help="instead of 200,000 (batch) and 20,000 (bullet)")
+    options.add_argument("--seed", type=int, default=0)
+    arguments = options.parse_args()
+    table: dict[str, dict[str, Any]] = {}
+    good = True
+    for task in arguments.tasks:
+        for engine in arguments.engines:
+            outcome = run(task, engine, arguments.steps or STEPS[engine], arguments.seed)
+            table.setdefault(task, {})[engine] = {**asdict(outcome), "passed": outcome.passed}
+            good = good and outcome.passed
+            if not arguments.json:
+                print(
+                    f"{task:8} {engine:6} {outcome.steps:7d} steps, {100 * outcome.contact_share:3.0f} % in contact: "
+                    f"{outcome.diverged} diverged, {outcome.non_finite} not finite, {outcome.missed} missed, "
+                    f"{outcome.wrong_side} on the wrong side; {outcome.peak_pressure / 1e3:.0f} kPa at most; "
+                    f"memory {outcome.memory_growth:+.1f} MiB; {outcome.seconds:.0f} s",
+                    flush=True,
+                )
+    finish({"benchmark": "endurance", "passed": good, "tasks": table})
+
+
+if __name__ == "__main__":
+    main()

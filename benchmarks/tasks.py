@@ -1,0 +1,239 @@
+"""Can the tasks be solved, and not by chance?
+
+For each task, in both engines: how often the scripted expert and a random policy succeed, with which forces and
+pressures, what it costs, and how many control steps a second are made. An episode ends with success or after 200 steps.
+Figures of an episode are medians and maxima over the episodes; speed is that of stepping alone, where Bullet's
+episodes run one after the other in each process and the batch engine's all at once.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import agents.experts as experts
+from benchmarks.measure import finish, parser
+from benchmarks.parallel import available_cores, results
+from spatula_env import TASKS
+
+ENGINES = ("batch", "bullet")
+POLICIES = ("expert", "random")
+
+EXPERT_LIMIT, RANDOM_LIMIT = 0.95, 0.05
+"""Least success of the expert, and greatest of the random policy."""
+
+CHUNK = 10
+"""Episodes with Bullet that are one piece of work."""
+
+QUANTITIES = {
+    "peak_force": ("episode_peak_force", "N"),
+    "peak_pressure": ("episode_peak_pressure", "Pa"),
+    "cost": ("episode_cost", "Pa s"),
+}
+"""What is told of the episodes: the key in `info` at an episode's end, and the unit."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some episodes of a task.
+
+    Attributes:
+        task: Its name.
+        engine: "batch" or "bullet".
+        policy: "expert" or "random".
+        seeds: Of the episodes.
+    """
+
+    task: str
+    engine: str
+    policy: str
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """What came of some episodes.
+
+    Attributes:
+        success: Whether each succeeded.
+        steps: Control steps until success, or in all.
+        diverged: Whether physics broke down.
+        violated: Whether pressure was above the limit in any step.
+        quantities: The last value of each of `QUANTITIES`.
+        step_count: Control steps that were timed.
+        seconds: How long they took [s].
+    """
+
+    success: list[bool]
+    steps: list[int]
+    diverged: list[bool]
+    violated: list[bool]
+    quantities: dict[str, list[float]]
+    step_count: int
+    seconds: float
+
+
+def run_job(job: Job) -> Episodes:
+    """Run the episodes of a job, one in each world of a vector environment."""
+    envs = gymnasium.make_vec(
+        f"Spatula/{job.task}-v0", num_envs=len(job.seeds), engine=job.engine, autoreset_mode="disabled"
+    )
+    try:
+        return _run(envs, job)
+    finally:
+        envs.close()
+
+
+def _run(envs: Any, job: Job) -> Episodes:
+    count = len(job.seeds)
+    generators = [np.random.default_rng([seed, 1]) for seed in job.seeds]
+    act = getattr(experts, f"{job.task}Expert")(envs) if job.policy == "expert" else None
+    observation, infos = envs.reset(seed=list(job.seeds))
+    over, success, diverged = (np.zeros(count, dtype=bool) for _ in range(3))
+    steps = np.zeros(count, dtype=int)
+    violated = np.zeros(count, dtype=bool)
+    last = {name: np.zeros(count) for name in QUANTITIES}
+    seconds, step_count = 0.0, 0
+    size = envs.single_action_space.shape[0]
+    while not over.all():
+        if act is not None:
+            actions = act(observation)
+        else:
+            actions = np.stack([generator.uniform(-1.0, 1.0, size) for generator in generators]).astype(np.float32)
+        start = time.perf_counter()
+        observation, _, terminated, truncated, infos = envs.step(actions)
+        seconds += time.perf_counter() - start
+        step_count += count
+        going = ~over
+        steps[going] += 1
+        diverged |= going & infos["diverged"]
+        success |= going & infos["is_success"]
+        violated |= going & infos["violation"].astype(bool)
+        for name, (key, _) in QUANTITIES.items():
+            last[name][going] = infos[key][going]
+        over |= success | terminated | truncated
+        if (terminated | truncated).any() and not over.all():
+            # A world that broke down begins anew so that the others can go on; it does not count any more.
+            observation, _ = envs.reset(options={"reset_mask": terminated | truncated})
+    return Episodes(
+        success.tolist(), steps.tolist(), diverged.tolist(), violated.tolist(),
+        {name: values.tolist() for name, values in last.items()}, step_count, seconds,
+    )  # fmt: skip
+
+
+def summarize(parts: Iterable[Episodes]) -> dict[str, Any]:
+    """The figures of all episodes of a task, an engine and a policy."""
+    chunks = list(parts)
+    success = np.concatenate([part.success for part in chunks])
+    steps = np.concatenate([part.steps for part in chunks])
+    summary: dict[str, Any] = {
+        "episodes": len(success),
+        "success": float(success.mean()),
+        "steps_to_success": float(np.median(steps[success])) if success.any() else None,
+        "violation_rate": float(np.concatenate([part.violated for part in chunks]).mean()),
+        "non_finite": int(np.concatenate([part.diverged for part in chunks]).sum()),
+        "steps_per_second": sum(part.step_count for part in chunks) / sum(part.seconds for part in chunks),
+    }
+    for name, (_, unit) in QUANTITIES.items():
+        values = np.concatenate([part.quantities[name] for part in chunks])
+        summary[name] = {"median": float(np.median(values)), "max": float(values.max()), "unit": unit}
+    return summary
+
+
+def plan(tasks: Iterable[str], engines: Iterable[str], policies: Iterable[str], episodes: int, seed: int) -> list[Job]:
+    """The work: the batch engine takes all episodes of a task at once, Bullet's come in pieces."""
+    jobs = []
+    for task in tasks:
+        for engine in engines:
+            for policy in policies:
+                seeds = tuple(range(seed, seed + episodes))
+                size = episodes if engine == "batch" else CHUNK
+                jobs += [Job(task, engine, policy, seeds[first : first + size]) for first in range(0, episodes, size)]
+    return jobs
+
+
+def measure(jobs: list[Job], workers: int) -> dict[str, dict[str, dict[str, Any]]]:
+    """Run all jobs: task -> engine -> policy -> figures."""
+    found: dict[tuple[str, str, str], list[Episodes]] = {}
+    batch = [job for job in jobs if job.engine == "batch"]
+    others = [job for job in jobs if job.engine != "batch"]
+    # The batch engine uses all cores by itself.
+    for chosen, processes in ((batch, 1), (others, workers)):
+        for job, episodes in results(run_job, chosen, processes, "episodes") if chosen else ():
+            found.setdefault((job.task, job.engine, job.policy), []).append(episodes)
+    table: dict[str, dict[str, dict[str, Any]]] = {}
+    for job in jobs:
+        entry = table.setdefault(job.task, {}).setdefault(job.engine, {})
+        if job.policy not in entry:
+            entry[job.policy] = summarize(found[job.task, job.engine, job.policy])
+    return table
+
+
+def passed(table: dict[str, dict[str, dict[str, Any]]]) -> bool:
+    """Whether every expert is good enough, every random policy bad enough, and nothing has diverged."""
+    for engines in table.values():
+        for policies in engines.values():
+            for policy, row in policies.items():
+                enough = row["success"] >= EXPERT_LIMIT if policy == "expert" else row["success"] <= RANDOM_LIMIT
+                if not enough or row["non_finite"]:
+                    return False
+    return True
+
+
+def show(table: dict[str, dict[str, dict[str, Any]]]) -> None:
+    """Print a table."""
+    print(
+        f"{'task':8} {'engine':6} {'policy':6} {'success':>7} {'steps':>5} {'force N':>15} {'pressure kPa':>15} "
+        f"{'cost Pa s':>17} {'> 4 kPa':>7} {'steps/s':>8}"
+    )
+    for task, engines in table.items():
+        for engine, policies in engines.items():
+            for policy, row in policies.items():
+                force, pressure, cost = row["peak_force"], row["peak_pressure"], row["cost"]
+                steps = f"{row['steps_to_success']:.0f}" if row["steps_to_success"] is not None else "-"
+                print(
+                    f"{task:8} {engine:6} {policy:6} {100 * row['success']:6.0f}% {steps:>5} "
+                    f"{force['median']:7.2f}/{force['max']:7.2f} "
+                    f"{pressure['median'] / 1e3:7.2f}/{pressure['max'] / 1e3:7.1f} "
+                    f"{cost['median']:8.1f}/{cost['max']:8.0f} {100 * row['violation_rate']:6.0f}% "
+                    f"{row['steps_per_second']:8.0f}"
+                )
+
+
+def main() -> None:
+    """Measure and print."""
+    options = parser(__doc__ or "")
+    options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    options.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES))
+    options.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
+    options.add_argument("--episodes", type=int, default=100)
+    options.add_argument("--seed", type=int, default=0, help="of the first episode")
+    options.add_argument("--workers", type=int, default=available_cores(), help="processes with Bullet")
+    arguments = options.parse_args()
+    if arguments.episodes < 1:
+        options.error(f"argument --episodes: must be at least 1, got {arguments.episodes}")
+    jobs = plan(arguments.tasks, arguments.engines, arguments.policies, arguments.episodes, arguments.seed)
+    start = time.perf_counter()
+    table = measure(jobs, arguments.workers)
+    if not arguments.json:
+        show(table)
+    finish(
+        {
+            "benchmark": "tasks",
+            "passed": passed(table),
+            "limits": {"expert": EXPERT_LIMIT, "random": RANDOM_LIMIT},
+            "tasks": table,
+            "load": os.getloadavg()[0],
+            "seconds": time.perf_counter() - start,
+        }
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Spatula/Clamp-v0, for one agent and for many."""
+
+from __future__ import annotations
+
+from spatula_env import scenes
+from spatula_env.envs.control import ControlLayout
+from spatula_env.envs.settings import Definition
+from spatula_env.envs.spatula_env import SpatulaEnv
+from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.tasks.clamp import ClampConfig, ClampTask
+
+CLAMP = Definition(
+    name="clamp",
+    scene=scenes.clamp,
+    task=ClampTask,
+    config=ClampConfig,
+    # The cube reaches 76 mm above the organ's top and 26 mm below it.
+    workspace_height=0.025,
+    controls={
+        "velocity": ControlLayout(jaws=True, opening_range=(0.0, 0.032)),
+        "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6, jaws=True, opening_range=(0.0, 0.032)),
+    },
+    defaults={"max_speed": 0.05},
+)
+"""Two jaws above a ridge."""
+
+
+class ClampEnv(SpatulaEnv):
+    r"""Grip a ridge between two jaws, lift it to a height, and hold it there without letting it slip.
+
+    ## Description
+    Two jaws, 24 x 16 x 2.4 mm each, hang open above a ridge 40 mm long, 16 mm wide and 26 mm high on a soft organ that
+    lies on the ground. The agent moves the clamp and opens and closes it. It has to grip the ridge, to lift it by a
+    given height (4 to 12 mm), and to keep it there for half a second, without letting it slip through the jaws by more
+    than 1 to 2 mm.
+
+    The organ is not fixed: it hangs from the ridge, by friction alone (coefficient 0.4). Jaws that take away less than
+    about a sixth of the ridge's width let it slip; jaws that take away a quarter hold it; more only presses harder.
+
+    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+
+    ## Action Space
+    The action space is a `Box(-1, 1, (4,), float32)`: velocities of the grip, the middle between the jaws, as fractions
+    of `max_speed`, and the speed at which the jaws part, as a fraction of `max_jaw_speed`. They are constant for a
+    whole step. The grip is stopped at the faces of its workspace, and the jaws at free widths of 0 and 32 mm. The clamp
+    does not turn (with `control="velocity_6d"` it does). Numbers beyond the bounds are clipped; an action of the wrong
+    shape or that is not finite is a `ValueError`.
+
+    | Num | Action                                    | Min | Max | Name       | Falcon | Unit                       |
+    | --- | ----------------------------------------- | --- | --- | ---------- | ------ | -------------------------- |
+    | 0   | velocity to the operator's right          | -1  | 1   | velocity_x | x      | `max_speed` (0.05 m/s)     |
+    | 1   | velocity away from the operator           | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s)     |
+    | 2   | velocity upwards                          | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s)     |
+    | 3   | speed at which the jaws part from another | -1  | 1   | jaw_speed  |        | `max_jaw_speed` (0.05 m/s) |
+
+    The ridge runs along x, to the operator's right; the jaws close along y, the first from the operator's side. With
+    `control="velocity_6d"` there are seven numbers: three rates of rotation about x, y and z, as `rotation_x`,
+    `rotation_y` and `rotation_z`, before the speed of the jaws; and the observation tells orientation and its rate,
+    three numbers each, after the velocity.
+
+    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the ridge's top at
+    rest, on the organ's axis. All positions are relative to that middle. The axes are x to the operator's right, y away
+    from the operator and z up; a Falcon's are x to the right, y up and z towards the operator.
+
+    ## Observation Space
+    With `obs_mode="state"` the observation is a `Box((87,), float32)` of the following parts; with `obs_mode="dict"` a
+    `Dict` of the same parts by name. Everything is in SI units, and is clipped to the bounds.
+
+    | Num   | Observation                                                 | Min     | Max    | Name             | Unit |
+    | ----- | ----------------------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the grip, the middle between the jaws (x, y, z) | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the grip in the last step                       | -0.05   | 0.05   | tool_velocity    | m/s  |
+    | 6     | free width between the jaws                                 | 0       | 0.032  | jaw_opening      | m    |
+    | 7     | speed at which they parted in the last step                 | -0.05   | 0.05   | jaw_speed        | m/s  |
+    | 8-10  | mean force on the first jaw in the last step                | -10     | 10     | contact_force    | N    |
+    | 11-13 | the same on the second jaw                                  | -10     | 10     | contact_force    | N    |
+    | 14-16 | mean torque on both about the grip                          | -0.2    | 0.2    | contact_torque   | N m  |
+    | 17    | share of the first jaw's nodes in contact: inner face       | 0       | 1      | contact_share    | 1    |
+    | 18    | of its outer face                                           | 0       | 1      | contact_share    | 1    |
+    | 19-22 | of its rims: left, right, lower, upper                      | 0       | 1      | contact_share    | 1    |
+    | 23    | of the second jaw's outer face                              | 0       | 1      | contact_share    | 1    |
+    | 24    | of its inner face                                           | 0       | 1      | contact_share    | 1    |
+    | 25-28 | of its rims: left, right, lower, upper                      | 0       | 1      | contact_share    | 1    |
+    | 29    | deepest contact, before the organ gives way                 | 0       | 0.05   | contact_depth    | m    |
+    | 30    | greatest pressure in the last step                          | 0       | 20000  | contact_pressure | Pa   |
+    | 31    | mean pressure on the face that is pressed most              | 0       | 20000  | contact_pressure | Pa   |
+    | 32-79 | displacement of 16 nodes of the organ (x, y, z)             | -0.1    | 0.1    | landmarks        | m    |
+    | 80-82 | from the grip to the middle of the ridge's flanks           | -0.12   | 0.12   | ridge_offset     | m    |
+    | 83    | lift asked for                                              | -0.03   | 0.08   | goal             | m    |
+    | 84    | slip allowed                                                | 0       | 0.02   | goal             | m    |
+    | 85    | lift asked for minus lift                                   | -0.11   | 0.11   | error            | m    |
+    | 86    | slip allowed minus slip                                     | -0.02   | 0.02   | error            | m    |
+
+    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
+    velocities follow `max_speed` and `max_jaw_speed`. SI units make small numbers: normalise them for learning, for
+    instance with `gymnasium.wrappers.RescaleObservation`.
+
+    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and "desired_goal" are
+    (lift, slip) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`, the parts by name) is what is
+    left without "goal" and "error".
+
+    ## Rewards
+    The *lift* is by how much higher the nodes of the ridge's crest are than at rest, on average. A *grip* begins when
+    both jaws touch the organ with the faces that they turn to each other, and ends when neither does. Its *slip* is how
+    far the part of the ridge that was between the jaws when the grip began has moved along their faces since; while not
+    both jaws touch, it counts as 20 mm. A step is *within tolerance* if the lift is within 1 mm of the goal's and the
+    slip is no greater than the goal's.
+
+    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
+      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+
+      | Name   | Weight | Term                                                            |
+      | ------ | ------ | --------------------------------------------------------------- |
+      | reach  | 0.15   | $t(d, 15\,mm)$, d from the grip to the middle of the ridge      |
+      | grip   | 0.1    | 1 while both jaws touch, 0 else                                 |
+      | lift   | 0.25   | grip times $t(d, 5\,mm)$, d the error of the lift                |
+      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                 |
+      | slip   | -10.0  | grip times slip [m]                                             |
+      | force  | -0.1   | sum of the magnitudes of the two jaws' contact forces [N]       |
+      | action | -0.01  | squared length of the action                                    |
+
+    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
+      gives it for any goals, one or many, as hindsight replay needs.
+
+    ## Starting State
+    The organ is at rest. The lift is uniform in 4 to 12 mm, the slip allowed uniform in 1 to 2 mm. The clamp is at
+    rest, its middle within 8 mm of the ridge's along x and y, the jaws' lower edges 2 to 12 mm above the crest, the
+    free width between them 20 to 30 mm, all uniformly.
+
+    `reset(options={"goal": (lift, slip), "tool_position": (x, y, z)})` replaces either of them [m].
+
+    ## Episode End
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and stays
+    true until the next reset.
+
+    ### Termination
+    Never, unless `terminate_on_success` or `damage_limit` is set.
+
+    ### Truncation
+    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+
+    ## Info
+    Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; and `gripped`, 1 with
+    a grip and 0 without.
+
+    ## Arguments
+    Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. `gymnasium.make_vec("Spatula/Clamp-v0", num_envs=64)`
+    makes as many environments that are stepped together, with the batch engine. Another default has
+
+    | Parameter   | Type      | Default | Description                          |
+    | ----------- | --------- | ------- | ------------------------------------ |
+    | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
+
+    ## Version History
+    * v0: first version.
+    """
+
+    definition = CLAMP
+
+
+class ClampVectorEnv(SpatulaVectorEnv):
+    """`ClampEnv` in many worlds at once, as `gymnasium.make_vec` makes it; `SpatulaVectorEnv` has the arguments."""
+
+    definition = CLAMP

@@ -1,0 +1,163 @@
+"""Spatula/Fissure-v0, for one agent and for many."""
+
+from __future__ import annotations
+
+from spatula_env import scenes
+from spatula_env.envs.control import ControlLayout
+from spatula_env.envs.settings import Definition
+from spatula_env.envs.spatula_env import SpatulaEnv
+from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.tasks.fissure import FissureConfig, FissureTask
+
+FISSURE = Definition(
+    name="fissure",
+    scene=scenes.fissure,
+    task=FissureTask,
+    config=FissureConfig,
+    # The cube reaches 76 mm above the organ's top and 26 mm below it.
+    workspace_height=0.025,
+    controls={
+        "velocity": ControlLayout(rotations="x", max_turn=0.6),
+        "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6),
+    },
+    defaults={"max_speed": 0.05},
+)
+"""A blade on edge above a fissure."""
+
+
+class FissureEnv(SpatulaEnv):
+    r"""Enter a fissure edge-on, open it, and hold it open until a target on its floor is seen.
+
+    ## Description
+    A thin steel spatula, 20 mm wide, 40 mm high and 1.2 mm thick, stands on edge above a soft organ with a fissure 60
+    mm long, 32 mm deep and 5 mm wide, about as large as the lateral fissure of the brain. The organ is held at its base
+    and under the fissure's floor. On the floor lies a target, a flat patch of 12 x 2 mm. Someone looks at it from
+    above, as through an operating microscope, along a line of sight that is tilted towards one of the walls by 0.18 to
+    0.3 rad (10 to 17 degrees): that wall hides the target. The agent has to enter the fissure and to lean the blade
+    against the wall, so that 80 to 90 % of the target is seen, and to keep it there for half a second.
+
+    What is seen is decided by parallel rays from 5 x 21 points of the target, 2 mm above the lowest line of the floor,
+    towards the eye: those count that meet neither the organ nor the blade. Nothing is seen at rest, nor past a blade
+    that is merely in the fissure: it has to be tilted like the line of sight, and the wall with it.
+
+    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+
+    ## Action Space
+    The action space is a `Box(-1, 1, (4,), float32)`: velocities of the blade as fractions of `max_speed`, and the rate
+    of its tilt as a fraction of `max_rotation_rate`. They are constant for a whole step. The blade's middle is stopped
+    at the faces of its workspace, and its tilt at 0.6 rad to either side. It turns about its middle, 20 mm above its
+    lower edge. Numbers beyond the bounds are clipped; an action of the wrong shape or that is not finite is a
+    `ValueError`.
+
+    | Num | Action                                 | Min | Max | Name       | Falcon | Unit                            |
+    | --- | -------------------------------------- | --- | --- | ---------- | ------ | ------------------------------- |
+    | 0   | velocity to the operator's right       | -1  | 1   | velocity_x | x      | `max_speed` (0.05 m/s)          |
+    | 1   | velocity away from the operator        | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s)          |
+    | 2   | velocity upwards                       | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s)          |
+    | 3   | rate of the tilt, top to the operator  | -1  | 1   | rotation_x |        | `max_rotation_rate` (1.0 rad/s) |
+
+    The fissure runs along x, to the operator's right. With `control="velocity_6d"` there are six numbers: the rates
+    about y and z as well, as `rotation_y` and `rotation_z`; orientation and its rate have three numbers each then.
+
+    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the organ's top at
+    rest, on the organ's axis. All positions are relative to that middle. The axes are x to the operator's right, y away
+    from the operator and z up; a Falcon's are x to the right, y up and z towards the operator.
+
+    ## Observation Space
+    With `obs_mode="state"` the observation is a `Box((80,), float32)` of the following parts; with `obs_mode="dict"` a
+    `Dict` of the same parts by name. Everything is in SI units, and is clipped to the bounds.
+
+    | Num   | Observation                                             | Min     | Max    | Name               | Unit  |
+    | ----- | ------------------------------------------------------- | ------- | ------ | ------------------ | ----- |
+    | 0-2   | position of the blade's middle (x, y, z)                | -0.0508 | 0.0508 | tool_position      | m     |
+    | 3-5   | velocity of the blade's middle in the last step         | -0.05   | 0.05   | tool_velocity      | m/s   |
+    | 6     | tilt: rotation about x, its top to the operator         | -0.6    | 0.6    | tool_orientation   | rad   |
+    | 7     | rate of the tilt in the last step                       | -1      | 1      | tool_rotation_rate | rad/s |
+    | 8-10  | mean force on the blade in the last step                | -10     | 10     | contact_force      | N     |
+    | 11-13 | mean torque on it about its middle                      | -0.2    | 0.2    | contact_torque     | N m   |
+    | 14    | share of the nodes in contact: face away from operator  | 0       | 1      | contact_share      | 1     |
+    | 15    | the same of the face towards the operator               | 0       | 1      | contact_share      | 1     |
+    | 16-17 | of the narrow sides: left, right                        | 0       | 1      | contact_share      | 1     |
+    | 18-19 | of the edges: lower, upper                              | 0       | 1      | contact_share      | 1     |
+    | 20    | deepest contact, before the organ gives way             | 0       | 0.05   | contact_depth      | m     |
+    | 21    | greatest pressure in the last step                      | 0       | 20000  | contact_pressure   | Pa    |
+    | 22    | mean pressure on the face that is pressed most          | 0       | 20000  | contact_pressure   | Pa    |
+    | 23-70 | displacement of 16 nodes of the organ (x, y, z)         | -0.1    | 0.1    | landmarks          | m     |
+    | 71-73 | from the blade's lower edge to the target (x, y, z)     | -0.12   | 0.12   | target_offset      | m     |
+    | 74    | where the target is, from the fissure's middle          | -0.0508 | 0.0508 | goal               | m     |
+    | 75    | tilt of the line of sight, like the blade's             | -0.6    | 0.6    | goal               | rad   |
+    | 76    | share of the target that is to be seen                  | 0       | 1      | goal               | 1     |
+    | 77    | the target's place minus the blade's, along the fissure | -0.1016 | 0.1016 | error              | m     |
+    | 78    | tilt of the line of sight minus the blade's             | -1.2    | 1.2    | error              | rad   |
+    | 79    | share that is to be seen minus share that is seen       | -1      | 1      | error              | 1     |
+
+    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
+    velocities follow `max_speed` and `max_rotation_rate`. SI units make small numbers: normalise them for learning, for
+    instance with `gymnasium.wrappers.RescaleObservation`.
+
+    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and "desired_goal" are
+    (place, view, exposure) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`, the parts by name)
+    is what is left without "goal" and "error". What is achieved is the blade's place along the fissure, the blade's
+    tilt, and the share of the target that is seen.
+
+    ## Rewards
+    A step is *within tolerance* if at least the share asked for is seen, the blade's middle is within 8 mm of the
+    target along the fissure, and the blade's tilt within 0.1 rad of the line of sight.
+
+    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
+      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+
+      | Name     | Weight | Term                                                                                |
+      | -------- | ------ | ----------------------------------------------------------------------------------- |
+      | reach    | 0.15   | $t(d, 15\,mm)$, d from the blade's lower edge to 3 mm above, 2 mm beside the target |
+      | align    | 0.15   | reach times $t(a, 0.15\,rad)$, a the angle between the blade and the sight          |
+      | exposure | 0.2    | share of the target that is seen, as a part of that asked for, 1 at most            |
+      | hold     | 0.5    | 1 within tolerance, 0 elsewhere                                                     |
+      | force    | -0.1   | magnitude of the contact force [N]                                                  |
+      | action   | -0.01  | squared length of the action                                                        |
+
+    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
+      gives it for any goals, one or many, as hindsight replay needs.
+
+    ## Starting State
+    The organ is at rest. The target's middle is within 10 mm of the fissure's, uniformly; the line of sight is tilted
+    by 0.18 to 0.3 rad, uniformly, to either side; the share asked for is uniform in 0.8 to 0.9. The blade is at rest
+    within 10 mm of the fissure's middle along x and y, tilted by 0.1 rad at most, its lower edge 4 to 15 mm above the
+    organ's top, all uniformly.
+
+    `reset(options={"goal": (place, view, exposure), "tool_position": (x, y, z)})` replaces either of them.
+
+    ## Episode End
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and stays
+    true until the next reset.
+
+    ### Termination
+    Never, unless `terminate_on_success` or `damage_limit` is set.
+
+    ### Truncation
+    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+
+    ## Info
+    Besides what every environment tells (see `SpatulaEnv`): `exposure`, the share of the target that is seen;
+    `target_distance`, from the blade's lower edge to 3 mm above and 2 mm beside the target, where the sight leans to
+    [m]; and `view_error`, the angle between the blade's tilt and the line of sight's [rad].
+
+    ## Arguments
+    Those of `SpatulaEnv`; `task` changes fields of `FissureConfig`. `gymnasium.make_vec("Spatula/Fissure-v0",
+    num_envs=64)` makes as many environments that are stepped together, with the batch engine. Another default has
+
+    | Parameter   | Type      | Default | Description                          |
+    | ----------- | --------- | ------- | ------------------------------------ |
+    | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
+
+    ## Version History
+    * v0: first version.
+    """
+
+    definition = FISSURE
+
+
+class FissureVectorEnv(SpatulaVectorEnv):
+    """`FissureEnv` in many worlds at once, as `gymnasium.make_vec` makes it; `SpatulaVectorEnv` has the arguments."""
+
+    definition = FISSURE

@@ -1,0 +1,126 @@
+"""From scene units to what the user sees, world by world: where the workspace is, how large, heavy and stiff all is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, turn
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from spatula_env.envs.control import Workspace
+    from spatula_env.scenes import Scale
+
+    FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.int64]
+
+
+class Frames:
+    """The workspace frame of each of W worlds, and its units.
+
+    A world's organ can be shifted, turned, larger or stiffer than that of other worlds although all of them compute the
+    same scene: it is the workspace and the units that differ. Pressures keep their unit where an organ is larger, so
+    that it is of the same material; they grow with the stiffness, as the density does.
+
+    Attributes:
+        length: (W,) metres in a scene unit of length.
+        force: (W,) newtons in a scene unit of force.
+        torque: (W,) newton-metres in a scene unit of torque.
+        pressure: (W,) pascals in a scene unit of pressure.
+    """
+
+    def __init__(self, workspace: Workspace, scale: Scale, anchor: ArrayLike, count: int) -> None:
+        """All worlds alike.
+
+        Args:
+            workspace: Where it is if nothing is shifted.
+            scale: The scene's.
+            anchor: (3,) the point about which organs turn and grow [u].
+            count: W.
+        """
+        self._workspace, self._scale = workspace, scale
+        self._anchor = np.array(anchor, dtype=np.float64)
+        self._center = np.tile(np.array(workspace.center, dtype=np.float64), (count, 1))
+        self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+        self._turned = False
+        self.length = np.full(count, scale.length)
+        self.force = np.full(count, scale.force)
+        self.torque = np.full(count, scale.torque)
+        self.pressure = np.full(count, scale.pressure)
+
+    def set(
+        self,
+        worlds: IntArray,
+        *,
+        shift: ArrayLike = 0.0,
+        yaw: ArrayLike = 0.0,
+        size: ArrayLike = 1.0,
+        stiffness: ArrayLike = 1.0,
+    ) -> None:
+        """Say how the organs of some worlds differ from the scene's.
+
+        Args:
+            worlds: (n,).
+            shift: (n, 2) by how much each is shifted along x and y [m].
+            yaw: (n,) by how much it is turned about the vertical [rad].
+            size: (n,) factor on its lengths.
+            stiffness: (n,) factor on its stiffness and its density.
+        """
+        count = len(worlds)
+        factor = np.broadcast_to(np.asarray(size, dtype=np.float64), (count,))
+        stiff = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), (count,))
+        vector = np.zeros((count, 3))
+        vector[:, 2] = yaw
+        rotation = from_rotation_vector(vector)
+        self._turn[worlds] = rotation
+        self._turned = bool((self._turn[:, 2] != 0.0).any())
+        self.length[worlds] = length = self._scale.length * factor
+        anchor = np.zeros((count, 3))
+        anchor[:] = (self._anchor - self._workspace.center) * self._scale.length
+        anchor[:, :2] += np.asarray(shift, dtype=np.float64)
+        self._center[worlds] = self._anchor - turn(conjugate(rotation), anchor) / length[:, None]
+        self.pressure[worlds] = pressure = self._scale.pressure * stiff
+        self.force[worlds] = pressure * length**2
+        self.torque[worlds] = pressure * length**3
+
+    def points_from_scene(self, points: FloatArray, worlds: IntArray) -> FloatArray:
+        """Points (n, ..., 3) of the scene [u] in the workspace frames of worlds (n,) [m]."""
+        return self._out(points - _fit(self._center[worlds], points), worlds) * _fit(self.length[worlds, None], points)
+
+    def points_to_scene(self, points: FloatArray, worlds: IntArray) -> FloatArray:
+        """Points (n, ..., 3) in the workspace frames of worlds (n,) [m] in the scene [u]."""
+        return self._in(points / _fit(self.length[worlds, None], points), worlds) + _fit(self._center[worlds], points)
+
+    def velocities_to_scene(self, velocities: FloatArray) -> FloatArray:
+        """Velocities (W, N, 3) in the workspace frames [m/s] in the scene [u/s]."""
+        return self._in(velocities / self.length[:, None, None], np.arange(len(self.length)))
+
+    def rates_to_scene(self, rates: FloatArray) -> FloatArray:
+        """Rates of rotation (W, N, 3) in the workspace frames in the scene [rad/s]."""
+        return self._in(rates, np.arange(len(self.length)))
+
+    def vectors_from_scene(self, vectors: FloatArray, unit: FloatArray) -> FloatArray:
+        """Vectors (W, N, 3) of the scene in the workspace frames, in a unit (W,)."""
+        return self._out(vectors * unit[:, None, None], np.arange(len(self.length)))
+
+    def orientations_from_scene(self, orientations: FloatArray, worlds: IntArray) -> FloatArray:
+        """Quaternions (n, N, 4) of the scene in the workspace frames of worlds (n,)."""
+        return multiply(self._turn[worlds, None], orientations) if self._turned else orientations
+
+    def orientations_to_scene(self, orientations: FloatArray, worlds: IntArray) -> FloatArray:
+        """Quaternions (n, N, 4) in the workspace frames of worlds (n,) in the scene."""
+        return multiply(conjugate(self._turn[worlds, None]), orientations) if self._turned else orientations
+
+    def _out(self, vectors: FloatArray, worlds: IntArray) -> FloatArray:
+        return turn(_fit(self._turn[worlds], vectors), vectors) if self._turned else vectors
+
+    def _in(self, vectors: FloatArray, worlds: IntArray) -> FloatArray:
+        return turn(_fit(conjugate(self._turn[worlds]), vectors), vectors) if self._turned else vectors
+
+
+def _fit(values: FloatArray, like: FloatArray) -> FloatArray:
+    """Values (n, k) with further axes (n, 1, ..., k), as many as `like` has."""
+    return values.reshape(len(values), *(1,) * (like.ndim - 2), values.shape[1])

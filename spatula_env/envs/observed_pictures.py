@@ -1,0 +1,31 @@
+"""Pictures that are a part of observations."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from spatula_env.envs.pictures import EpisodePictures
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from spatula_env.envs.episodes import Episodes, Pictures
+    from spatula_env.tasks.base import IntArray
+
+
+def observed_pictures(episodes: Episodes) -> Pictures:
+    """What draws the pictures that some episodes' observations hold; see `Pictures`.
+
+    Args:
+        episodes: Whose.
+    """
+    height, width = episodes.settings.observation.image_size
+    pictures = EpisodePictures(episodes, width, height)
+
+    def draw(worlds: IntArray) -> Mapping[str, NDArray[Any]]:
+        images, depths = pictures.rgbd(worlds.tolist())
+        return {"image": images, "depth": depths[..., None]}
+
+    return draw

@@ -1,0 +1,154 @@
+"""Spatula/Retract-v0, for one agent and for many."""
+
+from __future__ import annotations
+
+from spatula_env import scenes
+from spatula_env.envs.settings import Definition
+from spatula_env.envs.spatula_env import SpatulaEnv
+from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.tasks.retract import RetractConfig, RetractTask
+
+RETRACT = Definition(
+    name="retract",
+    scene=scenes.retract,
+    task=RetractTask,
+    config=RetractConfig,
+    # The blade's middle reaches 71 mm above the organ's top and 31 mm below it, its lower edge 20 mm farther down.
+    workspace_height=0.02,
+    defaults={"max_speed": 0.05},
+)
+"""A blade over a fold."""
+
+
+class RetractEnv(SpatulaEnv):
+    r"""Move a marked patch of the organ's surface aside, and hold it there.
+
+    ## Description
+    An upright steel blade, 20 mm wide, 40 mm high and 1.8 mm thick, hovers over a soft fold, 48 mm long, 18 mm wide
+    and 28 mm high, on a piece of an organ that is held at its base and as stiff as brain tissue. The fold runs away
+    from the operator, and the blade's faces look to the left and to the right. A patch is marked on one of the fold's
+    flanks. The agent moves the blade. It has to go to the patch's side of the fold, down beside it, and to push, until
+    the patch is displaced by a given vector (4 to 10 mm, across the fold or turned away from that by 7 degrees at
+    most), and to keep it there for half a second, as a surgeon does who holds tissue aside to see what is behind it.
+
+    The displacement is measured on the organ. The fold leans and is dented, so the patch does not move as the blade
+    does; and the blade moves it along the fold only by friction, and slips if it is drawn along too far. It takes
+    0.06 to 0.2 N.
+
+    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+
+    ## Action Space
+    The action space is a `Box(-1, 1, (3,), float32)`: the blade's velocity as a fraction of `max_speed`. It
+    moves with constant velocity for a whole step and is stopped at the faces of its workspace. It does not turn;
+    with `control="velocity_6d"`, which has six numbers, it does. Numbers beyond the bounds are clipped; an action of
+    the wrong shape or that is not finite is a `ValueError`.
+
+    | Num | Action                           | Min | Max | Name       | Falcon | Unit                   |
+    | --- | -------------------------------- | --- | --- | ---------- | ------ | ---------------------- |
+    | 0   | velocity to the operator's right | -1  | 1   | velocity_x | x      | `max_speed` (0.05 m/s) |
+    | 1   | velocity away from the operator  | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s) |
+    | 2   | velocity upwards                 | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s) |
+
+    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 20 mm above the
+    organ's top at rest, on the organ's axis. All positions are relative to that middle. The axes are x to the
+    operator's right, y away from the operator and z up; a Falcon's are x to the right, y up and z towards the
+    operator.
+
+    ## Observation Space
+    With `obs_mode="state"` the observation is a `Box((79,), float32)` of the following parts; with
+    `obs_mode="dict"` a `Dict` of the same parts by name. Everything is in SI units, and is clipped to the
+    bounds.
+
+    | Num   | Observation                                          | Min     | Max    | Name             | Unit |
+    | ----- | ---------------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the blade's middle (x, y, z)             | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the blade in the last step               | -0.05   | 0.05   | tool_velocity    | m/s  |
+    | 6-8   | mean force on the blade in the last step             | -10     | 10     | contact_force    | N    |
+    | 9-11  | its mean torque about the blade's middle             | -0.2    | 0.2    | contact_torque   | N m  |
+    | 12-13 | share of the nodes in contact: left face, right face | 0       | 1      | contact_share    | 1    |
+    | 14-15 | the same of the edges: near, far                     | 0       | 1      | contact_share    | 1    |
+    | 16-17 | the same of the edges: lower, upper                  | 0       | 1      | contact_share    | 1    |
+    | 18    | deepest contact, before the organ gives way          | 0       | 0.05   | contact_depth    | m    |
+    | 19    | greatest contact pressure on a node in the last step | 0       | 20000  | contact_pressure | Pa   |
+    | 20    | greatest mean pressure on a face                     | 0       | 20000  | contact_pressure | Pa   |
+    | 21-68 | displacement of 16 nodes of the organ (x, y, z)      | -0.1    | 0.1    | landmarks        | m    |
+    | 69-71 | position of the patch's middle (x, y, z)             | -0.15   | 0.15   | patch_position   | m    |
+    | 72-74 | displacement of the patch (x, y, z)                  | -0.03   | 0.03   | patch_shift      | m    |
+    | 75-76 | displacement asked for (x, y)                        | -0.03   | 0.03   | goal             | m    |
+    | 77-78 | displacement asked for minus displacement            | -0.06   | 0.06   | error            | m    |
+
+    The patch is what is within 9 mm of its middle on the flank; its position and its displacement are weighted means of
+    its nodes', and nodes nearer its middle count for more.
+
+    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
+    velocity follow `max_speed`. SI units make small numbers: normalise them for learning, for instance with
+    `gymnasium.wrappers.RescaleObservation`.
+
+    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and
+    "desired_goal" are the displacement (x, y) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`,
+    the parts by name) is what is left without "goal" and "error".
+
+    ## Rewards
+    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally.
+
+    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
+      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+
+      | Name   | Weight | Term                                                                                |
+      | ------ | ------ | ----------------------------------------------------------------------------------- |
+      | reach  | 0.25   | $t(d, 20\,mm)$, d from the blade to where it touches the patch, its edge 8 mm below |
+      | shift  | 0.25   | $t(d, 3\,mm)$, d from the patch's displacement to the goal                          |
+      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                                     |
+      | force  | -0.02  | magnitude of the contact force [N]                                                  |
+      | action | -0.01  | squared length of the action                                                        |
+
+    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
+      gives it for any goals, one or many, as hindsight replay needs.
+
+    ## Starting State
+    The organ is at rest. The patch is on the left or on the right flank with equal chance, its middle within 8 mm of
+    the fold's middle along the fold, and in the lower half of what is between the flank's lowest nodes and the crest.
+    The displacement is uniform in 4 to 10 mm and within 0.12 rad of across the fold. The blade is at rest within 20 mm
+    of the fold's middle across the fold and 10 mm along it, its lower edge uniform in 6 to 20 mm above the organ's top.
+
+    `reset(options={"goal": (x, y), "tool_position": (x, y, z)})` replaces either of them [m]; the patch is on that
+    flank from which the goal leads into the fold.
+
+    ## Episode End
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and
+    stays true until the next reset.
+
+    ### Termination
+    Never, unless `terminate_on_success` or `damage_limit` is set.
+
+    ### Truncation
+    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+
+    ## Info
+    Besides what every environment tells (see `SpatulaEnv`):
+
+    | Key           | Meaning                                              | Unit |
+    | ------------- | ---------------------------------------------------- | ---- |
+    | `shift`       | how far the patch is from where it was, horizontally | m    |
+    | `shift_error` | distance of its displacement from the goal           | m    |
+
+    ## Arguments
+    Those of `SpatulaEnv`; `task` changes fields of `RetractConfig`.
+    `gymnasium.make_vec("Spatula/Retract-v0", num_envs=64)` makes as many environments that are stepped together,
+    with the batch engine. The default of one option is another:
+
+    | Parameter   | Type      | Default | Description                          |
+    | ----------- | --------- | ------- | ------------------------------------ |
+    | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
+
+    ## Version History
+    * v0: first version.
+    """
+
+    definition = RETRACT
+
+
+class RetractVectorEnv(SpatulaVectorEnv):
+    """`RetractEnv` in many worlds at once, as `gymnasium.make_vec` makes it; `SpatulaVectorEnv` has the arguments."""
+
+    definition = RETRACT

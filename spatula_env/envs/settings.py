@@ -1,0 +1,207 @@
+"""What an environment is made of, and the options that all environments have."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
+from spatula_env.envs.randomization import DEFAULT_RANGES, Ranges, read_ranges
+from spatula_env.geometry.checks import check_count, check_positive
+from spatula_env.tasks.base import config_from_mapping
+
+if TYPE_CHECKING:
+    from spatula_env.scenes import Scene
+    from spatula_env.tasks.base import Setting, Task
+
+OBS_MODES = ("state", "dict", "rgb", "rgbd", "pointcloud")
+"""How observations can be laid out; see `ObservationBuilder`."""
+
+REWARDS = ("dense", "sparse")
+"""How success can be rewarded."""
+
+RENDER_MODES = ("rgb_array", "human")
+"""How environments can be looked at; many at once only in pictures."""
+
+
+@dataclass(frozen=True)
+class ObservationSettings:
+    """How what is there becomes what is seen.
+
+    Attributes:
+        noise: Of measurements, a factor on the standard deviations in `observations.NOISE`; 0: none.
+        delay: By how many control steps observations are late.
+        history: How many observations are shown, the oldest first, on a first axis if there is more than one.
+        image_size: (height, width) of pictures [pixels].
+        organ_points: How many points of the organ's surface a point cloud has.
+        tool_points: How many points of the tools' surfaces a point cloud has.
+    """
+
+    noise: float = 0.0
+    delay: int = 0
+    history: int = 1
+    image_size: tuple[int, int] = (84, 84)
+    organ_points: int = 256
+    tool_points: int = 64
+
+    def __post_init__(self) -> None:
+        """Check the values, and take a list as it comes from a file."""
+        if not 0.0 <= self.noise < np.inf:
+            raise ValueError(f"observation.noise must be zero or more and finite, got {self.noise!r}")
+        check_count(self.delay, "observation.delay", 0)
+        check_count(self.history, "observation.history", 1)
+        check_count(self.organ_points, "observation.organ_points", 1)
+        check_count(self.tool_points, "observation.tool_points", 1)
+        try:
+            height, width = self.image_size
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"observation.image_size must be two integers (height, width), got {self.image_size!r}"
+            ) from None
+        for number in (height, width):
+            check_count(number, "observation.image_size", 8)
+        object.__setattr__(self, "image_size", (height, width))
+
+
+@dataclass(frozen=True)
+class EnvSettings:
+    """The options that all environments have.
+
+    Attributes:
+        engine: What integrates the organ: "bullet" or "batch".
+        contact: What resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
+        obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
+        control: "velocity": what the task needs. "velocity_6d": six degrees of freedom.
+        reward: "dense": the weighted sum of the task's terms. "sparse": 0 within tolerance, -1 elsewhere, with
+            Gymnasium-Robotics' goal interface.
+        task: What to change in the task's configuration, by name.
+        max_speed: Of the grip along each axis [m/s].
+        max_rotation_rate: Of the tools about each axis [rad/s].
+        max_jaw_speed: At which jaws open and close [m/s].
+        control_frequency: Control steps in a second [Hz].
+        terminate_on_success: Whether success ends an episode.
+        damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
+        randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
+        observation: Fields of `ObservationSettings` to change, by name.
+        render_mode: None, "rgb_array" or, for one agent, "human".
+        width: Of pictures [pixels].
+        height: Of pictures [pixels].
+    """
+
+    engine: str = "bullet"
+    contact: str = "flags"
+    obs_mode: str = "state"
+    control: str = "velocity"
+    reward: str = "dense"
+    task: Any = None
+    max_speed: float = 0.1
+    max_rotation_rate: float = 1.0
+    max_jaw_speed: float = 0.05
+    control_frequency: float = 20.0
+    terminate_on_success: bool = False
+    damage_limit: float | None = None
+    randomization: Any = "none"
+    observation: Any = None
+    render_mode: str | None = None
+    width: int = 480
+    height: int = 480
+
+    def __post_init__(self) -> None:
+        """Check what does not depend on the scene."""
+        check_choice(self.obs_mode, "obs_mode", OBS_MODES)
+        check_choice(self.reward, "reward", REWARDS)
+        if self.render_mode is not None:
+            check_choice(self.render_mode, "render_mode", (None, *RENDER_MODES))
+        for name in ("max_speed", "max_rotation_rate", "max_jaw_speed", "control_frequency"):
+            check_positive(getattr(self, name), name)
+        if self.damage_limit is not None and not 0.0 <= self.damage_limit < np.inf:
+            raise ValueError(f"damage_limit must be None, or zero or more and finite, got {self.damage_limit!r}")
+        observation = config_from_mapping(ObservationSettings, self.observation, "observation")
+        object.__setattr__(self, "observation", observation)
+
+
+@dataclass(frozen=True)
+class Definition:
+    """What makes one environment another than the next.
+
+    Attributes:
+        name: Of the task.
+        scene: Makes the scene, with one organ.
+        task: Makes the task from its configuration and the setting, such as the task's class.
+        config: The dataclass that configures the task.
+        workspace_height: Of the workspace's middle above the organ's top at rest [m].
+        controls: What an action moves, by the names that the option `control` takes.
+        defaults: Defaults of options that differ from those of `EnvSettings`, by name.
+        randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
+    """
+
+    name: str
+    scene: Callable[[], Scene]
+    task: Callable[[Any, Setting], Task]
+    config: type[Any]
+    workspace_height: float
+    controls: Mapping[str, ControlLayout] = field(
+        default_factory=lambda: {"velocity": TRANSLATION, "velocity_6d": ALL_SIX}
+    )
+    defaults: Mapping[str, Any] = field(default_factory=dict)
+    randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
+
+    def read(self, options: Mapping[str, Any], owner: str, **defaults: Any) -> EnvSettings:
+        """Check the options of an environment.
+
+        Args:
+            options: By name.
+            owner: Whose options, for errors.
+            **defaults: That differ from those of `EnvSettings`.
+
+        Returns:
+            All options; `task` is a configuration, `observation` `ObservationSettings`, `randomization` ranges.
+
+        Raises:
+            TypeError: If there is no such option.
+            ValueError: If a value is not one of those allowed, or out of its range.
+        """
+        allowed = [each.name for each in fields(EnvSettings)]
+        unknown = sorted(set(options) - set(allowed))
+        if unknown:
+            raise TypeError(f"{owner} has no option {', '.join(unknown)}; allowed are {', '.join(sorted(allowed))}")
+        values = {**defaults, **self.defaults, **options}
+        settings = EnvSettings(**values)
+        check_choice(settings.control, "control", tuple(self.controls))
+        return EnvSettings(
+            **{
+                **vars(settings),
+                "task": config_from_mapping(self.config, settings.task, "task"),
+                "randomization": read_ranges(settings.randomization, self.randomization),
+            }
+        )
+
+    def signature(self, *more: inspect.Parameter, **defaults: Any) -> inspect.Signature:
+        """The arguments of an environment with this definition, for those who ask Python for them.
+
+        Args:
+            *more: Arguments before the options.
+            **defaults: That differ from those of `EnvSettings`.
+        """
+        values = {**{each.name: each.default for each in fields(EnvSettings)}, **defaults, **self.defaults}
+        options = [
+            inspect.Parameter(
+                each.name, inspect.Parameter.KEYWORD_ONLY, default=values[each.name], annotation=each.type
+            )
+            for each in fields(EnvSettings)
+        ]
+        return inspect.Signature([*more, *options])
+
+
+def check_choice(value: Any, name: str, allowed: tuple[Any, ...]) -> None:
+    """Check that a value is one of those allowed.
+
+    Raises:
+        ValueError: If it is not.
+    """
+    if not any(value is one or (isinstance(value, str) and value == one) for one in allowed):
+        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")

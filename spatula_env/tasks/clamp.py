@@ -1,0 +1,321 @@
+"""The clamp: grip a ridge between two jaws, lift it, and hold it up without letting it slip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spatula_env.geometry.blocks import RidgedBlock
+from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.rotations import conjugate, turn
+from spatula_env.tasks.base import (
+    BoolArray,
+    Evaluation,
+    FloatArray,
+    IntArray,
+    Memory,
+    PartSpec,
+    Setting,
+    Situation,
+    Start,
+    Task,
+    ToolShape,
+    as_seen,
+    check_range,
+    check_weights,
+    closeness,
+    config_from_mapping,
+)
+from spatula_env.tasks.marks import Mark, Patch, Path
+
+LEAST_LIFT, GREATEST_LIFT = -0.03, 0.08
+"""Limits of a measured lift [m]: a ridge that is pushed down, and one that is as high as the workspace lets it be."""
+
+GREATEST_SLIP = 0.02
+"""Slips are reported up to this, and as this where nothing is gripped [m]."""
+
+GREATEST_OFFSET = 0.12
+"""The way from the grip to the ridge is reported up to this along each axis [m]."""
+
+
+@dataclass(frozen=True)
+class ClampWeights:
+    """Weights of the reward terms of `ClampTask`.
+
+    Attributes:
+        reach: Of the closeness of the grip to the ridge's middle, 0..1.
+        grip: Of both jaws touching the ridge, 0 or 1.
+        lift: Of that times the closeness of the lift to the goal's, 0..1.
+        hold: Of being within tolerance, 0 or 1.
+        slip: Of the slip of what is gripped [1/m].
+        force: Of the sum of the magnitudes of the two jaws' contact forces [1/N].
+        action: Of the squared length of the action.
+    """
+
+    reach: float = 0.15
+    grip: float = 0.1
+    lift: float = 0.25
+    hold: float = 0.5
+    slip: float = -10.0
+    force: float = -0.1
+    action: float = -0.01
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        check_weights(self)
+
+
+@dataclass(frozen=True)
+class ClampConfig:
+    """What is asked with a clamp.
+
+    Attributes:
+        lift_range: Least and greatest height that the ridge is to be lifted by [m].
+        slip_range: Least and greatest slip that is allowed [m].
+        lift_tolerance: Allowed difference of the lift from the goal's [m].
+        hold_time: How long the ridge must be held there without a break [s].
+        start_offset: The grip starts within this distance of the ridge's middle, along each horizontal axis [m].
+        start_height_range: Least and greatest height of the jaws' lower edges above the ridge's crest at the start [m].
+        start_opening_range: Least and greatest free width between the jaws at the start [m].
+        reach_scale: Distance to the ridge's middle at which the reward term "reach" has fallen to 0.24 [m].
+        lift_scale: Error of the lift at which its closeness has fallen to 0.24 [m].
+        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
+    """
+
+    lift_range: tuple[float, float] = (0.004, 0.012)
+    slip_range: tuple[float, float] = (0.001, 0.002)
+    lift_tolerance: float = 0.001
+    hold_time: float = 0.5
+    start_offset: float = 0.008
+    start_height_range: tuple[float, float] = (0.002, 0.012)
+    start_opening_range: tuple[float, float] = (0.02, 0.03)
+    reach_scale: float = 0.015
+    lift_scale: float = 0.005
+    weights: ClampWeights = field(default_factory=ClampWeights)
+
+    def __post_init__(self) -> None:
+        """Check the values, and take lists and mappings as they come from a file."""
+        if not 0.0 <= self.start_offset < np.inf:
+            raise ValueError(f"start_offset must be zero or more and finite, got {self.start_offset!r}")
+        for name in ("lift_tolerance", "hold_time", "reach_scale", "lift_scale"):
+            check_positive(getattr(self, name), name)
+        for name in ("lift_range", "slip_range", "start_height_range", "start_opening_range"):
+            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        if self.lift_range[0] <= self.lift_tolerance:
+            raise ValueError(
+                f"lift_range must begin above lift_tolerance, {self.lift_tolerance}, or the organ at rest would be "
+                f"high enough; got {self.lift_range}"
+            )
+        if self.lift_range[1] > GREATEST_LIFT:
+            raise ValueError(f"lift_range must end at {GREATEST_LIFT} m at most, got {self.lift_range}")
+        if not 0.0 <= self.slip_range[0] <= self.slip_range[1] < GREATEST_SLIP:
+            raise ValueError(f"slip_range must lie from 0 to below {GREATEST_SLIP} m, got {self.slip_range}")
+        for name in ("start_height_range", "start_opening_range"):
+            if getattr(self, name)[0] < 0.0:
+                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        object.__setattr__(self, "weights", config_from_mapping(ClampWeights, self.weights, "weights"))
+
+
+class ClampTask(Task):
+    """Judges a grip.
+
+    A goal is (lift, slip): by how much the ridge is to be lifted, and by how much it may slip at most. The lift is
+    measured on the organ: it is how much higher the nodes of the ridge's crest are than at rest, on average.
+
+    A grip begins when both jaws touch the organ with the faces that they turn to each other, and ends when neither
+    does. Its slip is how far the part of the ridge that was between the jaws when the grip began has moved along their
+    faces since, in the frame of the first jaw. While not both jaws touch, the slip counts as the greatest there is. The
+    goal is fulfilled if the lift is right within a tolerance and the slip is not greater than allowed.
+    """
+
+    goal_names = ("lift", "slip")
+    goal_units = ("m", "m")
+
+    def __init__(self, config: ClampConfig, setting: Setting) -> None:
+        """Prepare for a setting.
+
+        Args:
+            config: What is asked.
+            setting: Where: with an organ that is a `RidgedBlock`, and two tools that face each other.
+
+        Raises:
+            ValueError: If the organ has no ridge, there are not two tools, or a goal or a start is out of reach.
+        """
+        if not isinstance(setting.organ, RidgedBlock):
+            raise ValueError(f"setting.organ must be a RidgedBlock, got {setting.organ!r}")
+        if len(setting.tools) != 2:
+            raise ValueError(f"setting.tools must be two jaws, got {len(setting.tools)}")
+        super().__init__(config, setting, [LEAST_LIFT, 0.0], [GREATEST_LIFT, GREATEST_SLIP])
+        self.config = config
+        self.extra_parts = (PartSpec("ridge_offset", "m", np.full(3, -GREATEST_OFFSET), np.full(3, GREATEST_OFFSET)),)
+        self._crest = setting.organ.crest.astype(np.int64)
+        self._flanks = np.concatenate(setting.organ.flanks).astype(np.int64)
+        first, second = setting.tools
+        away = second.offset - first.offset
+        away = away / np.linalg.norm(away)
+        self._inner = (_facing(first, away), int(first.face.max()) + 1 + _facing(second, -away))
+        self._plane = _across(turn(conjugate(first.orientation), away))
+        along = first.vertices @ self._plane.T
+        self._middle, self._half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
+        self._check_reach()
+
+    def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
+        """Draw the beginnings of episodes: everything uniform in its range.
+
+        Args:
+            generator: Where randomness comes from.
+            count: Number of episodes, W.
+            setting: Where the organ is.
+
+        Returns:
+            Goals (W, 2), positions of the grip (W, 3) and widths between the jaws (W, 1) [m].
+        """
+        config = self.config
+        lift = generator.uniform(*config.lift_range, size=count)
+        slip = generator.uniform(*config.slip_range, size=count)
+        offset = generator.uniform(-config.start_offset, config.start_offset, size=(count, 2))
+        height = generator.uniform(*config.start_height_range, size=count)
+        opening = generator.uniform(*config.start_opening_range, size=count)
+        crest = setting.rest_nodes[self._crest]
+        middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
+        grip = np.column_stack([middle + offset, crest[:, 2].max() + height - setting.tool_low[2]])
+        return Start(goal=np.column_stack([lift, slip]), tool_position=grip, control=opening[:, None])
+
+    def check_goal(self, goal: FloatArray) -> None:
+        """Check a goal (2,) that was not drawn by `sample`.
+
+        Raises:
+            ValueError: If its lift or its slip cannot be asked for.
+        """
+        least, greatest = self.config.lift_range
+        if not least <= goal[0] <= greatest:
+            raise ValueError(f"goal must have a lift from {least} to {greatest} m, got {goal[0]}")
+        if not 0.0 <= goal[1] < GREATEST_SLIP:
+            raise ValueError(f"goal must have a slip from 0 to below {GREATEST_SLIP} m, got {goal[1]}")
+
+    def new_memory(self, count: int) -> Memory:
+        """Room for what is remembered of a grip.
+
+        Returns:
+            "gripped" (W,) whether there is one; "between" (W, n) which of the ridge's n nodes were between the jaws
+            when it began, and "reference" (W, 2) where they were then in the plane of the jaws' faces, on average [m].
+        """
+        return {
+            "gripped": np.zeros(count, dtype=np.bool_),
+            "between": np.zeros((count, len(self._flanks)), dtype=np.bool_),
+            "reference": np.zeros((count, 2)),
+        }
+
+    def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
+        """See `Task`: nothing is gripped."""
+        memory["gripped"][rows] = False
+
+    def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
+        """Judge a situation.
+
+        Args:
+            situation: Of W worlds.
+            goal: (W, 2) [m].
+            memory: Of the grips.
+
+        Returns:
+            Reward terms "reach", "grip", "lift", "hold", "slip", "force" and "action"; what was achieved; the measures
+            "lift", "lift_error" and "slip" [m], and "gripped", 0 or 1; and the part "ridge_offset", from the grip to
+            the middle of the ridge's flanks [m].
+        """
+        config = self.config
+        nodes, rest = situation.nodes, situation.rest_nodes
+        lift = (nodes[:, self._crest, 2] - rest[:, self._crest, 2]).mean(axis=1)
+        slip, gripped = self._slip(situation, memory)
+        achieved = np.column_stack([lift, slip])
+        achieved = np.minimum(np.maximum(achieved, self._goal_low), self._goal_high)
+        error = as_seen(goal) - as_seen(achieved)
+        within = self.fulfils(as_seen(achieved), as_seen(goal))
+
+        offset = nodes[:, self._flanks].mean(axis=1) - situation.tool_position
+        lift_error = np.abs(error[:, 0])
+        forces = np.sqrt((situation.contact_forces**2).sum(axis=2)).sum(axis=1)
+        return Evaluation(
+            terms={
+                "reach": closeness(np.sqrt((offset**2).sum(axis=1)), config.reach_scale),
+                "grip": gripped,
+                "lift": gripped * closeness(lift_error, config.lift_scale),
+                "hold": within.astype(np.float64),
+                "slip": gripped * slip,
+                "force": forces,
+                "action": (situation.action**2).sum(axis=1),
+            },
+            achieved=achieved,
+            error=error,
+            within_tolerance=within,
+            measures={"lift": achieved[:, 0], "lift_error": lift_error, "slip": achieved[:, 1], "gripped": gripped},
+            parts={"ridge_offset": offset},
+        )
+
+    def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Whether the lift is right and the slip is not greater than desired, (..., 2) each [m]."""
+        error = desired - achieved
+        return np.asarray((np.abs(error[..., 0]) <= self.config.lift_tolerance) & (error[..., 1] >= 0.0))
+
+    def marks(
+        self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
+    ) -> tuple[Mark, ...]:
+        """The ridge's crest, and a line along the ridge at the height that its top is to have."""
+        rest = (self.setting.rest_nodes[None] if situation is None else situation.rest_nodes)[0, self._crest]
+        ends = np.array([rest[np.argmin(rest[:, 0])], rest[np.argmax(rest[:, 0])]])
+        ends[:, 2] = rest[:, 2].max() + goal[0]
+        return Patch(self._crest), Path(ends)
+
+    def _slip(self, situation: Situation, memory: Memory) -> tuple[FloatArray, FloatArray]:
+        """How far what is gripped has slipped (W,) [m], and whether anything is gripped (W,), 0 or 1."""
+        first, second = (situation.contact_share[:, face] > 0.0 for face in self._inner)
+        gripped = first & second
+        # Coordinates of the ridge's nodes in the plane of the jaws' faces, as the first jaw sees them from the grip.
+        away = situation.nodes[:, self._flanks] - situation.tool_position[:, None]
+        seen = turn(conjugate(situation.tool_orientation)[:, None], away) @ self._plane.T
+        half = situation.tool_scale[:, None, None] * self._half
+        between = (np.abs(seen - self._middle) <= half).all(axis=2)
+        # Jaws that touch the ridge with their rims only have none of its nodes between them: then all of them count.
+        between |= ~between.any(axis=1, keepdims=True)
+        beginning = gripped & ~memory["gripped"]
+        memory["between"][beginning] = between[beginning]
+        # One jaw that loses touch for a moment does not make a slip undone.
+        memory["gripped"][:] = gripped | (memory["gripped"] & (first | second))
+        weights = memory["between"] / np.maximum(memory["between"].sum(axis=1, keepdims=True), 1)
+        place = (weights[:, :, None] * seen).sum(axis=1)
+        memory["reference"][beginning] = place[beginning]
+        slip = np.sqrt(((place - memory["reference"]) ** 2).sum(axis=1))
+        return np.where(gripped, np.minimum(slip, GREATEST_SLIP), GREATEST_SLIP), gripped.astype(np.float64)
+
+    def _check_reach(self) -> None:
+        config, setting = self.config, self.setting
+        middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
+        widest = float(np.minimum(setting.workspace_high[:2] - middle, middle - setting.workspace_low[:2]).min())
+        if config.start_offset > widest:
+            raise ValueError(
+                f"start_offset must be {widest:.4f} m at most, where the workspace ends; got {config.start_offset!r}"
+            )
+        top = float(setting.rest_nodes[self._crest, 2].max())
+        highest = float(setting.workspace_high[2] + setting.tool_low[2]) - top
+        if config.start_height_range[1] > highest:
+            raise ValueError(
+                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
+                f"got {config.start_height_range}"
+            )
+
+
+def _facing(tool: ToolShape, direction: FloatArray) -> int:
+    """Which of a tool's faces is turned in a direction (3,), as it is at the start."""
+    normals = turn(tool.orientation, tool.normals) @ direction
+    return int(tool.face[np.argmax(normals)])
+
+
+def _across(direction: FloatArray) -> FloatArray:
+    """(2, 3) two unit vectors across a direction (3,) and each other."""
+    axis = np.zeros(3)
+    axis[np.argmin(np.abs(direction))] = 1.0
+    first = np.cross(direction, axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])

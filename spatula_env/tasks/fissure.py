@@ -1,0 +1,370 @@
+"""The fissure: enter it edge-on, open it, and hold it open until a target on its floor is seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from spatula_env.geometry.blocks import FissuredBlock
+from spatula_env.geometry.checks import check_count, check_positive
+from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
+from spatula_env.tasks.base import (
+    BoolArray,
+    Evaluation,
+    FloatArray,
+    Memory,
+    PartSpec,
+    Setting,
+    Situation,
+    Start,
+    Task,
+    as_seen,
+    check_range,
+    check_weights,
+    closeness,
+    config_from_mapping,
+)
+from spatula_env.tasks.exposure import visible_points
+from spatula_env.tasks.marks import Mark, Path
+
+GREATEST_VIEW = 0.6
+"""Tilts of the blade and of the line of sight are reported up to this [rad]."""
+
+GREATEST_OFFSET = 0.12
+"""The way from the blade's edge to the target is reported up to this along each axis [m]."""
+
+SIGHT_LENGTH = 0.06
+"""Of the line of sight in pictures [m]."""
+
+
+@dataclass(frozen=True)
+class FissureWeights:
+    """Weights of the reward terms of `FissureTask`.
+
+    Attributes:
+        reach: Of the closeness of the blade's edge to the target, 0..1.
+        align: Of that times the closeness of the blade's tilt to the line of sight, 0..1.
+        exposure: Of the share of the target that is seen, as a part of the share asked for, 0..1.
+        hold: Of being within tolerance, 0 or 1.
+        force: Of the contact force [1/N].
+        action: Of the squared length of the action.
+    """
+
+    reach: float = 0.15
+    align: float = 0.15
+    exposure: float = 0.2
+    hold: float = 0.5
+    force: float = -0.1
+    action: float = -0.01
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        check_weights(self)
+
+
+@dataclass(frozen=True)
+class FissureConfig:
+    """What is asked in a fissure.
+
+    Attributes:
+        place_limit: The target's middle lies within this distance of the fissure's, along it [m].
+        view_range: Least and greatest angle between the line of sight and the vertical, to either side [rad].
+        exposure_range: Least and greatest share of the target that is to be seen.
+        target_size: Length of the target along the fissure, and its width across [m].
+        target_height: How high the target, a flat patch, lies above the lowest line of the floor [m].
+        target_grid: How many of its points are asked whether they are seen, along it and across.
+        place_tolerance: Allowed distance of the blade's middle from the target's, along the fissure [m].
+        view_tolerance: Allowed angle between blade and line of sight [rad].
+        hold_time: How long the target must be seen without a break [s].
+        start_offset: The blade starts within this distance of the fissure's middle, along each horizontal axis [m].
+        start_height_range: Least and greatest height of its lower edge above the organ's top at the start [m].
+        start_tilt: It starts with a tilt of this to either side at most [rad].
+        reach_height: How far above the target's middle the reward term "reach" wants the blade's edge [m].
+        reach_aside: How far beside it, on the side to which the line of sight leans [m].
+        reach_scale: Distance from there at which the term has fallen to 0.24 [m].
+        align_scale: Angle at which the closeness of tilt and line of sight has fallen to 0.24 [rad].
+        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
+    """
+
+    place_limit: float = 0.01
+    view_range: tuple[float, float] = (0.18, 0.3)
+    exposure_range: tuple[float, float] = (0.8, 0.9)
+    target_size: tuple[float, float] = (0.012, 0.002)
+    target_height: float = 0.002
+    target_grid: tuple[int, int] = (5, 21)
+    place_tolerance: float = 0.008
+    view_tolerance: float = 0.1
+    hold_time: float = 0.5
+    start_offset: float = 0.01
+    start_height_range: tuple[float, float] = (0.004, 0.015)
+    start_tilt: float = 0.1
+    reach_height: float = 0.003
+    reach_aside: float = 0.002
+    reach_scale: float = 0.015
+    align_scale: float = 0.15
+    weights: FissureWeights = field(default_factory=FissureWeights)
+
+    def __post_init__(self) -> None:
+        """Check the values, and take lists and mappings as they come from a file."""
+        for name in ("place_limit", "start_offset", "start_tilt", "reach_height", "reach_aside"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
+        for name in (
+            "target_height",
+            "place_tolerance",
+            "view_tolerance",
+            "hold_time",
+            "reach_scale",
+            "align_scale",
+        ):
+            check_positive(getattr(self, name), name)
+        for name in ("view_range", "exposure_range", "start_height_range"):
+            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        if not 0.0 <= self.view_range[0] <= self.view_range[1] <= GREATEST_VIEW:
+            raise ValueError(f"view_range must lie in 0 to {GREATEST_VIEW}, got {self.view_range}")
+        if not 0.0 < self.exposure_range[0] <= self.exposure_range[1] <= 1.0:
+            raise ValueError(f"exposure_range must lie above 0 and end at 1 at most, got {self.exposure_range}")
+        if self.start_height_range[0] < 0.0:
+            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
+        if self.start_tilt > GREATEST_VIEW:
+            raise ValueError(f"start_tilt must be {GREATEST_VIEW} at most, got {self.start_tilt}")
+        size, grid = self._pair("target_size"), self._pair("target_grid")
+        for value in size:
+            check_positive(value, "target_size")
+        for count in grid:
+            check_count(count, "target_grid", 2)
+        object.__setattr__(self, "target_size", (float(size[0]), float(size[1])))
+        object.__setattr__(self, "target_grid", (int(grid[0]), int(grid[1])))
+        object.__setattr__(self, "weights", config_from_mapping(FissureWeights, self.weights, "weights"))
+
+    def _pair(self, name: str) -> tuple[Any, Any]:
+        value = getattr(self, name)
+        try:
+            along, across = value
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{name} must be two numbers (along, across), got {value!r}") from error
+        return along, across
+
+
+class FissureTask(Task):
+    """Judges how a fissure is held open.
+
+    The target is a flat patch a little above the lowest line of the fissure's floor. Someone looks at it from far
+    above, along a line of sight that is tilted towards one of the walls: as through an operating microscope. A point of
+    the target is seen if its ray towards the eye meets neither the organ nor the blade. At rest the wall is in the way.
+
+    A goal is (place, view, exposure): where the target is along the fissure, from the middle of its floor; the tilt of
+    the line of sight, a rotation about x like the blade's: a positive one leans towards the operator; and the share of
+    the target that is to be seen. What is achieved is where the blade's edge is along the fissure, the blade's tilt,
+    and the share that is seen. The goal is fulfilled if the blade is at the target and along the line of sight, both
+    within a wide tolerance, and no less is seen than is asked for: more is better.
+    """
+
+    goal_names = ("place", "view", "exposure")
+    goal_units = ("m", "rad", "1")
+
+    def __init__(self, config: FissureConfig, setting: Setting) -> None:
+        """Prepare for a setting.
+
+        Args:
+            config: What is asked.
+            setting: Where: with an organ that is a `FissuredBlock`, and one tool.
+
+        Raises:
+            ValueError: If the organ has no fissure, there are several tools, or a goal or a start is out of reach.
+        """
+        if not isinstance(setting.organ, FissuredBlock):
+            raise ValueError(f"setting.organ must be a FissuredBlock, got {setting.organ!r}")
+        if len(setting.tools) != 1:
+            raise ValueError(f"setting.tools must be one blade, got {len(setting.tools)} tools")
+        low, high = setting.workspace_low, setting.workspace_high
+        super().__init__(config, setting, [low[0], -GREATEST_VIEW, 0.0], [high[0], GREATEST_VIEW, 1.0])
+        self.config = config
+        self.extra_parts = (PartSpec("target_offset", "m", np.full(3, -GREATEST_OFFSET), np.full(3, GREATEST_OFFSET)),)
+        self._triangles = np.array(setting.triangles)
+        floor = setting.organ.floor
+        along = setting.rest_nodes[floor, 0]
+        self._ends = (int(floor[np.argmin(along)]), int(floor[np.argmax(along)]))
+        blade = setting.tools[0]
+        self._corners, self._blade_start = blade.vertices, blade.orientation
+        heights = turn(blade.orientation, blade.vertices)[:, 2]
+        lowest = heights <= heights.min() + 1e-6 * np.ptp(heights)
+        self._edge = blade.vertices[lowest].mean(axis=0)
+        steps = [np.linspace(-0.5, 0.5, count) for count in config.target_grid]
+        grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        self._grid: FloatArray = grid * config.target_size
+        self._check_reach()
+
+    def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
+        """Draw the beginnings of episodes: everything uniform in its range, and the side of the sight by a coin.
+
+        Args:
+            generator: Where randomness comes from.
+            count: Number of episodes, W.
+            setting: Where the organ is.
+
+        Returns:
+            Goals (W, 3), positions (W, 3) [m] and orientations (W, 4) of the blade.
+        """
+        config = self.config
+        place = generator.uniform(-config.place_limit, config.place_limit, size=count)
+        view = generator.uniform(*config.view_range, size=count) * generator.choice([-1.0, 1.0], size=count)
+        exposure = generator.uniform(*config.exposure_range, size=count)
+        offset = generator.uniform(-config.start_offset, config.start_offset, size=(count, 2))
+        height = generator.uniform(*config.start_height_range, size=count)
+        tilt = generator.uniform(-config.start_tilt, config.start_tilt, size=count)
+        middle, _ = self._floor_line(setting.rest_nodes[None])
+        turned = multiply(from_rotation_vector(tilt[:, None] * [1.0, 0.0, 0.0]), self._blade_start)
+        below = turn(turned[:, None], setting.tools[0].vertices)[:, :, 2].min(axis=1)
+        top = setting.rest_nodes[:, 2].max()
+        return Start(
+            goal=np.column_stack([place, view, exposure]),
+            tool_position=np.column_stack([middle[:, :2] + offset, top + height - below]),
+            tool_orientation=turned,
+        )
+
+    def check_goal(self, goal: FloatArray) -> None:
+        """Check a goal (3,) that was not drawn by `sample`.
+
+        Raises:
+            ValueError: If its place, its view or its exposure cannot be asked for.
+        """
+        limit, steepest = self._greatest_place(), self.config.view_range[1]
+        if not abs(goal[0]) <= limit:
+            raise ValueError(f"goal must have a place from {-limit:.4f} to {limit:.4f} m, got {goal[0]}")
+        if not abs(goal[1]) <= steepest:
+            raise ValueError(f"goal must have a view from {-steepest} to {steepest} rad, got {goal[1]}")
+        if not 0.0 < goal[2] <= 1.0:
+            raise ValueError(f"goal must have an exposure above 0 and of 1 at most, got {goal[2]}")
+
+    def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
+        """Judge a situation.
+
+        Args:
+            situation: Of W worlds.
+            goal: (W, 3).
+            memory: Nothing is remembered.
+
+        Returns:
+            Reward terms "reach", "align", "exposure", "hold", "force" and "action"; what was achieved; the measures
+            "exposure", "target_distance" [m] from the blade's edge to beside the target, and "view_error" [rad] of the
+            blade's tilt; and the part "target_offset", from the middle of the blade's edge to the target's [m].
+        """
+        config = self.config
+        scale = situation.tool_scale
+        position, orientation = situation.tool_positions[:, 0], situation.tool_orientations[:, 0]
+        middle, along = self._floor_line(situation.nodes)
+        target = self._target(middle, along, goal[:, 0])
+        edge = position + turn(orientation, scale[:, None] * self._edge)
+        corners = position[:, None] + turn(orientation[:, None], scale[:, None, None] * self._corners)
+        exposure = self._exposure(situation.nodes, corners, target, along, goal[:, 1])
+        tilt = to_rotation_vector(multiply(orientation, conjugate(self._blade_start)))[:, 0]
+        place = ((edge - middle) * along).sum(axis=1)
+        achieved = np.column_stack([place, tilt, exposure])
+        achieved = np.minimum(np.maximum(achieved, self._goal_low), self._goal_high)
+        error = as_seen(goal) - as_seen(achieved)
+        within = self.fulfils(as_seen(achieved), as_seen(goal))
+
+        offset = target - edge
+        aside = -config.reach_aside * np.sign(goal[:, 1:2]) * np.cross([0.0, 0.0, 1.0], along)
+        distance = np.sqrt(((offset + aside + [[0.0, 0.0, config.reach_height]]) ** 2).sum(axis=1))
+        view_error = np.abs(error[:, 1])
+        reach = closeness(distance, config.reach_scale)
+        return Evaluation(
+            terms={
+                "reach": reach,
+                "align": reach * closeness(view_error, config.align_scale),
+                "exposure": np.minimum(exposure / goal[:, 2], 1.0),
+                "hold": within.astype(np.float64),
+                "force": np.sqrt((situation.contact_force**2).sum(axis=1)),
+                "action": (situation.action**2).sum(axis=1),
+            },
+            achieved=achieved,
+            error=error,
+            within_tolerance=within,
+            measures={"exposure": exposure, "target_distance": distance, "view_error": view_error},
+            parts={"target_offset": offset},
+        )
+
+    def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Whether the blade is at the place and along the view, and as much is seen as desired, (..., 3) each."""
+        error = desired - achieved
+        return np.asarray(
+            (np.abs(error[..., 0]) <= self.config.place_tolerance)
+            & (np.abs(error[..., 1]) <= self.config.view_tolerance)
+            & (error[..., 2] <= 0.0)
+        )
+
+    def marks(
+        self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
+    ) -> tuple[Mark, ...]:
+        """The target's outline, and the line of sight."""
+        nodes = self.setting.rest_nodes[None] if situation is None else situation.nodes
+        middle, along = self._floor_line(nodes)
+        target = self._target(middle, along, goal[None, 0])[0]
+        length, width = self.config.target_size
+        across = np.cross([0.0, 0.0, 1.0], along[0])
+        outline = [target + 0.5 * (x * length * along[0] + y * width * across) for x, y in _ROUND]
+        return Path(np.array(outline)), Path(np.array([target, target + SIGHT_LENGTH * sight(goal[None, 1])[0]]))
+
+    def _floor_line(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of organs (W, V, 3): the middle of the floor's lowest line (W, 3) [m], and its direction (W, 3)."""
+        first, last = nodes[:, self._ends[0]], nodes[:, self._ends[1]]
+        way = last - first
+        return 0.5 * (first + last), way / np.sqrt((way**2).sum(axis=1, keepdims=True))
+
+    def _target(self, middle: FloatArray, along: FloatArray, place: FloatArray) -> FloatArray:
+        """(W, 3) the targets' middles at places (W,) [m]."""
+        return np.asarray(middle + place[:, None] * along + [0.0, 0.0, self.config.target_height])
+
+    def _exposure(
+        self, nodes: FloatArray, corners: FloatArray, target: FloatArray, along: FloatArray, view: FloatArray
+    ) -> FloatArray:
+        """(W,) share of the target that is seen."""
+        across = np.cross([0.0, 0.0, 1.0], along)
+        points = target[:, None] + self._grid[:, :1] * along[:, None] + self._grid[:, 1:] * across[:, None]
+        seen = visible_points(
+            np.ascontiguousarray(nodes),
+            self._triangles,
+            np.ascontiguousarray(corners[:, None]),
+            np.ascontiguousarray(points),
+            sight(view),
+        )
+        return np.asarray(seen.mean(axis=1))
+
+    def _greatest_place(self) -> float:
+        """How far from the middle of the fissure a target can be [m]."""
+        first, last = self.setting.rest_nodes[list(self._ends)]
+        return float(0.5 * np.linalg.norm(last - first) - 0.5 * self.config.target_size[0])
+
+    def _check_reach(self) -> None:
+        config, setting = self.config, self.setting
+        limit = self._greatest_place()
+        if config.place_limit > limit:
+            raise ValueError(
+                f"place_limit must be {limit:.4f} m at most, where the fissure's floor ends; got {config.place_limit!r}"
+            )
+        middle, _ = self._floor_line(setting.rest_nodes[None])
+        widest = float(np.minimum(setting.workspace_high - middle[0], middle[0] - setting.workspace_low)[:2].min())
+        if config.start_offset > widest:
+            raise ValueError(
+                f"start_offset must be {widest:.4f} m at most, where the workspace ends; got {config.start_offset!r}"
+            )
+        highest = float(setting.workspace_high[2] + setting.tool_low[2] - setting.rest_nodes[:, 2].max())
+        if config.start_height_range[1] > highest:
+            raise ValueError(
+                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
+                f"got {config.start_height_range}"
+            )
+
+
+_ROUND = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
+"""Once around the corners of a rectangle."""
+
+
+def sight(view: FloatArray) -> FloatArray:
+    """Unit vectors (W, 3) towards the eye, of lines of sight turned about x from the vertical by angles (W,) [rad]."""
+    return np.column_stack([np.zeros(len(view)), -np.sin(view), np.cos(view)])

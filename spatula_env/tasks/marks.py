@@ -1,0 +1,73 @@
+"""What shows a goal in a picture, without saying how it is drawn.
+
+Lengths are in metres and points in the workspace frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+ROLES = ("goal", "target", "caution")
+"""What the colour of a patch may stand for: what is asked for, what is acted on, what must be spared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ring:
+    """A horizontal ring.
+
+    Attributes:
+        point: (3,) its middle [m].
+        radius: [m].
+    """
+
+    point: FloatArray
+    radius: float
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A line from point to point.
+
+    Attributes:
+        points: (K, 3) [m].
+    """
+
+    points: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Places.
+
+    Attributes:
+        points: (K, 3) [m].
+    """
+
+    points: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """A part of the organ's surface, wherever it has gone.
+
+    Attributes:
+        nodes: (K,) indices of the organ's nodes; a triangle all of whose corners are among them belongs to it.
+        role: What its colour stands for, one of `ROLES`.
+    """
+
+    nodes: NDArray[np.int64]
+    role: str = "target"
+
+    def __post_init__(self) -> None:
+        """Check the role."""
+        if self.role not in ROLES:
+            raise ValueError(f"role must be one of {list(ROLES)}, got {self.role!r}")
+
+
+Mark = Ring | Path | Points | Patch
+"""Anything that shows a goal."""

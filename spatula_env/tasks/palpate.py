@@ -1,0 +1,423 @@
+"""The palpation: slide along a path on the organ, with a normal force in a band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.rotations import turn
+from spatula_env.tasks.base import (
+    BoolArray,
+    Evaluation,
+    FloatArray,
+    IntArray,
+    Memory,
+    PartSpec,
+    Setting,
+    Situation,
+    Start,
+    Task,
+    as_seen,
+    check_range,
+    check_weights,
+    closeness,
+    config_from_mapping,
+    sample_disc,
+)
+from spatula_env.tasks.marks import Mark, Path, Ring
+from spatula_env.tasks.surface import surface_heights
+
+PIECES = 40
+"""A path is divided into this many pieces of equal length, each of which is felt or not."""
+
+TENTHS = 10
+"""What has been felt is observed for this many parts of the path."""
+
+AHEAD = (0.0, 0.125, 0.25, 0.375, 0.5)
+"""Which points of the path are observed: how far ahead of where the spatula has got to, as parts of its length."""
+
+GREATEST_OFFSET = 0.15
+"""The way from the spatula to points of the path is observed up to this along each axis [m]."""
+
+GREATEST_NORMAL_FORCE = 5.0
+"""Normal forces are reported up to this, to either side [N]."""
+
+UPWARDS = (0.0, 0.0, 1.0)
+"""What is perpendicular to the spatula's faces, in its own frame."""
+
+MARK_HEIGHT = 0.001
+"""How far above the organ at rest the path is drawn [m]."""
+
+
+@dataclass(frozen=True)
+class PalpateWeights:
+    """Weights of the reward terms of `PalpateTask`.
+
+    Attributes:
+        reach: Of the closeness of the spatula's underside to where it has got to on the path, 0..1.
+        force: Of the closeness of the normal force to the middle of the band, while on the path, 0..1.
+        felt: Of the share of the path that has been felt, as a part of the share asked for, 0..1.
+        hold: Of being within tolerance, 0 or 1.
+        action: Of the squared length of the action.
+    """
+
+    reach: float = 0.1
+    force: float = 0.1
+    felt: float = 0.3
+    hold: float = 0.5
+    action: float = -0.01
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        check_weights(self)
+
+
+@dataclass(frozen=True)
+class PalpateConfig:
+    """What is asked in a palpation.
+
+    Attributes:
+        middle_radius: The middle between the path's ends lies within this distance of the organ's axis [m].
+        length_range: Least and greatest distance of the path's ends, seen from above [m].
+        bend_limit: How far the path bends away from the straight line at its middle, at most, to either side [m].
+        force_range: Least and greatest middle of the force's band [N].
+        force_tolerance: Half the width of the band [N].
+        share_range: Least and greatest share of the path that is to be felt.
+        path_tolerance: Allowed horizontal distance of the spatula's middle from the path [m].
+        end_tolerance: Allowed horizontal distance from the path's end, at the end [m].
+        hold_time: How long it must stay there, with a force in the band, without a break [s].
+        start_radius: The spatula starts within this horizontal distance of the path's beginning [m].
+        start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
+        reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
+        force_scale: Error of the force at which the term "force" has fallen to 0.24 [N].
+        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
+    """
+
+    middle_radius: float = 0.004
+    length_range: tuple[float, float] = (0.03, 0.04)
+    bend_limit: float = 0.004
+    force_range: tuple[float, float] = (0.1, 0.18)
+    force_tolerance: float = 0.03
+    share_range: tuple[float, float] = (0.8, 0.9)
+    path_tolerance: float = 0.003
+    end_tolerance: float = 0.002
+    hold_time: float = 0.5
+    start_radius: float = 0.01
+    start_height_range: tuple[float, float] = (0.005, 0.015)
+    reach_scale: float = 0.02
+    force_scale: float = 0.1
+    weights: PalpateWeights = field(default_factory=PalpateWeights)
+
+    def __post_init__(self) -> None:
+        """Check the values, and take lists and mappings as they come from a file."""
+        for name in ("middle_radius", "bend_limit", "start_radius"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
+        for name in (
+            "force_tolerance",
+            "path_tolerance",
+            "end_tolerance",
+            "hold_time",
+            "reach_scale",
+            "force_scale",
+        ):
+            check_positive(getattr(self, name), name)
+        for name in ("length_range", "force_range", "share_range", "start_height_range"):
+            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        if self.length_range[0] <= 2.0 * self.end_tolerance:
+            raise ValueError(
+                f"length_range must begin above twice end_tolerance, {self.end_tolerance}, or a path could begin where "
+                f"it ends; got {self.length_range}"
+            )
+        if self.bend_limit > 0.25 * self.length_range[0]:
+            raise ValueError(
+                f"bend_limit must be a quarter of the shortest path, {self.length_range[0]}, at most; "
+                f"got {self.bend_limit!r}"
+            )
+        if self.force_range[0] <= self.force_tolerance or self.force_range[1] > GREATEST_NORMAL_FORCE:
+            raise ValueError(
+                f"force_range must begin above force_tolerance, {self.force_tolerance}, or touching nothing would be "
+                f"in the band, and end at {GREATEST_NORMAL_FORCE} at most; got {self.force_range}"
+            )
+        if not (0.0 < self.share_range[0] and self.share_range[1] <= 1.0):
+            raise ValueError(f"share_range must be above 0 and 1 at most, got {self.share_range}")
+        if self.start_height_range[0] < 0.0:
+            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
+        object.__setattr__(self, "weights", config_from_mapping(PalpateWeights, self.weights, "weights"))
+
+
+class PalpateTask(Task):
+    """Judges a palpation.
+
+    A goal is (share, x, y, force): which share of the path is to be felt, where the path ends, and the middle of the
+    band of the normal force. A piece of the path is felt once the spatula's middle has passed over it, no farther to
+    the side than the tolerance, with a normal force in the band in this control step and, where it comes from another
+    piece, in the one before. In which order pieces are felt, and how often, does not matter. The normal force is the
+    part of the contact force that is perpendicular to the spatula's faces.
+
+    What is achieved is the share felt so far, the place of the spatula's middle, and the normal force. Goals, achieved
+    and desired, are rounded to single precision before they are compared, because that is what an agent sees and what a
+    replay buffer stores: `compute_reward` gives the same verdict as `evaluate`. The share felt was felt in the band of
+    the episode, also when hindsight asks for another force in the end.
+
+    Attributes:
+        config: What is asked.
+    """
+
+    goal_names = ("share", "x", "y", "force")
+    goal_units = ("1", "m", "m", "N")
+
+    def __init__(self, config: PalpateConfig, setting: Setting) -> None:
+        """Prepare for a setting.
+
+        Args:
+            config: What is asked.
+            setting: Where.
+
+        Raises:
+            ValueError: If a path or a start is out of the tool's reach.
+        """
+        low, high = setting.workspace_low, setting.workspace_high
+        super().__init__(
+            config,
+            setting,
+            [0.0, low[0], low[1], -GREATEST_NORMAL_FORCE],
+            [1.0, high[0], high[1], GREATEST_NORMAL_FORCE],
+        )
+        self.config = config
+        self._triangles = np.array(setting.triangles)
+        self._underside = float(setting.tool_low[2])
+        count = 3 * len(AHEAD)
+        self.extra_parts = (
+            PartSpec("path_ahead", "m", np.full(count, -GREATEST_OFFSET), np.full(count, GREATEST_OFFSET)),
+            PartSpec("progress", "1", np.zeros(1), np.ones(1)),
+            PartSpec("felt", "1", np.zeros(TENTHS), np.ones(TENTHS)),
+            PartSpec("normal_force", "N", np.full(1, -GREATEST_NORMAL_FORCE), np.full(1, GREATEST_NORMAL_FORCE)),
+        )
+        self._check_reach()
+
+    def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
+        """Draw the beginnings of episodes: places uniform in discs, directions on the circle, all else in its range.
+
+        Args:
+            generator: Where randomness comes from.
+            count: Number of episodes, W.
+            setting: Where the organ is.
+
+        Returns:
+            Goals (W, 4) and tool positions (W, 3) [m]; drawn (W, 3) is the way from the path's end to its beginning
+            [m], and how far the path bends to the left of that [m].
+        """
+        config = self.config
+        share = generator.uniform(*config.share_range, size=count)
+        force = generator.uniform(*config.force_range, size=count)
+        length = generator.uniform(*config.length_range, size=count)
+        angle = generator.uniform(0.0, 2.0 * np.pi, size=count)
+        bend = generator.uniform(-config.bend_limit, config.bend_limit, size=count)
+        middle = setting.organ_position[:2] + sample_disc(generator, config.middle_radius, count)
+        aside = sample_disc(generator, config.start_radius, count)
+        height = generator.uniform(*config.start_height_range, size=count)
+        way = length[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        underside = setting.rest_nodes[:, 2].max() + height
+        return Start(
+            goal=np.column_stack([share, middle - 0.5 * way, force]),
+            tool_position=np.column_stack([middle + 0.5 * way + aside, underside - setting.tool_low[2]]),
+            drawn=np.column_stack([way, bend]),
+        )
+
+    def check_goal(self, goal: FloatArray) -> None:
+        """Check a goal (4,) that was not drawn by `sample`.
+
+        Raises:
+            ValueError: If it is out of the configured ranges.
+        """
+        config = self.config
+        for value, (least, greatest), what in (
+            (goal[0], (0.0, 1.0), "a share"),
+            (goal[3], config.force_range, "a force"),
+        ):
+            if not least <= value <= greatest:
+                raise ValueError(f"goal must have {what} from {least} to {greatest}, got {value}")
+        farthest = config.middle_radius + 0.5 * config.length_range[1]
+        distance = float(np.hypot(*(goal[1:3] - self.setting.organ_position[:2])))
+        if distance > farthest + 1e-9:
+            raise ValueError(
+                f"goal must end the path {farthest:.4f} m from the organ's axis at most, got {distance:.4f}"
+            )
+
+    def new_memory(self, count: int) -> Memory:
+        """Room for paths and what has been felt of them.
+
+        Returns:
+            "path" (W, P + 1, 3) corners of the path's P pieces, on the organ at rest [m]; "felt" (W, P) which have been
+            felt; "progress" (W,) the farthest place on the path that has been felt, in pieces; "last" (W,) where it was
+            in the step before, in pieces, and "was_feeling" (W,) whether it felt the path then.
+        """
+        return {
+            "path": np.zeros((count, PIECES + 1, 3)),
+            "felt": np.zeros((count, PIECES), dtype=np.bool_),
+            "progress": np.zeros(count),
+            "last": np.zeros(count),
+            "was_feeling": np.zeros(count, dtype=np.bool_),
+        }
+
+    def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
+        """See `Task`: paths are laid on the organ at rest.
+
+        If an end that was chosen does not fit the direction that was drawn, the path comes there over the organ's axis.
+        """
+        assert start.drawn is not None
+        for row, goal, drawn, setting in zip(rows, start.goal, start.drawn, settings, strict=True):
+            inwards, way = setting.organ_position[:2] - goal[1:3], drawn[:2]
+            distance = float(np.hypot(*inwards))
+            if np.hypot(*(0.5 * way - inwards)) > self.config.middle_radius + 1e-9 and distance > 0.0:
+                way = float(np.hypot(*way)) / distance * inwards
+            memory["path"][row] = self._path(goal[1:3], way, drawn[2], setting)
+        memory["felt"][rows] = False
+        memory["progress"][rows], memory["last"][rows], memory["was_feeling"][rows] = 0.0, 0.0, False
+
+    def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
+        """Judge a situation, and remember what has been felt.
+
+        Args:
+            situation: Of W worlds.
+            goal: (W, 4).
+            memory: See `new_memory`.
+
+        Returns:
+            Reward terms "reach", "force", "felt", "hold" and "action"; what was achieved; the measures "share",
+            "progress", "normal_force" and "force_error" [N] and "end_distance" [m]; the parts "path_ahead" [m],
+            "progress", "felt" and "normal_force" [N].
+        """
+        config = self.config
+        normal = turn(situation.tool_orientation, UPWARDS)
+        force = (situation.contact_force * normal).sum(axis=1)
+        force_error = np.abs(goal[:, 3] - force)
+        along, aside = _project(memory["path"][:, :, :2], situation.tool_position[:, :2])
+        self._feel(memory, along, aside, force_error)
+        share = memory["felt"].mean(axis=1)
+
+        achieved = np.column_stack([share, situation.tool_position[:, :2], force])
+        achieved = np.minimum(np.maximum(achieved, self._goal_low), self._goal_high)
+        error = as_seen(goal) - as_seen(achieved)
+        within = self.fulfils(as_seen(achieved), as_seen(goal))
+
+        underside = situation.tool_position.copy()
+        underside[:, 2] += situation.tool_scale * self._underside
+        ahead = np.minimum(memory["progress"][:, None] + PIECES * np.array(AHEAD), PIECES)
+        offsets = _points_at(memory["path"], ahead) - underside[:, None]
+        distance = np.sqrt((offsets[:, 0] ** 2).sum(axis=1))
+        return Evaluation(
+            terms={
+                "reach": closeness(distance, config.reach_scale),
+                "force": closeness(force_error, config.force_scale) * closeness(aside, config.path_tolerance),
+                "felt": np.minimum(share / np.maximum(goal[:, 0], 1e-9), 1.0),
+                "hold": within.astype(np.float64),
+                "action": (situation.action**2).sum(axis=1),
+            },
+            achieved=achieved,
+            error=error,
+            within_tolerance=within,
+            measures={
+                "share": share,
+                "progress": memory["progress"] / PIECES,
+                "normal_force": force,
+                "force_error": force_error,
+                "end_distance": np.hypot(error[:, 1], error[:, 2]),
+            },
+            parts={
+                "path_ahead": offsets.reshape(len(goal), -1),
+                "progress": memory["progress"][:, None] / PIECES,
+                "felt": memory["felt"].reshape(len(goal), TENTHS, -1).mean(axis=2),
+                "normal_force": force[:, None],
+            },
+        )
+
+    def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Whether enough has been felt, the spatula is at the end, and the force is in the band, (..., 4) each."""
+        error = desired - achieved
+        return np.asarray(
+            (error[..., 0] <= 0.0)
+            & (np.hypot(error[..., 1], error[..., 2]) <= self.config.end_tolerance)
+            & (np.abs(error[..., 3]) <= self.config.force_tolerance)
+        )
+
+    def marks(
+        self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
+    ) -> tuple[Mark, ...]:
+        """The path, and a ring around its end; the ring alone while nobody knows the path."""
+        if memory is None:
+            place = np.ascontiguousarray(goal[None, 1:3])
+            height = self._heights(self.setting.rest_nodes, place)[0]
+            return (Ring(np.array([*goal[1:3], height + MARK_HEIGHT]), self.config.end_tolerance),)
+        path = memory["path"][0] + [0.0, 0.0, MARK_HEIGHT]
+        return Path(path), Ring(path[-1], self.config.end_tolerance)
+
+    def _feel(self, memory: Memory, along: FloatArray, aside: FloatArray, force_error: FloatArray) -> None:
+        """Remember that spatulas are at places on their paths (W,), at a distance (W,), with a force's error (W,)."""
+        feeling = (aside <= self.config.path_tolerance) & (force_error <= self.config.force_tolerance)
+        last = np.where(memory["was_feeling"], memory["last"], along)
+        first_piece = np.floor(np.minimum(last, along))[:, None]
+        last_piece = np.floor(np.maximum(last, along))[:, None]
+        piece = np.arange(PIECES)
+        # At the very end of the path it is the last piece that is felt.
+        passed = (piece >= np.minimum(first_piece, PIECES - 1)) & (piece <= last_piece)
+        memory["felt"] |= passed & feeling[:, None]
+        memory["progress"][:] = np.where(feeling, np.maximum(memory["progress"], along), memory["progress"])
+        memory["last"][:], memory["was_feeling"][:] = along, feeling
+
+    def _path(self, end: FloatArray, way: FloatArray, bend: float, setting: Setting) -> FloatArray:
+        """(P + 1, 3) corners of a path's pieces, which are of equal length as seen from above [m]."""
+        part = np.linspace(0.0, 1.0, 4 * PIECES + 1)
+        left = np.array([-way[1], way[0]]) / np.hypot(*way)
+        places = end + (1.0 - part)[:, None] * way + (4.0 * bend * part * (1.0 - part))[:, None] * left
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+        wanted = np.linspace(0.0, length[-1], PIECES + 1)
+        even = np.column_stack([np.interp(wanted, length, places[:, axis]) for axis in range(2)])
+        return np.column_stack([even, self._heights(setting.rest_nodes, even)])
+
+    def _heights(self, nodes: FloatArray, places: FloatArray) -> FloatArray:
+        """(K,) height of a surface (V, 3) at places (K, 2) [m]."""
+        ground = self.setting.ground_height
+        heights: FloatArray = surface_heights(np.ascontiguousarray(nodes[None]), self._triangles, places, ground)
+        return heights
+
+    def _check_reach(self) -> None:
+        config, setting = self.config, self.setting
+        widest = config.middle_radius + 0.5 * config.length_range[1] + config.start_radius
+        end = min(float(setting.workspace_high[:2].min()), -float(setting.workspace_low[:2].max()))
+        if widest > end:
+            raise ValueError(
+                f"middle_radius, half of length_range and start_radius must not be more than {end:.4f} m together, "
+                f"where the workspace ends; got {config.middle_radius}, {config.length_range} and "
+                f"{config.start_radius}"
+            )
+        highest = setting.workspace_high[2] + setting.tool_low[2] - float(setting.rest_nodes[:, 2].max())
+        if config.start_height_range[1] > highest:
+            raise ValueError(
+                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
+                f"got {config.start_height_range}"
+            )
+
+
+def _project(paths: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where places (W, 2) are on paths (W, P + 1, 2): how far along (W,), in pieces, and how far aside (W,) [m]."""
+    start, step = paths[:, :-1], np.diff(paths, axis=1)
+    square = np.maximum((step**2).sum(axis=2), 1e-18)
+    part = np.clip(((places[:, None] - start) * step).sum(axis=2) / square, 0.0, 1.0)
+    distance = np.sqrt(((start + part[:, :, None] * step - places[:, None]) ** 2).sum(axis=2))
+    piece = distance.argmin(axis=1)
+    row = np.arange(len(paths))
+    return piece + part[row, piece], distance[row, piece]
+
+
+def _points_at(paths: FloatArray, along: FloatArray) -> FloatArray:
+    """(W, K, 3) points of paths (W, P + 1, 3) at lengths along (W, K), in pieces."""
+    piece = np.minimum(along.astype(np.int64), paths.shape[1] - 2)
+    row = np.arange(len(paths))[:, None]
+    start, end = paths[row, piece], paths[row, piece + 1]
+    return np.asarray(start + (along - piece)[:, :, None] * (end - start))

@@ -1,0 +1,337 @@
+"""The retraction: move a marked patch of the organ's surface aside, and hold it there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from spatula_env.geometry.blocks import RidgedBlock
+from spatula_env.geometry.checks import check_positive
+from spatula_env.tasks.base import (
+    BoolArray,
+    Evaluation,
+    FloatArray,
+    IntArray,
+    Memory,
+    PartSpec,
+    Setting,
+    Situation,
+    Start,
+    Task,
+    as_seen,
+    check_range,
+    check_weights,
+    closeness,
+    config_from_mapping,
+)
+from spatula_env.tasks.marks import Mark, Patch, Path, Points
+
+GREATEST_SHIFT = 0.03
+"""Displacements of the patch are reported up to this along each axis [m]."""
+
+GREATEST_PLACE = 0.15
+"""Positions of the patch are reported up to this along each axis [m]."""
+
+
+@dataclass(frozen=True)
+class RetractWeights:
+    """Weights of the reward terms of `RetractTask`.
+
+    Attributes:
+        reach: Of the closeness of the blade to where it touches the patch, 0..1.
+        shift: Of the closeness of the patch's displacement to the goal, 0..1.
+        hold: Of being within tolerance, 0 or 1.
+        force: Of the contact force [1/N].
+        action: Of the squared length of the action.
+    """
+
+    reach: float = 0.25
+    shift: float = 0.25
+    hold: float = 0.5
+    force: float = -0.02
+    action: float = -0.01
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        check_weights(self)
+
+
+@dataclass(frozen=True)
+class RetractConfig:
+    """What is asked in a retraction.
+
+    Attributes:
+        place_limit: The patch's middle lies within this distance of the fold's middle, along the fold [m].
+        height_range: Least and greatest height of the patch's middle, 0 at the lowest nodes of the fold's flanks and 1
+            at its crest.
+        patch_radius: Of the patch; nodes nearer its middle count for more [m].
+        shift_range: Least and greatest displacement asked for [m].
+        angle_limit: It is asked for across the fold, or turned away from that by this at most [rad].
+        tolerance: Allowed horizontal distance between displacement and goal [m].
+        hold_time: How long it must be kept without a break [s].
+        start_offset: The blade starts within these distances of the fold's middle, across the fold and along it [m].
+        start_height_range: Least and greatest height of its lower edge above the organ's top at the start [m].
+        edge_depth: How far below the patch's middle the term "reach" wants the blade's lower edge [m].
+        reach_scale: Distance from there at which the reward term "reach" has fallen to 0.24 [m].
+        shift_scale: Error of the displacement at which the term "shift" has fallen to 0.24 [m].
+        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
+    """
+
+    place_limit: float = 0.008
+    height_range: tuple[float, float] = (0.05, 0.45)
+    patch_radius: float = 0.009
+    shift_range: tuple[float, float] = (0.004, 0.01)
+    angle_limit: float = 0.12
+    tolerance: float = 0.001
+    hold_time: float = 0.5
+    start_offset: tuple[float, float] = (0.02, 0.01)
+    start_height_range: tuple[float, float] = (0.006, 0.02)
+    edge_depth: float = 0.008
+    reach_scale: float = 0.02
+    shift_scale: float = 0.003
+    weights: RetractWeights = field(default_factory=RetractWeights)
+
+    def __post_init__(self) -> None:
+        """Check the values, and take lists and mappings as they come from a file."""
+        for name in ("place_limit", "angle_limit", "edge_depth"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
+        for name in ("patch_radius", "tolerance", "hold_time", "reach_scale", "shift_scale"):
+            check_positive(getattr(self, name), name)
+        for name in ("height_range", "shift_range", "start_height_range"):
+            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        object.__setattr__(self, "start_offset", _check_pair(self.start_offset, "start_offset"))
+        if not (0.0 <= self.height_range[0] and self.height_range[1] <= 1.0):
+            raise ValueError(f"height_range must lie in 0 to 1, got {self.height_range}")
+        if self.angle_limit >= 0.5 * np.pi:
+            raise ValueError(f"angle_limit must be less than pi/2, got {self.angle_limit!r}")
+        if self.shift_range[0] <= self.tolerance or self.shift_range[1] > GREATEST_SHIFT:
+            raise ValueError(
+                f"shift_range must begin above tolerance, {self.tolerance}, or the organ at rest would fulfil the "
+                f"goal, and end at {GREATEST_SHIFT} at most; got {self.shift_range}"
+            )
+        if self.start_height_range[0] < 0.0:
+            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
+        object.__setattr__(self, "weights", config_from_mapping(RetractWeights, self.weights, "weights"))
+
+
+class RetractTask(Task):
+    """Judges a retraction.
+
+    A goal is (x, y): by how much the patch is to be displaced horizontally. The patch is on that flank of the fold from
+    which the goal leads into the fold. What is achieved is the weighted mean of the displacements of its nodes.
+
+    Goals, achieved and desired, are rounded to single precision before they are compared, because that is
+    what an agent sees and what a replay buffer stores: `compute_reward` gives the same verdict as `evaluate`.
+
+    Attributes:
+        config: What is asked.
+    """
+
+    goal_names = ("shift_x", "shift_y")
+    goal_units = ("m", "m")
+
+    def __init__(self, config: RetractConfig, setting: Setting) -> None:
+        """Prepare for a setting.
+
+        Args:
+            config: What is asked.
+            setting: Where; its organ is a `RidgedBlock`.
+
+        Raises:
+            ValueError: If the organ is another one, or a start is out of the tool's reach.
+        """
+        super().__init__(config, setting, np.full(2, -GREATEST_SHIFT), np.full(2, GREATEST_SHIFT))
+        if not isinstance(setting.organ, RidgedBlock):
+            raise ValueError(f"organ must be a RidgedBlock, which has a fold to retract, got {setting.organ!r}")
+        self.config = config
+        first, second = (np.array(nodes, dtype=np.int64) for nodes in setting.organ.flanks)
+        self._flanks: tuple[IntArray, IntArray] = (first, second)
+        middle, across, _ = self._fold(setting.rest_nodes)
+        crest = np.array(setting.organ.crest, dtype=np.int64)
+        place = (setting.rest_nodes[crest, :2] - middle) @ across
+        # Where patches can be: a flank, and its half of the crest.
+        self._sides = (np.union1d(first, crest[place > 0.0]), np.union1d(second, crest[place < 0.0]))
+        self._half_thickness = 0.5 * float(setting.tool_high[0] - setting.tool_low[0])
+        self._underside = float(setting.tool_low[2])
+        self.extra_parts = (
+            PartSpec("patch_position", "m", np.full(3, -GREATEST_PLACE), np.full(3, GREATEST_PLACE)),
+            PartSpec("patch_shift", "m", np.full(3, -GREATEST_SHIFT), np.full(3, GREATEST_SHIFT)),
+        )
+        self._check_reach()
+
+    def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
+        """Draw the beginnings of episodes: either flank with equal chance, all else uniform in its range.
+
+        Args:
+            generator: Where randomness comes from.
+            count: Number of episodes, W.
+            setting: Where the organ is.
+
+        Returns:
+            Goals (W, 2) and tool positions (W, 3) [m]; drawn (W, 2) is the patch's place along the fold [m] and its
+            height as a part of the fold's.
+        """
+        config = self.config
+        middle, across, along = self._fold(setting.rest_nodes)
+        side = generator.choice([-1.0, 1.0], size=count)
+        size = generator.uniform(*config.shift_range, size=count)
+        angle = generator.uniform(-config.angle_limit, config.angle_limit, size=count)
+        place = generator.uniform(-config.place_limit, config.place_limit, size=count)
+        height = generator.uniform(*config.height_range, size=count)
+        offset = generator.uniform(-1.0, 1.0, size=(count, 2)) * config.start_offset
+        clearance = generator.uniform(*config.start_height_range, size=count)
+        start = middle + offset[:, :1] * across + offset[:, 1:] * along
+        top = float(setting.rest_nodes[:, 2].max())
+        return Start(
+            goal=(side * size * np.cos(angle))[:, None] * across + (size * np.sin(angle))[:, None] * along,
+            tool_position=np.column_stack([start, top + clearance - setting.tool_low[2]]),
+            drawn=np.column_stack([place, height]),
+        )
+
+    def check_goal(self, goal: FloatArray) -> None:
+        """Check a goal (2,) that was not drawn by `sample`.
+
+        Raises:
+            ValueError: If its size or its direction is outside the configured range.
+        """
+        least, greatest = self.config.shift_range
+        _, across, _ = self._fold(self.setting.rest_nodes)
+        size = float(np.hypot(*goal))
+        if not least <= size <= greatest:
+            raise ValueError(f"goal must be a displacement of {least} to {greatest} m, got {goal}")
+        if abs(float(goal @ across)) < size * np.cos(self.config.angle_limit) - 1e-12:
+            raise ValueError(
+                f"goal must lead across the fold, along {across} or against it, or be turned away from that by "
+                f"{self.config.angle_limit} rad at most; got {goal}"
+            )
+
+    def new_memory(self, count: int) -> Memory:
+        """Room for each node's weight in the patch, "weights" (W, V), and its middle at rest, "rest" (W, 3) [m]."""
+        return {"weights": np.zeros((count, len(self.setting.rest_nodes))), "rest": np.zeros((count, 3))}
+
+    def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
+        """See `Task`: the patch is found on the organ at rest."""
+        assert start.drawn is not None
+        for row, goal, (place, height), setting in zip(rows, start.goal, start.drawn, settings, strict=True):
+            nodes, weights = self._patch(setting.rest_nodes, goal, place, height)
+            memory["weights"][row] = 0.0
+            memory["weights"][row, nodes] = weights
+            memory["rest"][row] = weights @ setting.rest_nodes[nodes]
+
+    def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
+        """Judge a situation.
+
+        Args:
+            situation: Of W worlds.
+            goal: (W, 2) [m].
+            memory: What `begin_memory` wrote.
+
+        Returns:
+            Reward terms "reach", "shift", "hold", "force" and "action"; what was achieved; the measures "shift", how
+            far the patch is from where it was, horizontally, and "shift_error" [m]; the parts "patch_position" and
+            "patch_shift" [m].
+        """
+        config = self.config
+        # A product of matrices for each world: einsum would be slower.
+        patch = (memory["weights"][:, None, :] @ situation.nodes)[:, 0]
+        shift = patch - memory["rest"]
+        achieved = np.minimum(np.maximum(shift[:, :2], self._goal_low), self._goal_high)
+        error = as_seen(goal) - as_seen(achieved)
+        shift_error = np.hypot(error[:, 0], error[:, 1])
+        within = shift_error <= config.tolerance
+
+        scale = situation.tool_scale
+        direction = goal / np.maximum(np.hypot(goal[:, 0], goal[:, 1]), 1e-9)[:, None]
+        wanted = patch.copy()
+        wanted[:, :2] -= (scale * self._half_thickness)[:, None] * direction
+        wanted[:, 2] -= config.edge_depth + scale * self._underside
+        distance = np.sqrt(((situation.tool_position - wanted) ** 2).sum(axis=1))
+        return Evaluation(
+            terms={
+                "reach": closeness(distance, config.reach_scale),
+                "shift": closeness(shift_error, config.shift_scale),
+                "hold": within.astype(np.float64),
+                "force": np.sqrt((situation.contact_force**2).sum(axis=1)),
+                "action": (situation.action**2).sum(axis=1),
+            },
+            achieved=achieved,
+            error=error,
+            within_tolerance=within,
+            measures={"shift": np.hypot(shift[:, 0], shift[:, 1]), "shift_error": shift_error},
+            parts={"patch_position": patch, "patch_shift": shift},
+        )
+
+    def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
+        """Whether displacements (..., 2) are within tolerance of what is desired (..., 2) [m]."""
+        error = desired - achieved
+        return np.asarray(np.hypot(error[..., 0], error[..., 1]) <= self.config.tolerance)
+
+    def marks(
+        self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
+    ) -> tuple[Mark, ...]:
+        """The patch, and the way of its middle from where it was at rest; nothing while nobody knows which it is."""
+        if memory is None:
+            return ()
+        weights, rest = memory["weights"][0], memory["rest"][0]
+        end = rest + np.array([goal[0], goal[1], 0.0])
+        return (
+            Patch(np.flatnonzero(weights > 0.0), "target"),
+            Path(np.array([rest, end])),
+            Points(end[None]),
+        )
+
+    def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Of an organ (V, 3): the fold's middle (2,) [m], and the directions (2,) across it and along it."""
+        first, second = (nodes[flank].mean(axis=0)[:2] for flank in self._flanks)
+        across = (first - second) / np.linalg.norm(first - second)
+        return 0.5 * (first + second), across, np.array([-across[1], across[0]])
+
+    def _patch(self, nodes: FloatArray, goal: FloatArray, place: float, height: float) -> tuple[IntArray, FloatArray]:
+        """Nodes (K,) of a patch and their weights (K,), which sum to one."""
+        middle, across, along = self._fold(nodes)
+        # Pushed across, from the second flank towards the first, it is the second flank that is touched.
+        side = self._sides[1] if goal @ across > 0.0 else self._sides[0]
+        points = nodes[side]
+        sideways = (points[:, :2] - middle) @ along - place
+        low, high = nodes[self._flanks[0], 2].min(), points[:, 2].max()
+        upwards = points[:, 2] - (low + height * (high - low))
+        distance = np.hypot(sideways, upwards)
+        radius = max(self.config.patch_radius, 1.2 * float(distance.min()))
+        weights = np.maximum(1.0 - (distance / radius) ** 2, 0.0) ** 2
+        kept = weights > 0.0
+        return side[kept], weights[kept] / weights.sum()
+
+    def _check_reach(self) -> None:
+        config, setting = self.config, self.setting
+        middle, across, along = self._fold(setting.rest_nodes)
+        corners = [
+            middle + x * config.start_offset[0] * across + y * config.start_offset[1] * along
+            for x in (-1.0, 1.0)
+            for y in (-1.0, 1.0)
+        ]
+        if (corners < setting.workspace_low[:2]).any() or (corners > setting.workspace_high[:2]).any():
+            raise ValueError(
+                f"start_offset must keep the blade in the workspace, {setting.workspace_low[:2]} to "
+                f"{setting.workspace_high[:2]} m; got {config.start_offset}"
+            )
+        highest = setting.workspace_high[2] + setting.tool_low[2] - float(setting.rest_nodes[:, 2].max())
+        if config.start_height_range[1] > highest:
+            raise ValueError(
+                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
+                f"got {config.start_height_range}"
+            )
+
+
+def _check_pair(value: object, name: str) -> tuple[float, float]:
+    """Two finite numbers of zero or more, as a tuple of floats."""
+    try:
+        first, second = (float(number) for number in value)  # type: ignore[attr-defined]
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be two numbers, got {value!r}") from error
+    if not (0.0 <= first < np.inf and 0.0 <= second < np.inf):
+        raise ValueError(f"{name} must be two finite numbers of zero or more, got {value!r}")
+    return first, second

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from spatula_env.envs import PressEnv, PressVectorEnv
+from spatula_env.envs.episodes import COST_PRESSURE, VIOLATION_PRESSURE
+
+GOAL = (0.0, 0.0, 0.018)
+ABOVE = (0.0, 0.0, -0.02)
+DOWN, UP = np.array([0.0, 0.0, -0.6]), np.array([0.0, 0.0, 1.0])
+
+
+def plunge(env: Any, steps: int = 12, **options: Any) -> list[tuple[float, bool, dict[str, Any]]]:
+    """Go down fast, right above the organ's top, then up again."""
+    env.reset(seed=0, options={"goal": GOAL, "tool_position": ABOVE, **options})
+    shown = []
+    for k in range(steps):
+        _, reward, terminated, _, info = env.step(DOWN if k < steps - 2 else UP)
+        shown.append((reward, terminated, info))
+        if terminated:
+            break
+    return shown
+
+
+@pytest.fixture(scope="module")
+def env() -> Any:
+    with PressEnv(engine="batch") as made:
+        yield made
+
+
+def test_the_thresholds_are_those_of_the_source() -> None:
+    # 20 and 30 mmHg.
+    assert pytest.approx(20 * 133.322, rel=2e-3) == COST_PRESSURE
+    assert pytest.approx(30 * 133.322, rel=2e-3) == VIOLATION_PRESSURE
+
+
+def test_cost_is_counted_where_pressure_is_high(env: PressEnv) -> None:
+    infos = [info for *_, info in plunge(env)]
+    assert infos[0]["cost"] == infos[0]["episode_cost"] == 0.0
+    assert not infos[0]["violation"]
+    costly = [info for info in infos if info["cost"] > 0.0]
+    assert costly
+    for info in infos:
+        assert (info["cost"] > 0.0) == (info["peak_pressure"] > COST_PRESSURE)
+        assert info["violation"] == (info["peak_pressure"] > VIOLATION_PRESSURE)
+        # The greatest pressure lasts for a part of the step of 50 ms only.
+        assert info["cost"] <= max(info["peak_pressure"] - COST_PRESSURE, 0.0) * 0.05 + 1e-9
+        assert info["mean_pressure"] <= info["peak_pressure"]
+
+
+def test_episodes_add_up(env: PressEnv) -> None:
+    infos = [info for *_, info in plunge(env)]
+    last = infos[-1]
+    assert last["episode_cost"] == pytest.approx(sum(info["cost"] for info in infos))
+    assert last["episode_work"] == pytest.approx(sum(info["work"] for info in infos))
+    assert last["episode_violation_time"] == pytest.approx(0.05 * sum(info["violation"] for info in infos))
+    assert last["episode_violation_time"] > 0.0
+    for name in ("peak_force", "peak_pressure"):
+        assert last[f"episode_{name}"] == max(info[name] for info in infos)
+    # The next episode begins with nothing.
+    info = env.reset()[1]
+    assert all(value == 0.0 for name, value in info.items() if name.startswith("episode_"))
+    assert info["cost"] == info["work"] == info["peak_pressure"] == 0.0
+
+
+def test_work_is_force_times_way(env: PressEnv) -> None:
+    env.reset(seed=0, options={"goal": GOAL, "tool_position": ABOVE})
+    for _ in range(10):
+        observation, *_, info = env.step(0.5 * DOWN)
+    slices = env.observation_builder.slices
+    force, velocity = observation[slices["contact_force"]], observation[slices["tool_velocity"]]
+    assert info["work"] > 0.0
+    assert info["work"] == pytest.approx(-float(force @ velocity) * 0.05, rel=1e-4)
+
+
+def test_cost_is_no_part_of_the_reward(env: PressEnv) -> None:
+    for reward, _, info in plunge(env):
+        terms = {name: info[f"reward/{name}"] for name in env.task.weights}
+        assert reward == pytest.approx(sum(weight * terms[name] for name, weight in env.task.weights.items()))
+    assert "cost" not in env.task.weights
+
+
+def test_damage_ends_an_episode_when_asked_to(env: PressEnv) -> None:
+    free = plunge(env)
+    assert not any(terminated for _, terminated, _ in free)
+    assert not any(info["is_damaged"] for *_, info in free)
+    limit = 0.3 * free[-1][2]["episode_cost"]
+    with PressEnv(engine="batch", damage_limit=limit) as ending:
+        shown = plunge(ending)
+    assert shown[-1][1]
+    assert [info["is_damaged"] for *_, info in shown] == [False] * (len(shown) - 1) + [True]
+    assert shown[-1][2]["episode_cost"] > limit >= shown[-2][2]["episode_cost"]
+    assert len(shown) < len(free)
+
+
+def test_each_world_is_damaged_by_itself() -> None:
+    env = PressVectorEnv(2, damage_limit=0.0, autoreset_mode="disabled")
+    env.reset(seed=0, options={"goal": GOAL, "tool_position": np.array([ABOVE, (0.0, 0.0, 0.02)])})
+    for _ in range(12):
+        _, _, terminated, _, infos = env.step(np.stack([DOWN, UP]))
+        if terminated.any():
+            break
+    assert terminated.tolist() == infos["is_damaged"].tolist() == [True, False]
+    assert infos["episode_cost"][1] == 0.0
+    _, infos = env.reset(options={"reset_mask": np.array([True, False])})
+    assert infos["episode_cost"].tolist() == [0.0, 0.0]
+    env.close()
+
+
+def test_both_engines_count_alike() -> None:
+    totals = []
+    for engine in ("batch", "bullet"):
+        with PressEnv(engine=engine) as env:
+            totals.append(plunge(env)[-1][2])
+    for name in ("episode_cost", "episode_work", "episode_peak_force", "episode_peak_pressure"):
+        assert totals[0][name] == pytest.approx(totals[1][name], rel=0.05), name
