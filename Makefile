@@ -14,7 +14,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_
 
 # Ray pins one exact Gymnasium and cannot be locked with the rest. The CUDA packages are torch's own choice, wanted by
 # nobody who has its CPU build.
-LOCKED_EXTRAS := data demo dev mesh teleop train video viewer viz zoo
+LOCKED_EXTRAS := data demo dev mesh teleop train video viewer viz window zoo
 CUDA := ^(cuda-|nvidia-|triton==)
 
 help:  ## Show this list

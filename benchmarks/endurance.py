@@ -80,6 +80,9 @@ def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
     worlds = base.worlds
     tools = worlds.scene.tools
     inspectors = [[Inspector(placed.tool, worlds.triangles) for placed in tools] for _ in range(count)]
+    # Farther from every vertex than this, a tool meets no triangle; and it cannot have got far inside unseen.
+    longest = max(float(placed.organ.edge_lengths.max()) for placed in worlds.scene.organs)
+    reaches = [float(np.linalg.norm(placed.tool.vertices, axis=1).max()) + 1.5 * longest for placed in tools]
     # The observation tells which share of the contact nodes of each face is flagged.
     shares = base.observation_builder.slices["contact_share"]
     of_tool = np.repeat(np.arange(len(tools)), [len(np.unique(placed.tool.face)) for placed in tools])
@@ -104,6 +107,7 @@ def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
         diverged += int(infos["diverged"].sum())
         peak_pressure = max(peak_pressure, float(infos["peak_pressure"].max()))
         nodes, positions, orientations = worlds.nodes, worlds.tool_positions, worlds.tool_orientations
+        away = np.sqrt(((nodes[:, None] - positions[:, :, None]) ** 2).sum(axis=-1).min(axis=-1))
         flagged = observation[:, shares] > 0.0
         for world in range(count):
             if resting[world] or not finite[world]:
@@ -112,6 +116,9 @@ def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
                 continue
             touching += flagged[world].any()
             for tool, inspector in enumerate(inspectors[world]):
+                if away[world, tool] > reaches[tool]:
+                    inspector.reset()
+                    continue
                 seen = inspector.inspect(positions[world, tool], orientations[world, tool], nodes[world])
                 deepest = max(seen.node_depth, seen.corner_depth)
                 missed += deepest > DEEP and not flagged[world, of_tool == tool].any()

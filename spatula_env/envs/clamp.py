@@ -9,6 +9,10 @@ from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.clamp import ClampConfig, ClampTask
 
+OPENING_RANGE = (0.002, 0.032)
+"""Least and greatest free width between the jaws [m]. A clamp for tissue does not close altogether: what is between its
+jaws has to stay somewhere."""
+
 CLAMP = Definition(
     name="clamp",
     scene=scenes.clamp,
@@ -17,8 +21,8 @@ CLAMP = Definition(
     # The cube reaches 76 mm above the organ's top and 26 mm below it.
     workspace_height=0.025,
     controls={
-        "velocity": ControlLayout(jaws=True, opening_range=(0.0, 0.032)),
-        "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6, jaws=True, opening_range=(0.0, 0.032)),
+        "velocity": ControlLayout(jaws=True, opening_range=OPENING_RANGE),
+        "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6, jaws=True, opening_range=OPENING_RANGE),
     },
     defaults={"max_speed": 0.05},
 )
@@ -42,7 +46,7 @@ class ClampEnv(SpatulaEnv):
     ## Action Space
     The action space is a `Box(-1, 1, (4,), float32)`: velocities of the grip, the middle between the jaws, as fractions
     of `max_speed`, and the speed at which the jaws part, as a fraction of `max_jaw_speed`. They are constant for a
-    whole step. The grip is stopped at the faces of its workspace, and the jaws at free widths of 0 and 32 mm. The clamp
+    whole step. The grip is stopped at the faces of its workspace, and the jaws at free widths of 2 and 32 mm. The clamp
     does not turn (with `control="velocity_6d"` it does). Numbers beyond the bounds are clipped; an action of the wrong
     shape or that is not finite is a `ValueError`.
 
@@ -70,7 +74,7 @@ class ClampEnv(SpatulaEnv):
     | ----- | ----------------------------------------------------------- | ------- | ------ | ---------------- | ---- |
     | 0-2   | position of the grip, the middle between the jaws (x, y, z) | -0.0508 | 0.0508 | tool_position    | m    |
     | 3-5   | velocity of the grip in the last step                       | -0.05   | 0.05   | tool_velocity    | m/s  |
-    | 6     | free width between the jaws                                 | 0       | 0.032  | jaw_opening      | m    |
+    | 6     | free width between the jaws                                 | 0.002   | 0.032  | jaw_opening      | m    |
     | 7     | speed at which they parted in the last step                 | -0.05   | 0.05   | jaw_speed        | m/s  |
     | 8-10  | mean force on the first jaw in the last step                | -10     | 10     | contact_force    | N    |
     | 11-13 | the same on the second jaw                                  | -10     | 10     | contact_force    | N    |

@@ -1,0 +1,177 @@
+"""The haptic loop, from the hand to the hand: emulated Falcon, USB packets, driver, loop, simulation.
+
+A simulated hand presses the spatula into the organ and draws it back, again and again, in real time. The organ is made
+stiff to the hand by scaling forces up. Measured are the loop's period, how the force follows a step, how long it lasts
+after the simulation has stopped, and the energy that the motors have put into the hand. The loop runs in a process of
+its own, and for comparison in a thread beside the simulation::
+
+    python -m benchmarks.haptics --seconds 60
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+import spatula_env  # noqa: F401 - registers the environments
+from benchmarks import measure
+from spatula_env.teleop.device import TeleopDevice
+from spatula_env.teleop.emulator import ElasticHand, GuidedHand, RealClock
+from spatula_env.teleop.falcon.frames import position_to_falcon
+from spatula_env.teleop.haptics import HapticDevice, HapticSettings
+from spatula_env.teleop.haptics.device import Where
+from spatula_env.teleop.scripted import EmulatedFalcon
+from spatula_env.teleop.wrapper import FalconTeleop
+
+CYCLE = 4.0
+"""One press and its release [s]."""
+DEPTH = 0.045
+"""From the highest to the lowest place of the hand's target [m]."""
+START_HEIGHT = 0.0
+"""Of the tool, workspace frame [m]."""
+FORCE_SCALES = (1.0, 5.0)
+"""The organ as it is, and five times as stiff to the hand."""
+STEP_FORCE = 3.0
+"""[N]."""
+STALL_WATCH = 0.1
+"""For how long a stall is watched [s]."""
+MOVE_START = 1.0
+"""So long the hand waits before it moves [s]."""
+
+
+class PressingMotion:
+    """Down and up again, smoothly, in the Falcon's frame."""
+
+    def __init__(self, depth: float) -> None:
+        """Say how deep [m]."""
+        self._depth = depth
+
+    def __call__(self, seconds: float) -> tuple[float, float, float]:
+        """The target at a time."""
+        phase = max(0.0, seconds - MOVE_START) / CYCLE
+        return position_to_falcon((0.0, 0.0, 0.5 * self._depth * math.cos(2.0 * math.pi * phase)))
+
+
+def make_falcon(depth: float) -> TeleopDevice:
+    """An emulated Falcon in real time, with a hand that presses and draws back."""
+    motion = PressingMotion(depth)
+    return EmulatedFalcon(ElasticHand(motion, position=motion(0.0)), clock=RealClock())
+
+
+def make_held_falcon() -> TeleopDevice:
+    """An emulated Falcon in real time, in a hand that does not yield."""
+    return EmulatedFalcon(GuidedHand(lambda _: position_to_falcon((0.0, 0.0, 0.0))), clock=RealClock())
+
+
+def energies(device: TeleopDevice) -> dict[str, float]:
+    """What has been exchanged with the hand [J]; asked where the device is."""
+    assert isinstance(device, EmulatedFalcon)
+    found = device.emulator.hand.energies
+    return {"motors": found.motors, "arm": found.arm, "dissipated": found.dissipated}
+
+
+def press(where: Where, force_scale: float, seconds: float) -> dict[str, Any]:
+    """Press and draw back for some time.
+
+    Args:
+        where: Where the loop runs.
+        force_scale: How much stiffer the organ is to the hand.
+        seconds: For how long.
+
+    Returns:
+        Periods [ms], energies [mJ], forces [N].
+    """
+    env = gymnasium.make("Spatula/Press-v0", max_episode_steps=10**9)
+    settings = HapticSettings(force_scale=force_scale)
+    device = HapticDevice(partial(make_falcon, DEPTH), settings, where=where, exchange=True)
+    forces, steps, late = [], [], 0
+    with device:
+        teleop = FalconTeleop(env, device)
+        teleop.reset(seed=0, options={"tool_position": (0.0, 0.0, START_HEIGHT)})
+        period = teleop.get_wrapper_attr("steps_per_action") / 240.0
+        start = last = time.monotonic()
+        while time.monotonic() - start < seconds:
+            _, _, _, _, info = teleop.step()
+            now = time.monotonic()
+            steps.append(now - last)
+            late += now - last > 1.2 * period
+            last = now
+            forces.append(info["force"])
+        found = device.statistics()
+        exchanged = device.ask(energies)
+        teleop.close()
+    return {
+        "where": where,
+        "force_scale": force_scale,
+        "seconds": seconds,
+        "cycles": found.cycles,
+        "period_p50_ms": 1e3 * found.median_period,
+        "period_p99_ms": 1e3 * found.late_period,
+        "period_max_ms": 1e3 * found.longest_period,
+        "control_step_p99_ms": 1e3 * float(np.quantile(steps, 0.99)),
+        "late_control_steps": int(late),
+        "stalls": found.stalls,
+        "limited_cycles": found.limited,
+        "peak_tool_force_n": float(max(forces)),
+        "energy_into_hand_mj": 1e3 * exchanged["motors"],
+        "energy_by_loop_mj": -1e3 * found.balance,
+    }
+
+
+def step_response() -> dict[str, float]:
+    """How the force follows a step of the simulation's force, and its end.
+
+    Returns:
+        Times to 63 % and 95 % of the step, and to zero after the last heartbeat [ms].
+    """
+    device = HapticDevice(make_held_falcon, where="process", exchange=True)
+    reached: dict[str, float] = {}
+    with device:
+        for _ in range(100):
+            device.tell(None, (0.0, 0.0, 0.0))
+            time.sleep(0.002)
+        start = time.monotonic()
+        while time.monotonic() - start < 0.2:
+            device.tell(None, (0.0, 0.0, STEP_FORCE))
+            force = device.force[2]
+            for name, share in (("rise_63_ms", 0.632), ("rise_95_ms", 0.95)):
+                if force >= share * STEP_FORCE:
+                    reached.setdefault(name, 1e3 * (time.monotonic() - start))
+            time.sleep(0.0005)
+        device.tell(None, (0.0, 0.0, STEP_FORCE))
+        start = time.monotonic()
+        while time.monotonic() - start < STALL_WATCH:
+            if not device.force.any():
+                reached["stall_to_zero_ms"] = 1e3 * (time.monotonic() - start)
+                break
+            time.sleep(0.0005)
+    return reached
+
+
+def main() -> None:
+    """Measure and print."""
+    options = measure.parser(__doc__ or "")
+    options.add_argument("--seconds", type=float, default=60.0, help="length of a run (default: %(default)s)")
+    options.add_argument("--where", choices=("process", "thread"), nargs="*", default=["process", "thread"])
+    chosen = options.parse_args()
+    runs = [press(where, scale, chosen.seconds) for where in chosen.where for scale in FORCE_SCALES]
+    response = step_response()
+    if not chosen.json:
+        for run in runs:
+            print(
+                f"{run['where']:8} x{run['force_scale']:g}: period {run['period_p50_ms']:.3f} ms, "
+                f"p99 {run['period_p99_ms']:.3f}, longest {run['period_max_ms']:.1f}; motors gave the hand "
+                f"{run['energy_into_hand_mj']:.2f} mJ; force on the tool up to {run['peak_tool_force_n']:.2f} N"
+            )
+        print(" ".join(f"{name} {value:.1f}" for name, value in response.items()))
+    measure.finish({"runs": runs, "step": response, "load": os.getloadavg()[0]})
+
+
+if __name__ == "__main__":
+    main()
