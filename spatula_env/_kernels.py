@@ -1,8 +1,9 @@
 """Numba's decorator with the settings and the types the package uses.
 
-Every kernel is compiled for the signature written beside it when its module is imported, and kept in Numba's on-disk
-cache, so that nothing is compiled in the middle of a simulation. `fastmath` stays off: the ray test relies on
-IEEE arithmetic (see `spatula_env.contact.raycast`) and results must not depend on how the compiler regroups sums.
+Kernels are compiled for the signature written beside them when their module is imported, or when they are first called
+where that is rare or before a simulation begins, and kept in Numba's on-disk cache. `fastmath` stays off: the ray test
+relies on IEEE arithmetic (see `spatula_env.contact.raycast`) and results must not depend on how the compiler regroups
+sums.
 """
 
 from __future__ import annotations
@@ -46,6 +47,11 @@ def kernel(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., 
     return cast("Callable[[Function], Function]", numba.njit(list(signatures), cache=True, error_model="numpy"))
 
 
+def late_kernel(function: Function) -> Function:
+    """Compile a function when it is first called: for what only some of those need who import its module."""
+    return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
+
+
 def inline_kernel(function: Function) -> Function:
     """Compile a small helper that only other kernels call; LLVM inlines it where that pays."""
     return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
@@ -60,12 +66,16 @@ _announced: ContextVar[bool] = ContextVar("announced", default=False)
 
 
 @contextmanager
-def announce_compilation() -> Iterator[None]:
-    """Say what the wait is for, if what is done in this context turns out to need compilation."""
+def announce_compilation(what: str = "the contact model") -> Iterator[None]:
+    """Say what the wait is for, if what is done in this context turns out to need compilation.
+
+    Args:
+        what: Whose kernels they are.
+    """
     if _announced.get():
         yield
         return
-    message = "spatula_env is compiling kernels, once after installation. This can take a minute."
+    message = f"spatula_env is compiling {what}, once after installation. This can take half a minute."
     timer = threading.Timer(PATIENCE, logging.getLogger("spatula_env").warning, (message,))
     timer.daemon = True
     timer.start()

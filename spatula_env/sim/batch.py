@@ -120,7 +120,7 @@ class BatchSimulation:
         threads = numba.get_num_threads()
         self._parallel = threads > 1 if parallel is None else bool(parallel)
         self._scene = scene
-        with announce_compilation():
+        with announce_compilation("the batch engine"):
             body = join([soft_body(placed) for placed in scene.organs])
             lanes = None
             if worlds > 1:
@@ -458,7 +458,7 @@ class BatchSimulation:
         # The threads of Numba are not started for nothing: a process that has them must not fork.
         parallel = self._parallel and blocks > 1
         advance: Any = batch_step.advance_in_parallel if parallel else batch_step.advance_serially
-        with announce_compilation():
+        with announce_compilation("the batch engine"):
             advance(
                 *self._body.arrays.values(),
                 self._structures,

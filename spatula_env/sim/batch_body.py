@@ -316,12 +316,6 @@ def write_block(block: np.ndarray, values: np.ndarray) -> None:
                 block[i, axis, lane] = values[lane, i, axis]
 
 
-def _step_signature(real: Any) -> Any:
-    state, rows = types.Array(real, 4, "C"), types.Array(real, 2, "C")
-    flags, links = types.Array(types.boolean, 1, "C"), types.Array(types.int32, 2, "C")
-    return types.void(state, state, state, flags, links, rows, rows, rows, real, real, rows)
-
-
 def _copy_signature(real: Any, *, readonly: bool) -> Any:
     worlds, values = types.Array(types.int64, 1, "C"), types.Array(types.float64, 3, "C", readonly=readonly)
     return types.void(types.Array(real, 4, "C"), worlds, values)
@@ -333,13 +327,13 @@ def _add_signature(real: Any) -> Any:
 
 
 _REALS = (types.float32, types.float64)
-_STEP_SIGNATURES = [_step_signature(real) for real in _REALS]
 _READ_SIGNATURES = [_copy_signature(real, readonly=False) for real in _REALS]
 _ADD_SIGNATURES = [_add_signature(real) for real in _REALS]
 _WRITE_SIGNATURES = [_copy_signature(real, readonly=True) for real in _REALS]
 
 
-@numba.njit(_STEP_SIGNATURES, cache=True, error_model="numpy", nogil=True)
+# Compiled when first called, which for the two precisions and both ways is rarely all of them.
+@numba.njit(cache=True, error_model="numpy", nogil=True)
 def _advance_serially(
     positions: np.ndarray,
     velocities: np.ndarray,
@@ -361,7 +355,7 @@ def _advance_serially(
         )  # fmt: skip
 
 
-@numba.njit(_STEP_SIGNATURES, cache=True, error_model="numpy", parallel=True)
+@numba.njit(cache=True, error_model="numpy", parallel=True)
 def _advance_in_parallel(
     positions: np.ndarray,
     velocities: np.ndarray,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel, kernel
+from spatula_env._kernels import inline_kernel, late_kernel
 from spatula_env.contact.raycast import line_meets_triangle
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
     return size - 1
 
 
-@kernel("b1[:,::1](f8[:,:,::1], i4[:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,::1])")
+@late_kernel
 def visible_points(
     nodes: np.ndarray, triangles: np.ndarray, corners: np.ndarray, points: np.ndarray, directions: np.ndarray
 ) -> np.ndarray:
