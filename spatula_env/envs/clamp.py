@@ -20,6 +20,8 @@ CLAMP = Definition(
     config=ClampConfig,
     # The cube reaches 76 mm above the organ's top and 26 mm below it.
     workspace_height=0.025,
+    # Half as high as the ridge's foot.
+    stop_height=0.012,
     controls={
         "velocity": ControlLayout(jaws=True, opening_range=OPENING_RANGE),
         "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6, jaws=True, opening_range=OPENING_RANGE),

@@ -103,7 +103,8 @@ class VelocityControl:
 
     Tools turn about the grip, like a rigid body; jaws move along the line between them, and the grip stays in the
     middle. All comes to rest at a limit: the grip at the workspace's faces, a turn at `max_turn`, jaws where they are
-    open or closed. What would lead beyond is cut to what just reaches it by the end of the control step.
+    open or closed. What would lead beyond is cut to what just reaches it by the end of the control step. No point of a
+    tool gets lower than a stop above the ground, as if a guard were on it: turning lifts a tool that stands on it.
 
     Attributes:
         layout: What an action moves.
@@ -122,6 +123,7 @@ class VelocityControl:
         max_speed: float,
         max_rotation_rate: float = 1.0,
         max_jaw_speed: float = 0.05,
+        stop_height: float = 0.0,
     ) -> None:
         """Set up the control.
 
@@ -131,6 +133,7 @@ class VelocityControl:
             max_speed: Of the grip along each axis [m/s].
             max_rotation_rate: About each axis [rad/s].
             max_jaw_speed: At which the free width between jaws changes [m/s].
+            stop_height: Above the ground, below which no point of a tool gets [m].
 
         Raises:
             ValueError: If a number is not positive and finite, or there are no two tools to be jaws.
@@ -154,6 +157,8 @@ class VelocityControl:
         )
         self.units = ("m/s",) * 3 + ("rad/s",) * len(layout.rotations) + ("m/s",) * layout.jaws
         self._low, self._high = setting.workspace_low, setting.workspace_high
+        self._stop = setting.ground_height + stop_height
+        self._corners = [np.asarray(tool.vertices) for tool in tools]
         self._axes = ["xyz".index(axis) for axis in layout.rotations]
         self._orientations = np.stack([tool.orientation for tool in tools])
         self._offsets = np.stack([tool.offset for tool in tools])
@@ -229,21 +234,19 @@ class VelocityControl:
         Returns:
             Constant velocities that take the tools where they are to be at its end.
         """
-        fastest, slowest = (self._high - grip) / period, (self._low - grip) / period
-        velocity = np.minimum(np.maximum(actions[:, :3] * self.max_speed, slowest), fastest)
         count = len(grip)
         rate = np.zeros((count, 3))
         if self._axes:
             rate[:, self._axes] = actions[:, 3 : 3 + len(self._axes)] * self.max_rotation_rate
             rate = self._kept_within_limits(rate, orientations[:, 0], period)
-        linear = np.repeat(velocity[:, None], positions.shape[1], axis=1)
+        scale = np.ones(count) if tool_scale is None else tool_scale
+        arms = ends = positions - grip[:, None]
         angular = np.repeat(rate[:, None], positions.shape[1], axis=1)
         coordinate_rate = np.zeros((count, self.coordinates))
         if positions.shape[1] > 1:
-            arms = positions - grip[:, None]
             ends = turn(from_rotation_vector(rate * period)[:, None], arms) if self._axes else arms
             if self.layout.jaws:
-                opening = self.opening(positions, np.ones(count) if tool_scale is None else tool_scale)[:, 0]
+                opening = self.opening(positions, scale)[:, 0]
                 wanted = opening + actions[:, -1] * self.max_jaw_speed * period
                 low, high = self.layout.opening_range
                 # Jaws that are beyond a limit already do not jump back to it.
@@ -253,7 +256,12 @@ class VelocityControl:
                 change = 0.5 * (wanted - opening)[:, None] * away
                 ends = ends + np.stack([-change, change], axis=1)
                 coordinate_rate[:, 0] = (wanted - opening) / period
-            linear = linear + (ends - arms) / period
+        turned = multiply(from_rotation_vector(rate * period)[:, None], orientations) if self._axes else orientations
+        low = np.repeat(self._low[None], count, axis=0)
+        low[:, 2] = np.maximum(low[:, 2], self._stop - self._lowest(ends, turned, scale))
+        fastest, slowest = (self._high - grip) / period, np.minimum((low - grip) / period, self.max_speed)
+        velocity = np.minimum(np.maximum(actions[:, :3] * self.max_speed, slowest), fastest)
+        linear = velocity[:, None] + (ends - arms) / period
         return Motion(linear, angular, velocity, rate, coordinate_rate)
 
     def observe(self, situation: Situation) -> list[FloatArray]:
@@ -265,6 +273,15 @@ class VelocityControl:
         if self.layout.jaws:
             values += [situation.control, situation.control_rate]
         return values
+
+    def _lowest(self, arms: FloatArray, orientations: FloatArray, scale: FloatArray) -> FloatArray:
+        """(W,) height over the grip of the lowest point of tools at `arms` (W, N, 3) from it [m]."""
+        heights = [
+            arms[:, tool, 2]
+            + (turn(orientations[:, tool, None], corners[None]) * scale[:, None, None])[..., 2].min(axis=1)
+            for tool, corners in enumerate(self._corners)
+        ]
+        return np.asarray(np.min(heights, axis=0))
 
     def _turned(self, orientation: FloatArray) -> FloatArray:
         """By what rotation (W, 4) tools are turned away from the scene's, from the first one's orientation (W, 4)."""

@@ -135,6 +135,7 @@ class Episodes:
             settings.max_speed,
             settings.max_rotation_rate,
             settings.max_jaw_speed,
+            definition.stop_height,
         )
         self.observation_builder = ObservationBuilder(
             self.setting,

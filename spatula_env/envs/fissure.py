@@ -16,6 +16,8 @@ FISSURE = Definition(
     config=FissureConfig,
     # The cube reaches 76 mm above the organ's top and 26 mm below it.
     workspace_height=0.025,
+    # Two millimetres above the fissure's floor, which is held.
+    stop_height=0.03,
     controls={
         "velocity": ControlLayout(rotations="x", max_turn=0.6),
         "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6),

@@ -15,6 +15,8 @@ RETRACT = Definition(
     config=RetractConfig,
     # The blade's middle reaches 71 mm above the organ's top and 31 mm below it, its lower edge 20 mm farther down.
     workspace_height=0.02,
+    # Two millimetres below the fold's foot.
+    stop_height=0.014,
     defaults={"max_speed": 0.05},
 )
 """A blade over a fold."""

@@ -134,6 +134,8 @@ class Definition:
         task: Makes the task from its configuration and the setting, such as the task's class.
         config: The dataclass that configures the task.
         workspace_height: Of the workspace's middle above the organ's top at rest [m].
+        stop_height: Above the ground, below which no point of a tool gets [m]. Tissue that is held cannot make way for
+            a tool that is driven into it.
         controls: What an action moves, by the names that the option `control` takes.
         defaults: Defaults of options that differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
@@ -144,6 +146,7 @@ class Definition:
     task: Callable[[Any, Setting], Task]
     config: type[Any]
     workspace_height: float
+    stop_height: float = 0.0
     controls: Mapping[str, ControlLayout] = field(
         default_factory=lambda: {"velocity": TRANSLATION, "velocity_6d": ALL_SIX}
     )

@@ -33,7 +33,8 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ## Action Space
     `control="velocity"` is what the task needs, and `control="velocity_6d"` moves along and turns about all three axes
     (and opens and closes jaws, where there are any). An action is a vector of fractions of the greatest velocities.
-    What would lead out of the workspace, or turn or open the tools too far, is cut to what just reaches the limit.
+    What would lead out of the workspace, or turn or open the tools too far, is cut to what just reaches the limit. No
+    point of a tool gets below a stop above the ground, which each task has where tissue is held.
     Numbers beyond -1 and 1 are clipped; an action of the wrong shape or that is not finite is a `ValueError`.
 
     ## Observation Space
