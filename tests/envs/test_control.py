@@ -38,8 +38,8 @@ SPATULA, CLAMP = make_setting(scenes.seed()), make_setting(scenes.clamp())
 JAWS = ControlLayout(jaws=True, opening_range=(0.0, 0.02))
 
 
-def make_control(layout: ControlLayout = TRANSLATION, setting: Setting = SPATULA) -> VelocityControl:
-    return VelocityControl(layout, setting, 0.1)
+def make_control(layout: ControlLayout = TRANSLATION, setting: Setting = SPATULA, **options: float) -> VelocityControl:
+    return VelocityControl(layout, setting, 0.1, **options)
 
 
 def move(control: VelocityControl, actions: np.ndarray, grip: np.ndarray) -> Motion:
@@ -165,6 +165,47 @@ def test_a_tilt_stops_at_its_limit_and_comes_back() -> None:
         orientations = multiply(from_rotation_vector(motion.rate * PERIOD), orientations[:, 0])[:, None]
         tilts.append(float(to_rotation_vector(orientations)[0, 0, 0]))
     assert tilts == pytest.approx([0.05, 0.08, 0.08, 0.03], abs=1e-12)
+
+
+# ----------------------------------------------------------------------------------------- the stop
+
+STOP = -0.02 - SPATULA.ground_height
+"""A stop 20 mm below the workspace's middle, reckoned from the ground [m]."""
+
+
+def lowest_points(tools, positions, orientations):
+    """(W,) height of the lowest corner of any tool [m]."""
+    corners = [turn(orientations[:, index, None], tool.vertices[None]) for index, tool in enumerate(tools)]
+    return np.min([positions[:, i, 2] + turned[..., 2].min(axis=1) for i, turned in enumerate(corners)], axis=0)
+
+
+@given(st.tuples(*[fractions] * 6), st.floats(-0.018, 0.03), st.integers(0, 2**32 - 1))
+def test_no_corner_gets_below_the_stop(action: tuple[float, ...], height: float, seed: int) -> None:
+    control = make_control(ControlLayout(rotations="xyz"), stop_height=STOP)
+    turned = from_rotation_vector(np.random.default_rng(seed).uniform(-0.4, 0.4, size=3))
+    grip = np.array([[0.0, 0.0, height]])
+    positions, orientations = control.place(grip, multiply(turned, SPATULA.tools[0].orientation)[None])
+    before = lowest_points(SPATULA.tools, positions, orientations)
+    motion = control.motion(np.array([action]), grip, positions, orientations, PERIOD)
+    after = lowest_points(
+        SPATULA.tools,
+        positions + motion.linear * PERIOD,
+        multiply(from_rotation_vector(motion.angular * PERIOD), orientations),
+    )
+    # One that is below it is lifted no faster than it may move.
+    assert after[0] >= min(-0.02, before[0]) - 1e-12 or motion.velocity[0, 2] == pytest.approx(control.max_speed)
+    if after[0] > -0.02 + 1e-9:
+        assert motion.velocity[0, 2] == pytest.approx(action[2] * control.max_speed)
+
+
+def test_a_tool_comes_to_rest_on_the_stop() -> None:
+    control = make_control(stop_height=STOP)
+    grip = np.zeros((1, 3))
+    for _ in range(20):
+        positions, orientations = control.place(grip)
+        motion = control.motion(np.array([[0.0, 0.0, -1.0]]), grip, positions, orientations, PERIOD)
+        grip = grip + motion.velocity * PERIOD
+    assert grip[0, 2] + SPATULA.tool_low[2] == pytest.approx(-0.02, abs=1e-12)
 
 
 # ----------------------------------------------------------------------------------------- jaws
