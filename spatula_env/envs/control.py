@@ -257,9 +257,9 @@ class VelocityControl:
                 ends = ends + np.stack([-change, change], axis=1)
                 coordinate_rate[:, 0] = (wanted - opening) / period
         turned = multiply(from_rotation_vector(rate * period)[:, None], orientations) if self._axes else orientations
-        low = np.repeat(self._low[None], count, axis=0)
-        low[:, 2] = np.maximum(low[:, 2], self._stop - self._lowest(ends, turned, scale))
-        fastest, slowest = (self._high - grip) / period, np.minimum((low - grip) / period, self.max_speed)
+        least = np.repeat(self._low[None], count, axis=0)
+        least[:, 2] = np.maximum(least[:, 2], self._stop - self._lowest(ends, turned, scale))
+        fastest, slowest = (self._high - grip) / period, np.minimum((least - grip) / period, self.max_speed)
         velocity = np.minimum(np.maximum(actions[:, :3] * self.max_speed, slowest), fastest)
         linear = velocity[:, None] + (ends - arms) / period
         return Motion(linear, angular, velocity, rate, coordinate_rate)
