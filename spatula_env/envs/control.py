@@ -299,7 +299,9 @@ class VelocityControl:
             allowed = np.zeros((len(beyond), 3))
             back = to_rotation_vector(multiply(target, conjugate(now[beyond]))) / period
             allowed[:, self._axes] = back[:, self._axes]
-            rate[beyond] = np.minimum(np.maximum(allowed, -self.max_rotation_rate), self.max_rotation_rate)
+            # All together: part of the way to a place within the limit is within it too.
+            fastest = np.abs(allowed).max(axis=1, keepdims=True)
+            rate[beyond] = allowed * np.minimum(1.0, self.max_rotation_rate / np.maximum(fastest, 1e-12))
         return rate
 
     def _make_parts(self) -> tuple[PartSpec, ...]:
