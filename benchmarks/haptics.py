@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -41,6 +42,10 @@ STEP_FORCE = 3.0
 """[N]."""
 STALL_WATCH = 0.1
 """For how long a stall is watched [s]."""
+POLL = 5e-4
+"""How often the force is looked at [s]."""
+TRIALS = 20
+"""Steps and stalls."""
 MOVE_START = 1.0
 """So long the hand waits before it moves [s]."""
 
@@ -125,33 +130,35 @@ def press(where: Where, force_scale: float, seconds: float) -> dict[str, Any]:
 
 
 def step_response() -> dict[str, float]:
-    """How the force follows a step of the simulation's force, and its end.
+    """How the force follows a step of the simulation's force, and how long it lasts without a heartbeat.
 
     Returns:
-        Times to 63 % and 95 % of the step, and to zero after the last heartbeat [ms].
+        Medians of times to 63 % and 95 % of the step, median and longest time from the last heartbeat to zero [ms].
     """
-    device = HapticDevice(make_held_falcon, where="process", exchange=True)
-    reached: dict[str, float] = {}
-    with device:
-        for _ in range(100):
-            device.tell(None, (0.0, 0.0, 0.0))
-            time.sleep(0.002)
-        start = time.monotonic()
-        while time.monotonic() - start < 0.2:
+    found: dict[str, list[float]] = {"rise_63": [], "rise_95": [], "stall_to_zero": []}
+    with HapticDevice(make_held_falcon, where="process", exchange=True) as device:
+        for _ in range(TRIALS):
+            _beat(device, 0.0, lambda force: force == 0.0)
+            found["rise_63"].append(_beat(device, STEP_FORCE, lambda force: force >= 0.632 * STEP_FORCE))
+            further = _beat(device, STEP_FORCE, lambda force: force >= 0.95 * STEP_FORCE)
+            found["rise_95"].append(found["rise_63"][-1] + further)
             device.tell(None, (0.0, 0.0, STEP_FORCE))
-            force = device.force[2]
-            for name, share in (("rise_63_ms", 0.632), ("rise_95_ms", 0.95)):
-                if force >= share * STEP_FORCE:
-                    reached.setdefault(name, 1e3 * (time.monotonic() - start))
-            time.sleep(0.0005)
-        device.tell(None, (0.0, 0.0, STEP_FORCE))
-        start = time.monotonic()
-        while time.monotonic() - start < STALL_WATCH:
-            if not device.force.any():
-                reached["stall_to_zero_ms"] = 1e3 * (time.monotonic() - start)
-                break
-            time.sleep(0.0005)
-    return reached
+            start = time.monotonic()
+            while device.force.any() and time.monotonic() - start < STALL_WATCH:
+                time.sleep(POLL)
+            found["stall_to_zero"].append(time.monotonic() - start)
+    medians = {f"{name}_ms": 1e3 * float(np.median(times)) for name, times in found.items()}
+    return {**medians, "stall_to_zero_longest_ms": 1e3 * max(found["stall_to_zero"])}
+
+
+def _beat(device: HapticDevice, force: float, reached: Callable[[float], bool]) -> float:
+    """Tell a force, again and again, until what is felt is as it should be; how long that took [s]."""
+    start = time.monotonic()
+    while True:
+        device.tell(None, (0.0, 0.0, force))
+        time.sleep(POLL)
+        if reached(float(device.force[2])):
+            return time.monotonic() - start
 
 
 def main() -> None:

@@ -1,0 +1,21 @@
+"""What lets the hand feel what the tool feels.
+
+Modules::
+
+device      HapticDevice: a device with its loop
+settings    the gains
+rendering   from contact to force: virtual coupling, energy tank, watchdog
+loop        once a millisecond
+runner      the loop in this process
+remote      the loop in a process of its own
+board       shared memory between the two
+tap         what the tool feels, from every physics step of an environment
+"""
+
+from __future__ import annotations
+
+from spatula_env.teleop.haptics.contact import Contact, LoopStatistics
+from spatula_env.teleop.haptics.device import HapticDevice
+from spatula_env.teleop.haptics.settings import HapticSettings
+
+__all__ = ["Contact", "HapticDevice", "HapticSettings", "LoopStatistics"]

@@ -1,0 +1,330 @@
+"""A device and its haptic loop in a process of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import pickle
+import signal
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from spatula_env.teleop.device import DeviceError, DeviceLost, DeviceSample, NotCalibrated, Progress, TeleopDevice
+from spatula_env.teleop.haptics.board import Board
+from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
+from spatula_env.teleop.haptics.loop import HapticLoop
+from spatula_env.teleop.haptics.runner import (
+    END_TIMEOUT,
+    Answer,
+    Description,
+    Factory,
+    Runner,
+    check_haptic,
+    describe,
+    pass_on,
+)
+from spatula_env.teleop.haptics.settings import HapticSettings
+
+CONTACT = "dBB3d3d"
+"""Time; whether there is a contact, and a position; position, force."""
+REPORT = "dq3d3dQ3dB"
+"""Time, sequence, position, velocity, buttons as bits, force; whether the loop has ended."""
+SILENCE = 0.5
+"""A loop that has reported nothing for so long is lost [s]."""
+CYCLES_PER_LOOK = 20
+"""How many cycles pass before the process looks for a question."""
+PRIORITY = 10
+"""Of the process among those of real-time priority, where it may have one."""
+
+
+class RemoteLoop(Runner):
+    """The side of the simulation."""
+
+    def __init__(self, factory: Factory, settings: HapticSettings, exchange: bool) -> None:
+        """Start the process, and let it open the device.
+
+        Args:
+            factory: Makes the device; is pickled.
+            settings: The gains.
+            exchange: Whether the loop has to call the device's `exchange`.
+
+        Raises:
+            DeviceError: Whatever the device raises.
+        """
+        # Not forked: threads and engines of this process must not be half there.
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._inbox, self._outbox = Board(CONTACT), Board(REPORT)
+        self._process = context.Process(
+            target=_serve,
+            args=(theirs, factory, settings, exchange, self._inbox.name, self._outbox.name),
+            name="haptics",
+            daemon=True,
+        )
+        self._is_closed = False
+        self._is_running = False
+        self.description: Description = Description("haptic device", (), None, None, 0.0, 0.0, 0.0, False)
+        try:
+            self._process.start()
+            theirs.close()
+            self.description = self._request("open")
+        except BaseException:
+            self.close()
+            raise
+        if self.description.is_calibrated:
+            self._run()
+
+    @property
+    def is_calibrated(self) -> bool:  # type: ignore[override]
+        """See `Runner`."""
+        return self._is_running
+
+    @property
+    def force(self) -> Vector:  # type: ignore[override]
+        """See `Runner`."""
+        report = self._outbox.read()
+        return ZERO if report is None else report[9:12]
+
+    def calibrate(self, progress: Progress | None) -> None:
+        """See `Runner`."""
+        self._request("calibrate", progress=progress)
+        if not self._is_running:
+            self._run()
+
+    def read(self) -> DeviceSample:
+        """See `Runner`."""
+        report = self._report()
+        names = self.description.button_names
+        return DeviceSample(
+            kind="position",
+            time=report[0],
+            sequence=report[1],
+            position=np.array(report[2:5]),
+            rate=None,
+            velocity=np.array(report[5:8]),
+            buttons=frozenset(name for bit, name in enumerate(names) if report[8] >> bit & 1),
+        )
+
+    def tell(self, contact: Contact | None) -> None:
+        """See `Runner`."""
+        if contact is None:
+            self._inbox.write(0.0, False, False, *ZERO, *ZERO)
+            return
+        self._report()
+        place = contact.position
+        self._inbox.write(
+            contact.time, True, place is not None, *(place if place is not None else ZERO), *contact.force
+        )
+
+    def ask(self, question: Callable[[TeleopDevice], Answer]) -> Answer:
+        """See `Runner`."""
+        answer: Answer = self._request("ask", question)
+        return answer
+
+    def statistics(self) -> LoopStatistics:
+        """See `Runner`."""
+        answer: LoopStatistics = self._request("statistics")
+        return answer
+
+    def close(self) -> None:
+        """See `Runner`."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._inbox.write(0.0, False, False, *ZERO, *ZERO)
+        # The end of the pipe is what ends the loop; it ends also when this process does, however that comes.
+        self._pipe.close()
+        if self._process.pid is not None:
+            self._process.join(END_TIMEOUT)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join(END_TIMEOUT)
+        self._inbox.close()
+        self._outbox.close()
+
+    def now(self) -> float:
+        """See `Runner`; the machine's monotonic clock, which all processes share."""
+        return time.monotonic()
+
+    def _run(self) -> None:
+        self._request("run")
+        deadline = self.now() + END_TIMEOUT
+        while self._outbox.read() is None:
+            if self.now() > deadline or not self._process.is_alive():
+                raise DeviceLost(f"the haptic loop of the {self.description.name} did not start")
+            time.sleep(0.001)
+        self._is_running = True
+
+    def _report(self) -> tuple[Any, ...]:
+        """The newest report.
+
+        Raises:
+            DeviceLost: If there is none of late.
+        """
+        report = self._outbox.read()
+        if report is None:
+            raise NotCalibrated(f"the {self.description.name} is not calibrated: call calibrate()")
+        if report[12]:
+            pass_on(self._request("error"), self.description.name)
+        if self.now() - report[0] > SILENCE:
+            raise DeviceLost(
+                f"the haptic loop of the {self.description.name} does not go round any more; close it, then open it "
+                "again"
+            )
+        return report
+
+    def _request(self, verb: str, argument: Any = None, progress: Progress | None = None) -> Any:
+        try:
+            self._pipe.send((verb, argument))
+            while True:
+                kind, payload = self._pipe.recv()
+                if kind == "progress":
+                    if progress is not None:
+                        progress(payload)
+                elif kind == "raise":
+                    raise payload
+                else:
+                    return payload
+        except (EOFError, BrokenPipeError, ConnectionResetError) as error:
+            raise DeviceLost(
+                f"the process of the {self.description.name} has ended; close it, then open it again"
+            ) from error
+
+
+def _serve(
+    pipe: Connection, factory: Factory, settings: HapticSettings, exchange: bool, inbox: str, outbox: str
+) -> None:
+    """What the process does."""
+    # An interrupt at the terminal reaches all processes; it is the other one's to end this one in order.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    server = _Server(pipe, factory, settings, exchange, Board(CONTACT, inbox), Board(REPORT, outbox))
+    # When the other process is gone, however it went, there is nobody to answer.
+    with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        server.serve()
+    server.close()
+
+
+class _Server:
+    """The side of the device."""
+
+    def __init__(
+        self, pipe: Connection, factory: Factory, settings: HapticSettings, exchange: bool, inbox: Board, outbox: Board
+    ) -> None:
+        self._pipe = pipe
+        self._factory = factory
+        self._settings, self._exchange = settings, exchange
+        self._inbox, self._outbox = inbox, outbox
+        self._device: TeleopDevice | None = None
+        self._loop: HapticLoop | None = None
+        self._last: tuple[Any, ...] = (0.0, 0, *ZERO, *ZERO, 0, *ZERO, 0)
+        self._cycles = 0
+        self._ended = False
+
+    def serve(self) -> None:
+        """Answer questions; while the loop runs, between its cycles."""
+        while not self._ended:
+            self._answer()
+            if self._loop is not None and self._loop.error is None and not self._ended:
+                self._loop.run(time.sleep, self._between)
+                if self._loop.error is not None:
+                    self._outbox.write(time.monotonic(), *self._last[1:9], *ZERO, 1)
+
+    def close(self) -> None:
+        """End the force and the device."""
+        if self._loop is not None:
+            self._loop.release()
+        if self._device is not None:
+            self._device.close()
+        self._inbox.close()
+        self._outbox.close()
+
+    def _between(self) -> bool:
+        self._cycles += 1
+        if self._cycles % CYCLES_PER_LOOK == 0:
+            try:
+                if self._pipe.poll(0):
+                    self._answer()
+            except (EOFError, BrokenPipeError, ConnectionResetError):
+                self._ended = True
+        return not self._ended
+
+    def _answer(self) -> None:
+        verb, argument = self._pipe.recv()
+        try:
+            answer = getattr(self, f"_{verb}")(argument)
+            # Pickled here, so that an answer that cannot be is an error like others.
+            pickle.dumps(answer)
+        except Exception as error:
+            self._pipe.send(("raise", _portable(error)))
+        else:
+            self._pipe.send(("done", answer))
+
+    # What there is to ask.
+
+    def _open(self, _: None) -> Description:
+        device = self._factory()
+        check_haptic(device)
+        device.open()
+        self._device = device
+        return describe(device)
+
+    def _calibrate(self, _: None) -> None:
+        self._opened().calibrate(lambda text: self._pipe.send(("progress", text)))
+
+    def _run(self, _: None) -> None:
+        _hurry()
+        self._loop = HapticLoop(self._opened(), self._settings, self._take, self._give, self._exchange)
+
+    def _ask(self, question: Callable[[TeleopDevice], Any]) -> Any:
+        return question(self._opened())
+
+    def _statistics(self, _: None) -> LoopStatistics:
+        if self._loop is None:
+            raise NotCalibrated(f"the {self._opened().name} is not calibrated: call calibrate()")
+        return self._loop.statistics()
+
+    def _error(self, _: None) -> BaseException | None:
+        return None if self._loop is None or self._loop.error is None else _portable(self._loop.error)
+
+    def _opened(self) -> TeleopDevice:
+        if self._device is None:
+            raise DeviceError("the device is not open")
+        return self._device
+
+    # What the loop takes and gives.
+
+    def _take(self) -> Contact | None:
+        message = self._inbox.read()
+        if message is None or not message[1]:
+            return None
+        return Contact(message[0], message[3:6] if message[2] else None, message[6:9])
+
+    def _give(self, sample: DeviceSample, force: Vector) -> None:
+        assert sample.position is not None
+        names = self._opened().button_names
+        pressed = sum(1 << names.index(name) for name in sample.buttons)
+        self._last = (sample.time, sample.sequence, *sample.position, *sample.velocity, pressed, *force, 0)
+        self._outbox.write(*self._last)
+
+
+def _hurry() -> None:
+    """Make this process as regular as it may be."""
+    gc.freeze()
+    # Real-time priority needs a right that few users have; without it the loop runs as other processes do.
+    with contextlib.suppress(AttributeError, OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+
+
+def _portable(error: BaseException) -> BaseException:
+    """An exception that can be pickled."""
+    try:
+        copy = pickle.loads(pickle.dumps(error))
+    except Exception:
+        return DeviceError(repr(error))
+    return error if isinstance(copy, BaseException) else DeviceError(repr(error))

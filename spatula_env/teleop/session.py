@@ -1,0 +1,162 @@
+"""Episodes of an operator at a device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from spatula_env.teleop.device import TeleopDevice
+from spatula_env.teleop.wrapper import FalconTeleop
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from spatula_env.data.episode import EpisodeRecorder
+
+FINISH = "finish"
+DISCARD = "discard"
+QUIT = "quit"
+"""Buttons that end an episode: as it is, so that it counts for nothing, and the session with it."""
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """How an episode went.
+
+    Attributes:
+        steps: Control steps.
+        seed: Of the reset.
+        success: Whether the goal has been reached.
+        total_reward: Sum of the rewards.
+        peak_force: Greatest force on a tool [N].
+        operator_share: Share of the steps in which the operator acted, and no policy.
+        kept: False if the operator discarded it.
+        quit: Whether the operator wants no further one.
+    """
+
+    steps: int
+    seed: int | None
+    success: bool
+    total_reward: float
+    peak_force: float
+    operator_share: float
+    kept: bool = True
+    quit: bool = False
+
+
+def run_episode(
+    env: FalconTeleop,
+    *,
+    seed: int | None = None,
+    options: Mapping[str, Any] | None = None,
+    policy: Callable[[Any], Any] | None = None,
+    recorder: EpisodeRecorder | None = None,
+    end_on_success: bool = False,
+    after_step: Callable[[Any, dict[str, Any]], None] | None = None,
+) -> EpisodeSummary:
+    """Let the operator do an episode.
+
+    It ends as the environment says, or with the buttons "finish", "discard" and "quit".
+
+    Args:
+        env: The environment with its device.
+        seed: Of the reset.
+        options: Of the reset.
+        policy: What acts while the operator does not.
+        recorder: Takes what happens; its episode is finished by the caller.
+        end_on_success: Whether reaching the goal ends the episode.
+        after_step: Called with observation and info after the reset and every step.
+
+    Returns:
+        How it went.
+
+    Raises:
+        DeviceLost: If the device does not answer any more. What has happened so far is in the recorder.
+    """
+    chosen = None if options is None else dict(options)
+    observation, info = env.reset(seed=seed, options=chosen)
+    if recorder is not None:
+        recorder.begin(observation, info, seed, options)
+    if after_step is not None:
+        after_step(observation, info)
+    steps, total, operated = 0, 0.0, 0
+    held_before = env.pressed
+    ended = ""
+    done = False
+    while not done:
+        action = None if policy is None else policy(observation)
+        observation, reward, terminated, truncated, info = env.step(action)
+        steps += 1
+        total += float(reward)
+        operated += info["acted_by"] != "policy"
+        if recorder is not None:
+            recorder.add(info["action"], observation, float(reward), terminated, truncated, info)
+        if after_step is not None:
+            after_step(observation, info)
+        # Only what was pressed in this episode counts: the button that ended the last one may still be down.
+        held_before &= env.pressed
+        ended = next((name for name in (QUIT, DISCARD, FINISH) if name in env.pressed - held_before), "")
+        done = terminated or truncated or bool(ended) or (end_on_success and info["is_success"])
+    return EpisodeSummary(
+        steps=steps,
+        seed=seed,
+        success=bool(info["is_success"]),
+        total_reward=total,
+        peak_force=float(info["episode_peak_force"]),
+        operator_share=operated / steps,
+        kept=ended not in (DISCARD, QUIT),
+        quit=ended == QUIT,
+    )
+
+
+def play(
+    env: gymnasium.Env[Any, Any],
+    device: TeleopDevice,
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    policy: Callable[[Any], Any] | None = None,
+    end_on_success: bool = False,
+    progress: Callable[[EpisodeSummary], None] | None = None,
+    after_step: Callable[[Any, dict[str, Any]], None] | None = None,
+    **teleop: Any,
+) -> list[EpisodeSummary]:
+    """Let an operator play, without recording.
+
+    Args:
+        env: One of the Spatula environments, from `gymnasium.make`, for one agent.
+        device: What the operator holds, open and calibrated.
+        episodes: How many; None until the button "quit".
+        seed: Of the first episode; the others go on from it.
+        policy: What acts while the operator does not.
+        end_on_success: Whether reaching the goal ends an episode.
+        progress: Called after each episode.
+        after_step: Called with observation and info after every reset and step.
+        **teleop: For `FalconTeleop`: mode, intervention ….
+
+    Returns:
+        How the episodes went.
+
+    Raises:
+        ValueError: If a number is not one of those allowed.
+        DeviceLost: If the device does not answer any more.
+    """
+    if episodes is not None and episodes < 1:
+        raise ValueError(f"episodes must be None, or 1 or more, got {episodes!r}")
+    wrapped = FalconTeleop(env, device, **teleop)
+    summaries: list[EpisodeSummary] = []
+    while episodes is None or len(summaries) < episodes:
+        summary = run_episode(
+            wrapped,
+            seed=None if seed is None else seed + len(summaries),
+            policy=policy,
+            end_on_success=end_on_success,
+            after_step=after_step,
+        )
+        summaries.append(summary)
+        if progress is not None:
+            progress(summary)
+        if summary.quit:
+            break
+    return summaries

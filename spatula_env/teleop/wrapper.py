@@ -1,0 +1,327 @@
+"""A Gymnasium wrapper by which an operator acts, instead of an agent or in its place whenever it is called for."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Protocol, SupportsFloat, TypeAlias, runtime_checkable
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
+from spatula_env.teleop.haptics.device import HapticDevice
+from spatula_env.teleop.haptics.tap import EnvironmentTap
+
+Mode: TypeAlias = Literal["auto", "position", "rate"]
+Intervention: TypeAlias = Literal["always", "button", "motion"]
+
+MODES = ("auto", "position", "rate")
+INTERVENTIONS = ("always", "button", "motion")
+
+CENTRE_ZONE = 0.1
+"""Share of a position device's half workspace in which it commands no rate."""
+BEHIND = 2.0
+"""So many control periods the simulation may be behind real time before it stops trying to catch up."""
+
+
+@runtime_checkable
+class HasExtraRates(Protocol):
+    """A device that commands more than three rates."""
+
+    def extra_rates(self) -> Mapping[str, float]:
+        """Fractions in [-1, 1] of the greatest rates, by names of an action's numbers: "rotation_x", "jaw_speed" …."""
+
+
+@runtime_checkable
+class Watching(Protocol):
+    """A device, such as a scripted operator, that acts on what it sees."""
+
+    def watch(self, observation: Any, env: gymnasium.Env[Any, Any]) -> None:
+        """Take what there is to see, once in each control step.
+
+        Args:
+            observation: Of the environment.
+            env: The environment.
+        """
+
+
+class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Takes actions from a device, and lets the hand feel the contact; for a Falcon and for any other `TeleopDevice`.
+
+    *Position mode*: the grip is where the tool is to be, one to one (`scale`). At the beginning of an episode, and when
+    the operator takes over from a policy, the two are matched where they are, so that nothing jumps. While the clutch
+    is held the tool stands still and the grip can be moved to a more comfortable place. The action is the velocity
+    that brings the tool to the grip's place within one control step, clipped.
+
+    *Rate mode*: the deflection is the velocity. A position device then has a stick's zone of rest around its middle.
+
+    What else an action moves, turns and jaws, comes from `HasExtraRates` or from two buttons: "plus" and "minus" move
+    the first of them, and every press of "forward" goes on to the next.
+
+    *Force*: a `HapticDevice` is told after every physics step what the tool feels; its own loop makes forces of it. Any
+    other device with force gets the force itself, held. Whatever ends an episode or the wrapper ends the force.
+
+    *Intervention*: with "always" the operator acts, and `step` may be given None. With "button" and "motion" the action
+    given to `step` counts, until the operator holds a button or moves.
+
+    `info` has, besides what it has: ``acted_by`` ("human", "policy" or "scripted"), ``intervened`` (whether an action
+    of a policy was replaced), ``action`` (what was done), after `reset` too.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import spatula_env
+        >>> from spatula_env.teleop.registry import make_device
+        >>> from spatula_env.teleop.wrapper import FalconTeleop
+        >>> with make_device("falcon") as device:  # doctest: +SKIP
+        ...     device.calibrate(print)
+        ...     env = FalconTeleop(gym.make("Spatula/Press-v0"), device)
+        ...     observation, info = env.reset(seed=0)
+        ...     observation, reward, terminated, truncated, info = env.step()
+
+    Attributes:
+        device: What the operator holds; opened and closed by whoever made it.
+        mode: "position" or "rate".
+        pressed: Names of the buttons that were held down in the last step.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        device: TeleopDevice,
+        *,
+        mode: Mode = "auto",
+        scale: float = 1.0,
+        clutch: str = "center",
+        intervention: Intervention = "always",
+        intervention_button: str = "center",
+        motion_threshold: float | None = None,
+        release_time: float = 1.0,
+        real_time: bool = True,
+        now: Callable[[], float] | None = None,
+        sleep: Callable[[float], None] | None = None,
+    ) -> None:
+        """Connect a device and an environment.
+
+        Args:
+            env: One of the Spatula environments, for one agent, wrapped or not.
+            device: Open and calibrated by the time of `reset`.
+            mode: "auto": what the device is.
+            scale: Way of the tool over way of the grip, in position mode; forces are not scaled by it.
+            clutch: Button that uncouples grip and tool, in position mode.
+            intervention: When the operator acts.
+            intervention_button: Which button calls for it; for "button". It does not uncouple then.
+            motion_threshold: Speed of the grip [m/s], or for a rate device the deflection, that calls for it; for
+                "motion". By default 0.02 m/s, or a tenth of the way.
+            release_time: How long the operator has to be still before the policy acts again; for "motion" [s].
+            real_time: Whether every physics step waits for its time. Without, the environment runs as fast as it can; a
+                `HapticDevice` with its loop "here" is always waited for.
+            now: The clock; that of the device by default [s].
+            sleep: Waits by it; the device's `sleep`, if it has one, by default.
+
+        Raises:
+            ValueError: If an argument is not one of those allowed, or the device cannot do what `mode` asks.
+            TypeError: If `env` is none of this package.
+        """
+        super().__init__(env)
+        _check_choice(mode, "mode", MODES)
+        _check_choice(intervention, "intervention", INTERVENTIONS)
+        if mode == "position" and device.kind != "position":
+            raise ValueError(f"mode must be 'rate' or 'auto' with the {device.name}, got {mode!r}")
+        if motion_threshold is None:
+            motion_threshold = 0.02 if device.kind == "position" else 0.1
+        for name, value in (("scale", scale), ("motion_threshold", motion_threshold), ("release_time", release_time)):
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {value!r}")
+        self.device = device
+        self.mode: Literal["position", "rate"] = device.kind if mode == "auto" else mode
+        self.pressed: frozenset[str] = frozenset()
+        self._scale = scale
+        self._clutch = None if intervention == "button" and intervention_button == clutch else clutch
+        self._intervention: Intervention = intervention
+        self._intervention_button = intervention_button
+        self._motion_threshold, self._release_time = motion_threshold, release_time
+        # A haptic loop that goes round only while somebody waits has a time of its own, in which waiting costs nothing.
+        self._real_time = real_time or (isinstance(device, HapticDevice) and device.where == "here")
+        self._now = now if now is not None else device.now
+        self._sleep: Callable[[float], None] = sleep if sleep is not None else getattr(device, "sleep", time.sleep)
+        self._tap = EnvironmentTap(env)
+        control = self._tap.control
+        self._extras = control.names[3:]
+        self._extra = 0
+        self._operator = str(getattr(device, "operator", "human"))
+        self._offset: FloatArray | None = None
+        self._acting = False
+        self._still_for = math.inf
+        self._due: float | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """See `gymnasium.Env.reset`. The force is zero, and grip and tool are matched where they are."""
+        self._let_go()
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._offset, self._due = None, None
+        self._extra, self._still_for = 0, math.inf
+        self._acting = self._intervention == "always"
+        self._show(observation)
+        sample = self.device.read()
+        self.pressed = sample.buttons
+        by = self._operator if self._acting else "policy"
+        return observation, self._inform(info, by, False, np.zeros(self.action_space.shape or (), dtype=np.float32))
+
+    def step(self, action: Any = None) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """See `gymnasium.Env.step`.
+
+        Args:
+            action: The policy's; None if the operator always acts.
+
+        Raises:
+            DeviceLost: If the device does not answer any more. The force is zero, and nothing has changed: after
+                opening the device again, go on with `step`.
+            ValueError: If there is no action of a policy, and the operator does not act.
+        """
+        try:
+            sample = self.device.read()
+        except DeviceError:
+            self._let_go()
+            self._offset = None
+            raise
+        rates = self._rates(sample)
+        acting = self._who(sample, rates)
+        if acting and not self._acting:
+            self._offset = None
+        self._acting = acting
+        by = self._operator if acting else "policy"
+        if acting:
+            chosen = self._operate(sample, rates)
+        elif action is None:
+            raise ValueError(f"action must be given, as intervention is {self._intervention!r} and nobody intervenes")
+        else:
+            chosen = np.asarray(action, dtype=np.float32)
+        self.pressed = sample.buttons
+        try:
+            self._tap.install(self._after_physics)
+            observation, reward, terminated, truncated, info = self.env.step(chosen)
+        except BaseException:
+            self._let_go()
+            raise
+        finally:
+            self._tap.remove()
+        if terminated or truncated:
+            self._let_go()
+        self._show(observation)
+        intervened = acting and self._intervention != "always"
+        return observation, reward, terminated, truncated, self._inform(info, by, intervened, chosen)
+
+    def close(self) -> None:
+        """End the force and close the environment. The device is left open."""
+        self._let_go()
+        super().close()
+
+    # What the operator wants.
+
+    def _who(self, sample: DeviceSample, rates: FloatArray) -> bool:
+        """Whether the operator acts in this step."""
+        if self._intervention == "always":
+            return True
+        if self._intervention == "button":
+            return self._intervention_button in sample.buttons
+        extra = any(rates[3:])
+        if sample.kind == "position":
+            moves = extra or float(np.linalg.norm(sample.velocity)) > self._motion_threshold
+        else:
+            moves = bool(np.abs(rates).max() > self._motion_threshold)
+        self._still_for = 0.0 if moves else self._still_for + self._tap.period
+        return self._still_for < self._release_time
+
+    def _operate(self, sample: DeviceSample, rates: FloatArray) -> NDArray[np.float32]:
+        """The operator's action."""
+        chosen = rates.copy()
+        if self.mode == "position":
+            assert sample.position is not None
+            grip = self._tap.grip()
+            if self._offset is None or self._clutch in sample.buttons:
+                self._offset = grip - self._scale * sample.position
+            wanted = self._scale * sample.position + self._offset
+            chosen[:3] = (wanted - grip) / (self._tap.period * self._tap.control.max_speed)
+        return np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
+
+    def _rates(self, sample: DeviceSample) -> FloatArray:
+        """(A,) what the device commands as rates, fractions of the greatest."""
+        rates = np.zeros(3 + len(self._extras))
+        if sample.rate is not None:
+            rates[:3] = sample.rate
+        elif self.mode == "rate":
+            rates[:3] = _as_stick(sample, self.device)
+        if isinstance(self.device, HasExtraRates):
+            named = self.device.extra_rates()
+            rates[3:] = [named.get(name, 0.0) for name in self._extras]
+        elif self._extras:
+            if "forward" in sample.buttons and "forward" not in self.pressed:
+                self._extra = (self._extra + 1) % len(self._extras)
+            rates[3 + self._extra] = float("plus" in sample.buttons) - float("minus" in sample.buttons)
+        return rates
+
+    # What the operator gets.
+
+    def _after_physics(self, grip: FloatArray, force: FloatArray) -> None:
+        """Tell the hand, and wait for the time of the physics step."""
+        device = self.device
+        try:
+            if isinstance(device, HapticDevice):
+                coupled = self._acting and self.mode == "position" and self._clutch not in self.pressed
+                offset = self._offset if coupled else None
+                place = None if offset is None else (grip - offset) / self._scale
+                device.tell(place, force if self._acting else np.zeros(3))
+            elif device.has_force:
+                device.send_force(force if self._acting else np.zeros(3))
+        except DeviceError:
+            # The control step is finished without it, so that nothing of the episode is lost; the next step tells.
+            self._let_go()
+        if self._real_time:
+            self._wait()
+
+    def _wait(self) -> None:
+        now = self._now()
+        due = self._due if self._due is not None else now
+        if now - due > BEHIND * self._tap.period:
+            due = now
+        self._due = due + self._tap.time_step
+        ahead = self._due - now
+        # Also with nothing to wait for: other threads, such as the device's, get their turn.
+        self._sleep(max(ahead, 0.0))
+
+    def _let_go(self) -> None:
+        """Zero force; the device may be lost or closed."""
+        try:
+            if isinstance(self.device, HapticDevice):
+                self.device.release()
+            elif self.device.has_force:
+                self.device.send_force(np.zeros(3))
+        except DeviceError:
+            # It makes no force any more.
+            pass
+
+    def _show(self, observation: Any) -> None:
+        if isinstance(self.device, Watching):
+            self.device.watch(observation, self)
+
+    def _inform(self, info: dict[str, Any], by: str, intervened: bool, action: NDArray[np.float32]) -> dict[str, Any]:
+        return {**info, "acted_by": by, "intervened": intervened, "action": action.copy()}
+
+
+def _as_stick(sample: DeviceSample, device: TeleopDevice) -> FloatArray:
+    """The deflection (3,) of a position device from its middle, zero near it."""
+    assert sample.position is not None
+    low, high = device.workspace_low, device.workspace_high
+    if low is None or high is None:
+        raise ValueError(f"mode must be 'position' with the {device.name}, whose workspace is not known")
+    share = (sample.position - 0.5 * (low + high)) / (0.5 * (high - low))
+    beyond = np.maximum(np.abs(share) - CENTRE_ZONE, 0.0) / (1.0 - CENTRE_ZONE)
+    return np.asarray(np.sign(share) * np.minimum(beyond, 1.0))
+
+
+def _check_choice(value: str, name: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")

@@ -1,0 +1,28 @@
+"""The benchmark measures what it says, in small."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks import haptics
+
+
+def test_a_short_press():
+    found = haptics.press("process", 2.0, 0.3)
+    assert found["cycles"] > 0
+    assert 0.0 < found["period_p50_ms"] <= found["period_p99_ms"] <= found["period_max_ms"]
+    assert found["energy_into_hand_mj"] == pytest.approx(found["energy_by_loop_mj"], abs=1.0)
+
+
+def test_a_hand_that_does_not_yield_feels_the_step(monkeypatch):
+    monkeypatch.setattr(haptics, "TRIALS", 1)
+    found = haptics.step_response()
+    assert 0.0 < found["rise_63_ms"] <= found["rise_95_ms"]
+    assert found["stall_to_zero_ms"] > 0.0
+
+
+def test_the_target_goes_from_top_to_bottom_and_waits_first():
+    motion = haptics.PressingMotion(0.04)
+    heights = [motion(0.1 * index)[1] for index in range(60)]
+    assert heights[0] == heights[9] == pytest.approx(0.02)
+    assert min(heights) == pytest.approx(-0.02)
