@@ -1,11 +1,19 @@
-"""Reading configurations: YAML files in `configs`, checked before anything is made of them."""
+"""Reading configurations: YAML files in `configs`, checked before anything is made of them.
+
+A file either says how to make an environment (`read_environment`), or how to train (`read_training`).
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
-from collections.abc import Mapping
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium
 import yaml
@@ -13,6 +21,14 @@ import yaml
 import spatula_env  # noqa: F401 - registers the environments
 
 ENVIRONMENT_KEYS = ("id", "kwargs")
+
+ENGINES = ("batch", "bullet")
+"""What can integrate organs while agents learn."""
+
+ACTIVATIONS = ("relu", "tanh", "elu")
+"""Between the layers of a network."""
+
+Config = TypeVar("Config")
 
 
 def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
@@ -29,10 +45,7 @@ def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]
         ValueError: If the file is not such a mapping; the message names the file, what it has and what is allowed.
     """
     file = Path(path)
-    try:
-        content = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{file} is not YAML: {error}") from error
+    content = _load_yaml(file)
     if not isinstance(content, Mapping):
         raise ValueError(f"{file} must hold a mapping with the keys {list(ENVIRONMENT_KEYS)}, got {content!r}")
     unknown = [key for key in content if key not in ENVIRONMENT_KEYS]
@@ -58,3 +71,474 @@ def make_environment(path: str | os.PathLike[str], **overrides: Any) -> gymnasiu
     """
     name, kwargs = read_environment(path)
     return gymnasium.make(name, **{**kwargs, **overrides})
+
+
+@dataclass(frozen=True)
+class EnvironmentConfig:
+    """Where an agent learns.
+
+    Attributes:
+        id: Of the environment.
+        kwargs: What it is made with, beside the engine; "max_episode_steps" among them is the length of an episode
+            while it learns, not while it is evaluated.
+        engine: What integrates organs while it learns: "batch" or "bullet".
+        parts: The parts of the observation that the agent gets, by name; None: all of them.
+        num_envs: How many worlds are stepped together.
+    """
+
+    id: str
+    kwargs: dict[str, Any] = field(default_factory=dict)
+    engine: str = "batch"
+    parts: tuple[str, ...] | None = None
+    num_envs: int = 64
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _check_choice(self.engine, "environment.engine", ENGINES)
+        _check_least(self.num_envs, "environment.num_envs", 1)
+        if "engine" in self.kwargs:
+            raise ValueError("environment.kwargs must not hold engine: it is a key of environment itself")
+        if self.parts is not None and not self.parts:
+            raise ValueError("environment.parts must be null or name one part at least")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Networks of policy and value, of the same kind.
+
+    Attributes:
+        layers: Number of units in each hidden layer.
+        activation: "relu", "tanh" or "elu".
+    """
+
+    layers: tuple[int, ...] = (128, 128)
+    activation: str = "relu"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for size in self.layers:
+            _check_least(size, "network.layers", 1)
+        _check_choice(self.activation, "network.activation", ACTIVATIONS)
+
+
+@dataclass(frozen=True)
+class NormalizationConfig:
+    """What is brought to mean 0 and deviation 1, by running estimates that are saved with the policy.
+
+    Attributes:
+        observations: Whether observations are.
+        rewards: Whether rewards are divided by the deviation of the discounted return.
+        clip: Greatest size of a normalised number.
+    """
+
+    observations: bool = True
+    rewards: bool = False
+    clip: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _check_positive(self.clip, "normalization.clip")
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """How an agent is evaluated while it learns, in episodes that it does not learn from.
+
+    Attributes:
+        every: Environment steps between evaluations.
+        episodes: In each.
+        engine: "batch" or "bullet".
+        seed: Of the first episode; the next one has the next seed.
+        from_success: Nothing is evaluated while the success rate of the last 100 episodes of training is lower;
+            the last evaluation always is done.
+    """
+
+    every: int = 20_000
+    episodes: int = 64
+    engine: str = "batch"
+    seed: int = 1_000_000
+    from_success: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _check_least(self.every, "evaluation.every", 1)
+        _check_least(self.episodes, "evaluation.episodes", 1)
+        _check_least(self.seed, "evaluation.seed", 0)
+        _check_choice(self.engine, "evaluation.engine", ENGINES)
+        _check_share(self.from_success, "evaluation.from_success")
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyper-parameters of PPO, by Stable-Baselines3's names.
+
+    Attributes:
+        learning_rate: Of Adam.
+        final_learning_rate: What it falls to, linearly; None: it does not fall.
+        n_steps: Steps of each world between updates.
+        batch_size: Samples in a gradient step.
+        n_epochs: How often each sample is used.
+        gamma: Discount.
+        gae_lambda: Of the advantage's estimate.
+        clip_range: Of the ratio of probabilities.
+        ent_coef: Weight of the entropy.
+        vf_coef: Weight of the value's loss.
+        max_grad_norm: Greatest norm of a gradient.
+        target_kl: An update stops beyond 1.5 times this divergence; None: never.
+        log_std_init: Logarithm of the first standard deviation of actions.
+    """
+
+    learning_rate: float = 3e-4
+    final_learning_rate: float | None = None
+    n_steps: int = 64
+    batch_size: int = 512
+    n_epochs: int = 10
+    gamma: float = 0.98
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    ent_coef: float = 0.0
+    vf_coef: float = 0.5
+    max_grad_norm: float = 0.5
+    target_kl: float | None = None
+    log_std_init: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name in ("n_steps", "batch_size", "n_epochs"):
+            _check_least(getattr(self, name), f"hyperparameters.{name}", 1)
+        _check_positive(self.learning_rate, "hyperparameters.learning_rate")
+        for name in ("gamma", "gae_lambda"):
+            _check_share(getattr(self, name), f"hyperparameters.{name}")
+
+
+@dataclass(frozen=True)
+class SACConfig:
+    """Hyper-parameters of SAC, by Stable-Baselines3's names.
+
+    Attributes:
+        learning_rate: Of Adam.
+        final_learning_rate: What it falls to, linearly; None: it does not fall.
+        buffer_size: Transitions that are kept.
+        learning_starts: Environment steps with random actions before the first gradient step.
+        batch_size: Samples in a gradient step.
+        tau: How far the target networks move towards the others in a gradient step.
+        gamma: Discount.
+        gradient_steps: In each step of all worlds together.
+        ent_coef: Weight of the entropy; "auto" finds it, "auto_0.1" begins with 0.1.
+        target_entropy: What "auto" aims at; "auto" is minus the number of actions.
+        n_critics: Number of critics.
+    """
+
+    learning_rate: float = 1e-3
+    final_learning_rate: float | None = None
+    buffer_size: int = 400_000
+    learning_starts: int = 6_400
+    batch_size: int = 256
+    tau: float = 0.01
+    gamma: float = 0.97
+    gradient_steps: int = 8
+    ent_coef: float | str = "auto_0.1"
+    target_entropy: float | str = "auto"
+    n_critics: int = 2
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name, least in (("buffer_size", 1), ("learning_starts", 0), ("batch_size", 1), ("gradient_steps", 1)):
+            _check_least(getattr(self, name), f"hyperparameters.{name}", least)
+        _check_least(self.n_critics, "hyperparameters.n_critics", 1)
+        _check_positive(self.learning_rate, "hyperparameters.learning_rate")
+        for name in ("tau", "gamma"):
+            _check_share(getattr(self, name), f"hyperparameters.{name}")
+        if isinstance(self.ent_coef, str) and not self.ent_coef.startswith("auto"):
+            raise ValueError(f"hyperparameters.ent_coef must be a number, 'auto' or 'auto_X', got {self.ent_coef!r}")
+        if isinstance(self.target_entropy, str) and self.target_entropy != "auto":
+            raise ValueError(f"hyperparameters.target_entropy must be a number or 'auto', got {self.target_entropy!r}")
+
+
+@dataclass(frozen=True)
+class TQCConfig(SACConfig):
+    """Hyper-parameters of TQC: those of SAC, and two more.
+
+    Attributes:
+        n_quantiles: Of the return, estimated by each critic.
+        top_quantiles_to_drop_per_net: How many of the greatest do not count.
+    """
+
+    n_quantiles: int = 25
+    top_quantiles_to_drop_per_net: int = 2
+
+
+@dataclass(frozen=True)
+class SACHERConfig(SACConfig):
+    """Hyper-parameters of SAC with hindsight replay: those of SAC, and two more.
+
+    Attributes:
+        n_sampled_goal: Transitions with a goal of hindsight for each one with the real goal.
+        goal_selection_strategy: "future", "final" or "episode".
+    """
+
+    n_sampled_goal: int = 4
+    goal_selection_strategy: str = "future"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        super().__post_init__()
+        _check_least(self.n_sampled_goal, "hyperparameters.n_sampled_goal", 1)
+        allowed = ("future", "final", "episode")
+        _check_choice(self.goal_selection_strategy, "hyperparameters.goal_selection_strategy", allowed)
+
+
+ALGORITHMS: Mapping[str, type[PPOConfig] | type[SACConfig]] = types.MappingProxyType(
+    {"ppo": PPOConfig, "sac": SACConfig, "tqc": TQCConfig, "sac_her": SACHERConfig}
+)
+"""What can be trained, and what its hyper-parameters are."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """All that decides how training goes.
+
+    Attributes:
+        environment: Where the agent learns.
+        algorithm: "ppo", "sac", "tqc" or "sac_her".
+        hyperparameters: Of the algorithm.
+        network: Of policy and value.
+        normalization: Of observations and rewards.
+        total_steps: Environment steps, of all worlds together.
+        evaluation: While it learns.
+        checkpoint_every: Environment steps between checkpoints.
+        success_target: Training stops when an evaluation's success rate is no lower; None: never before the end.
+        demonstrations: Episodes of the scripted expert that are in the replay buffer before training begins.
+        overlap: Whether gradient steps are taken while the worlds are stepped, with the transitions before that step;
+            not for PPO.
+        torch_threads: How many threads torch uses.
+        seeds: One agent is trained for each.
+    """
+
+    environment: EnvironmentConfig
+    algorithm: str
+    hyperparameters: PPOConfig | SACConfig
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    normalization: NormalizationConfig = field(default_factory=NormalizationConfig)
+    total_steps: int = 500_000
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    checkpoint_every: int = 50_000
+    success_target: float | None = 0.97
+    demonstrations: int = 0
+    overlap: bool = True
+    torch_threads: int = 1
+    seeds: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        """Check the values, and how they go together."""
+        for name in ("total_steps", "checkpoint_every", "torch_threads"):
+            _check_least(getattr(self, name), name, 1)
+        _check_least(self.demonstrations, "demonstrations", 0)
+        if self.success_target is not None:
+            _check_share(self.success_target, "success_target")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+            raise ValueError(f"seeds must be different integers, zero or more, got {list(self.seeds)}")
+        if self.algorithm == "ppo" and self.demonstrations:
+            raise ValueError("demonstrations must be 0 with algorithm 'ppo', which has no replay buffer")
+        sparse = self.environment.kwargs.get("reward") == "sparse"
+        if self.algorithm == "sac_her" and not sparse:
+            raise ValueError("environment.kwargs.reward must be 'sparse' with algorithm 'sac_her'")
+
+
+def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> TrainingConfig:
+    """Read how to train.
+
+    Args:
+        path: A YAML file with the fields of `TrainingConfig`.
+        changes: Each "key=value" or "key.sub=value", the value in YAML; they replace what the file says.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If a key is unknown, one is missing, or a value is of the wrong kind; the message says which, and
+            what is allowed.
+    """
+    file = Path(path)
+    content = _load_yaml(file)
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{file} must hold a mapping, got {content!r}")
+    try:
+        return training_from_mapping(changed(content, changes))
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def training_from_mapping(content: Mapping[str, Any]) -> TrainingConfig:
+    """The configuration of a mapping with the fields of `TrainingConfig`, as YAML and JSON have them.
+
+    Raises:
+        ValueError: See `read_training`.
+    """
+    algorithm = content.get("algorithm")
+    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
+        raise ValueError(f"algorithm must be one of {sorted(ALGORITHMS)}, got {algorithm!r}")
+    hyperparameters = from_mapping(ALGORITHMS[algorithm], content.get("hyperparameters") or {}, "hyperparameters")
+    return from_mapping(TrainingConfig, {**content, "hyperparameters": hyperparameters}, "")
+
+
+def to_mapping(config: Any) -> dict[str, Any]:
+    """A configuration as plain mappings, lists and numbers, for YAML and JSON."""
+    plain: dict[str, Any] = _plain(dataclasses.asdict(config))
+    return plain
+
+
+def write_training(config: TrainingConfig, path: str | os.PathLike[str]) -> None:
+    """Write a configuration as YAML that `read_training` reads."""
+    Path(path).write_text(yaml.safe_dump(to_mapping(config), sort_keys=False), encoding="utf-8")
+
+
+def changed(content: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """A copy of a nested mapping with some values replaced.
+
+    Args:
+        content: Of mappings in mappings.
+        changes: Each "key=value" or "key.sub=value", the value in YAML.
+
+    Raises:
+        ValueError: If a change is not of that form.
+    """
+    result: dict[str, Any] = {key: value for key, value in content.items()}
+    for change in changes:
+        name, equals, text = change.partition("=")
+        keys = name.strip().split(".")
+        if not equals or not all(keys):
+            raise ValueError(f"a change must be key=value or key.sub=value, got {change!r}")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ValueError(f"the value of {name.strip()} is not YAML: {text!r}") from error
+        place = result
+        for key in keys[:-1]:
+            inner = place.get(key)
+            place[key] = dict(inner) if isinstance(inner, Mapping) else {}
+            place = place[key]
+        place[keys[-1]] = value
+    return result
+
+
+def from_mapping(kind: type[Config], content: Any, name: str) -> Config:
+    """A dataclass from a mapping of its fields, strictly.
+
+    Args:
+        kind: The dataclass; its fields are numbers, texts, mappings, tuples, dataclasses, or None beside one of these.
+        content: The mapping.
+        name: Where it stands in the file, for errors; "" at the top.
+
+    Raises:
+        ValueError: If a key is unknown, one is missing, or a value is of the wrong kind.
+    """
+    where = name or "the configuration"
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{where} must be a mapping, got {content!r}")
+    fields = {each.name: each for each in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    unknown = [str(key) for key in content if key not in fields]
+    if unknown:
+        raise ValueError(f"{where} has unknown keys {unknown}; allowed are {sorted(fields)}")
+    required = [
+        each.name
+        for each in fields.values()
+        if each.default is dataclasses.MISSING and each.default_factory is dataclasses.MISSING
+    ]
+    missing = [key for key in required if key not in content]
+    if missing:
+        raise ValueError(f"{where} lacks the keys {missing}")
+    hints = typing.get_type_hints(kind)
+    values = {key: _as(hints[key], value, f"{name}.{key}" if name else key) for key, value in content.items()}
+    return kind(**values)
+
+
+def _as(kind: Any, value: Any, name: str) -> Any:
+    """A value as a type annotation has it."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in inner:
+            return None
+        problems = []
+        for each in inner:
+            if each is not type(None):
+                try:
+                    return _as(each, value, name)
+                except ValueError as error:
+                    problems.append(error)
+        raise problems[0]
+    if origin is tuple:
+        if not isinstance(value, Sequence) or isinstance(value, str):
+            raise ValueError(f"{name} must be a list, got {value!r}")
+        return tuple(_as(inner[0], each, name) for each in value)
+    if origin is dict:
+        if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+            raise ValueError(f"{name} must be a mapping from names to values, got {value!r}")
+        return dict(value)
+    if dataclasses.is_dataclass(kind):
+        return value if isinstance(value, kind) else from_mapping(kind, value, name)  # type: ignore[arg-type]
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be true or false, got {value!r}")
+        return value
+    if kind is int:
+        # YAML reads 5e5 as a text, and 5.0e5 as a float.
+        number = _number(value)
+        if number is None or number != int(number):
+            raise ValueError(f"{name} must be an integer, got {value!r}")
+        return int(number)
+    if kind is float:
+        number = _number(value)
+        if number is None:
+            raise ValueError(f"{name} must be a number, got {value!r}")
+        return number
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, got {value!r}")
+    return value
+
+
+def _number(value: Any) -> float | None:
+    """A finite number, also one that YAML reads as text, such as 3e-4; None if it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value
+
+
+def _load_yaml(file: Path) -> Any:
+    try:
+        return yaml.safe_load(file.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{file} is not YAML: {error}") from error
+
+
+def _check_choice(value: str, name: str, allowed: Sequence[str]) -> None:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+
+
+def _check_least(value: int, name: str, least: int) -> None:
+    if value < least:
+        raise ValueError(f"{name} must be {least} or more, got {value!r}")
+
+
+def _check_positive(value: float, name: str) -> None:
+    if not 0.0 < value < math.inf:
+        raise ValueError(f"{name} must be positive and finite, got {value!r}")
+
+
+def _check_share(value: float, name: str) -> None:
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name} must be in [0, 1], got {value!r}")

@@ -1,0 +1,379 @@
+"""What training leaves on the disk, and reading it again.
+
+A run has a folder for each seed:
+
+    RUN/seed-0/config.yaml          the configuration, with all defaults and changes, and this seed only
+    RUN/seed-0/provenance.json      versions, commit, machine
+    RUN/seed-0/curve.jsonl          a line for each evaluation
+    RUN/seed-0/tensorboard/
+    RUN/seed-0/checkpoints/step-N/  the last two; all that training needs to go on
+    RUN/seed-0/best/                the policy of the best evaluation
+    RUN/seed-0/policy/              the policy at the end
+    RUN/seed-0/summary.json         how it ended; there only when it has
+    RUN/summary.json                all seeds
+
+Files and folders appear whole or not at all: they are written beside their place and then renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import platform
+import random
+import re
+import shutil
+import subprocess
+import uuid
+from collections.abc import Callable, Mapping
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agents.configuration import TrainingConfig, read_training, to_mapping, write_training
+from agents.export import ExportedPolicy, export_policy
+from agents.policies import find_policy, interface_of
+from spatula_env import __version__
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+
+MODEL, NORMALIZER, BUFFER, STATE, CONFIG = "model.zip", "normalizer.pkl", "buffer.pkl", "state.pkl", "config.yaml"
+
+EVALUATION = "evaluation.json"
+
+PACKAGES = (
+    "gymnasium",
+    "numpy",
+    "numba",
+    "pybullet",
+    "torch",
+    "stable-baselines3",
+    "sb3-contrib",
+)
+"""Whose versions are written down."""
+
+KEPT_CHECKPOINTS = 2
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file, all at once."""
+    write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, all at once."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
+    """Write a folder, all at once, in the place of the one that is there, if any.
+
+    Args:
+        path: Where.
+        fill: Writes files into the folder that it is given.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    mark = uuid.uuid4().hex
+    temporary = path.with_name(f".{path.name}.{mark}.tmp")
+    temporary.mkdir()
+    try:
+        fill(temporary)
+        old = path.with_name(f".{path.name}.{mark}.old")
+        if path.exists():
+            os.replace(path, old)
+        os.replace(temporary, path)
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def sweep(folder: Path) -> None:
+    """Put right what a run that was killed has left: folders that were being replaced, and unfinished ones."""
+    for old in sorted(folder.glob(".*.old")):
+        place = folder / old.name[1:].partition(".")[0]
+        if place.exists():
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            os.replace(old, place)
+    for unfinished in folder.glob(".*.tmp"):
+        if unfinished.is_dir():
+            shutil.rmtree(unfinished, ignore_errors=True)
+        else:
+            unfinished.unlink(missing_ok=True)
+
+
+def save_policy(
+    folder: Path,
+    model: BaseAlgorithm,
+    normalizer: VecNormalize | None,
+    config: TrainingConfig,
+    evaluation: Mapping[str, Any] | None = None,
+) -> None:
+    """Save what is needed to act, and how well that did."""
+
+    def fill(place: Path) -> None:
+        _write_policy(place, model, normalizer, config)
+        if evaluation is not None:
+            write_json(place / EVALUATION, evaluation)
+
+    write_folder(folder, fill)
+
+
+def save_checkpoint(
+    folder: Path,
+    model: BaseAlgorithm,
+    normalizer: VecNormalize | None,
+    config: TrainingConfig,
+    progress: Mapping[str, Any],
+) -> Path:
+    """Save what is needed to go on: also optimisers, replay buffer, and the state of all random numbers.
+
+    Args:
+        folder: Of the checkpoints.
+        model: What is trained.
+        normalizer: What normalises its observations.
+        config: How it is trained.
+        progress: What else to remember, of Python's and NumPy's own types.
+
+    Returns:
+        The checkpoint; all but the last two are removed.
+    """
+    import torch
+
+    def fill(place: Path) -> None:
+        _write_policy(place, model, normalizer, config)
+        if getattr(model, "replay_buffer", None) is not None:
+            model.save_replay_buffer(place / BUFFER)  # type: ignore[attr-defined]
+        state = {
+            "progress": dict(progress),
+            "torch": torch.get_rng_state(),
+            "numpy": np.random.get_state(),  # noqa: NPY002 - what Stable-Baselines3 draws batches with
+            "python": random.getstate(),
+            "action_space": model.action_space,
+        }
+        (place / STATE).write_bytes(pickle.dumps(state))
+
+    checkpoint = folder / f"step-{model.num_timesteps:012d}"
+    write_folder(checkpoint, fill)
+    for old in checkpoints_in(folder)[:-KEPT_CHECKPOINTS]:
+        shutil.rmtree(old, ignore_errors=True)
+    return checkpoint
+
+
+def restore_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]:
+    """Give a model its replay buffer back, and all random numbers their state; `model` itself is loaded before.
+
+    Returns:
+        What else was remembered.
+    """
+    import torch
+
+    if getattr(model, "replay_buffer", None) is not None:
+        model.load_replay_buffer(checkpoint / BUFFER)  # type: ignore[attr-defined]
+    state = pickle.loads((checkpoint / STATE).read_bytes())
+    torch.set_rng_state(state["torch"])
+    np.random.set_state(state["numpy"])  # noqa: NPY002
+    random.setstate(state["python"])
+    model.action_space = state["action_space"]
+    progress: dict[str, Any] = state["progress"]
+    return progress
+
+
+def checkpoints_in(folder: Path) -> list[Path]:
+    """The checkpoints in a folder, the oldest first."""
+    return sorted(path for path in folder.glob("step-*") if re.fullmatch(r"step-\d+", path.name))
+
+
+def find_saved(path: Path) -> Path:
+    """The policy that a path means: that of a run's best evaluation, its last, or its last checkpoint's.
+
+    Args:
+        path: Of a policy or checkpoint, of a seed's folder, or of a run with one seed.
+
+    Raises:
+        FileNotFoundError: If there is none.
+        ValueError: If a run has several seeds.
+    """
+    if (path / MODEL).exists():
+        return path
+    for candidate in (path / "best", path / "policy", *reversed(checkpoints_in(path / "checkpoints"))):
+        if (candidate / MODEL).exists():
+            return candidate
+    seeds = sorted(path.glob("seed-*"))
+    if len(seeds) > 1:
+        raise ValueError(f"{path} has several seeds; name one of {[str(seed) for seed in seeds]}")
+    if seeds:
+        return find_saved(seeds[0])
+    raise FileNotFoundError(f"there is no policy in {path}")
+
+
+def read_saved_config(folder: Path) -> TrainingConfig:
+    """How a saved policy was trained."""
+    return read_training(folder / CONFIG)
+
+
+def load_model(folder: Path, config: TrainingConfig, env: Any = None) -> BaseAlgorithm:
+    """Read a saved model.
+
+    Args:
+        folder: Of a policy or checkpoint.
+        config: How it was trained.
+        env: To train in; None: to act only.
+    """
+    from agents.models import algorithm_class
+
+    # To act, there is no need for room for what is seen; and hindsight replay could not be set up without worlds.
+    acting: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
+    model: BaseAlgorithm = algorithm_class(config).load(
+        folder / MODEL, env=env, device="cpu", custom_objects=acting if env is None else None
+    )
+    return model
+
+
+def load_normalizer(folder: Path) -> VecNormalize | None:
+    """Read what normalised a saved model's observations, without an environment; None if nothing did."""
+    file = folder / NORMALIZER
+    if not file.exists():
+        return None
+    normalizer: VecNormalize = pickle.loads(file.read_bytes())
+    return normalizer
+
+
+def load_policy(folder: Path, env: Any) -> ExportedPolicy:
+    """A saved policy, to act in an environment."""
+    return _exported(folder).bound_to(env)
+
+
+def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = None) -> None:
+    """Write the policy of a run as weights, and where it comes from as a JSON file beside it.
+
+    Args:
+        path: See `find_saved`.
+        output: Ends with .npz.
+        episodes: In how many it is evaluated, by engine; those of `agents.evaluate` with `--seed 0`.
+    """
+    from agents.evaluation import Plan, evaluate, summarize
+
+    folder = find_saved(path)
+    config = read_saved_config(folder)
+    exported = _exported(folder)
+    exported.save(output)
+    run = folder.parent
+    evaluation: dict[str, Any] = {}
+    if (folder / EVALUATION).exists():
+        evaluation["training"] = json.loads((folder / EVALUATION).read_text(encoding="utf-8"))
+    env_id = config.environment.id
+    for engine, count in (episodes or {}).items():
+        if count:
+            source = find_policy(str(output), env_id)
+            results, _ = evaluate(source, Plan(env_id, source.kwargs, engine, count, 0))
+            evaluation[engine] = summarize(results)
+    origin: dict[str, Any] = {}
+    for candidate in (run / "provenance.json", run.parent / "provenance.json"):
+        if candidate.exists():
+            origin = json.loads(candidate.read_text(encoding="utf-8"))
+            break
+    model = load_model(folder, config)
+    write_json(
+        output.with_suffix(".json"),
+        {
+            "steps": int(model.num_timesteps),
+            "seed": config.seeds[0],
+            "evaluation": evaluation,
+            "config": to_mapping(config),
+            **origin,
+        },
+    )
+
+
+def provenance() -> dict[str, Any]:
+    """Versions, commit, time and machine."""
+    versions: dict[str, str | None] = {"python": platform.python_version(), "spatula_env": __version__}
+    for name in PACKAGES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = None
+    return {
+        "versions": versions,
+        "commit": _git("rev-parse", "HEAD"),
+        "uncommitted_changes": bool(_git("status", "--porcelain", "--untracked-files=no")),
+        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+    }
+
+
+def read_curve(path: Path) -> list[dict[str, Any]]:
+    """The lines of a curve; a line that was cut by the end of its process is left out."""
+    if not path.exists():
+        return []
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            lines.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return lines
+
+
+def write_curve(path: Path, lines: list[dict[str, Any]]) -> None:
+    """Write a curve, all at once."""
+    write_text(path, "".join(json.dumps(line) + "\n" for line in lines))
+
+
+def _write_policy(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | None, config: TrainingConfig) -> None:
+    model.save(place / MODEL)
+    if normalizer is not None:
+        normalizer.save(str(place / NORMALIZER))
+    write_training(config, place / CONFIG)
+
+
+def _exported(folder: Path) -> ExportedPolicy:
+    config = read_saved_config(folder)
+    return export_policy(load_model(folder, config), load_normalizer(folder), export_metadata(config))
+
+
+def export_metadata(config: TrainingConfig) -> dict[str, Any]:
+    """What an exported policy has to know about how it was trained."""
+    parts = config.environment.parts
+    return {
+        "env_id": config.environment.id,
+        "env_kwargs": interface_of(config.environment.kwargs),
+        "parts": None if parts is None else list(parts),
+    }
+
+
+def _git(*arguments: str) -> str | None:
+    """What git says about the folder of this package; None without git or repository."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def _processor() -> str:
+    file = Path("/proc/cpuinfo")
+    if file.exists():
+        for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()

@@ -1,0 +1,155 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from agents.clone import CloneConfig, clone, main
+from agents.configuration import training_from_mapping
+from agents.demonstrations import Demonstration, collect, fill_buffer, read_minari
+from agents.evaluation import Plan, evaluate
+from agents.export import export_policy
+from agents.policies import find_policy, make_expert
+
+PRESS = "Spatula/Press-v0"
+
+
+def config(algorithm="sac", **environment):
+    return training_from_mapping(
+        {
+            "environment": {"id": PRESS, "parts": ["error", "tool_position"], **environment},
+            "algorithm": algorithm,
+            "hyperparameters": {"buffer_size": 1} if algorithm != "ppo" else {"n_steps": 2, "batch_size": 2},
+            "network": {"layers": [32]},
+        }
+    )
+
+
+def steering(count=3, steps=40, seed=0):
+    """Demonstrations of a simple rule: back to the middle, which actions say exactly."""
+    generator = np.random.default_rng(seed)
+    for _ in range(count):
+        seen = generator.uniform(-0.05, 0.05, (steps + 1, 6)).astype(np.float32)
+        yield Demonstration(seen, np.clip(-15.0 * seen[:-1, :3], -1, 1), np.zeros(steps), True)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_a_simple_rule_is_imitated(algorithm):
+    model, normalizer, losses = clone(config(algorithm), list(steering()), CloneConfig(gradient_steps=600))
+    assert losses[-1] < 0.02 < losses[0]
+    (fresh,) = steering(1, seed=9)
+    policy = export_policy(model, normalizer)
+    assert np.abs(policy(fresh.observations[:-1]) - fresh.actions).mean() < 0.15
+
+
+def test_nothing_cannot_be_imitated():
+    with pytest.raises(ValueError, match="demonstrations must be one at least"):
+        clone(config(), [], CloneConfig())
+    with pytest.raises(ValueError, match="gradient_steps must be 1 or more"):
+        CloneConfig(gradient_steps=0)
+
+
+def test_experts_demonstrate_what_they_would_do():
+    plan = Plan(PRESS, {"max_episode_steps": 6}, "batch", 3, 7)
+    whole = collect(plan, num_envs=2)
+    env = plan.make(1)
+    expert = make_expert(env)
+    env.close()
+    assert len(whole) == 3
+    for each in whole:
+        assert each.observations.shape == (7, 71)
+        np.testing.assert_array_equal(expert(each.observations[:-1]), each.actions)
+    # Chance moves the tool, and the record still says what the expert wanted.
+    astray = collect(plan, num_envs=2, noise=0.5)
+    assert np.abs(astray[0].observations[-1, :3] - whole[0].observations[-1, :3]).max() > 1e-4
+    np.testing.assert_array_equal(expert(astray[0].observations[:-1]), astray[0].actions)
+    np.testing.assert_array_equal(astray[0].observations[0], whole[0].observations[0])
+    some = collect(plan, num_envs=2, parts=("error",), steps=4)
+    np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -3:])
+
+
+def test_demonstrations_must_fit_the_buffer():
+    class Worlds:
+        num_envs = 2
+
+    short, long = (next(steering(1, steps)) for steps in (3, 4))
+    for given in ([short], [short, long]):
+        with pytest.raises(ValueError, match="demonstrations must be 2 of one length"):
+            fill_buffer(None, Worlds(), given, 1)
+
+
+def test_a_clone_of_the_expert_is_better_than_chance(tmp_path, capsys):
+    file = tmp_path / "press_sac.yaml"
+    file.write_text(
+        f"environment: {{id: {PRESS}, parts: [tool_position, contact_force, contact_depth, error, goal]}}\n"
+        "algorithm: sac\nhyperparameters: {buffer_size: 1}\nnetwork: {layers: [64, 64]}\n"
+    )
+    arguments = ["--config", str(file), "--expert", "6", "--gradient-steps", "1500", "--output", str(tmp_path / "run")]
+    assert main(arguments) == 0
+    assert "6 demonstrations" in capsys.readouterr().out
+    origin = json.loads((tmp_path / "run" / "provenance.json").read_text())
+    assert origin["demonstrations"]["episodes"] == 6
+    plan = Plan(PRESS, {"max_episode_steps": 60}, "batch", 8, 50)
+    cloned, _ = evaluate(find_policy(str(tmp_path / "run"), PRESS), plan)
+    chance, _ = evaluate(find_policy("random", PRESS), plan)
+    assert cloned["return"].mean() > 3.0 * max(chance["return"].mean(), 1.0)
+
+
+def test_data_sets_are_read(tmp_path, monkeypatch):
+    minari = pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    from minari.data_collector import EpisodeBuffer
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    env = gymnasium.make(PRESS, engine="batch", max_episode_steps=5)
+    recorded = collect(Plan(PRESS, {"max_episode_steps": 5}, "batch", 2, 0))
+    buffers = [
+        EpisodeBuffer(
+            id=index, seed=index, options=None,
+            observations=each.observations, actions=each.actions, rewards=each.rewards,
+            terminations=np.zeros(5, dtype=bool), truncations=np.arange(5) == 4,
+            infos={"is_success": np.arange(6) == 5},
+        )
+        for index, each in enumerate(recorded)
+    ]  # fmt: skip
+    with warnings.catch_warnings():
+        # That nobody is named who recorded it.
+        warnings.simplefilter("ignore")
+        minari.create_dataset_from_buffers("spatula/press/test-v0", buffers, env=env)
+    env.close()
+    read, env_id, kwargs = read_minari("spatula/press/test-v0", ("error",))
+    assert (env_id, len(read)) == (PRESS, 2)
+    assert "engine" not in kwargs
+    for mine, theirs in zip(read, recorded, strict=True):
+        np.testing.assert_array_equal(mine.observations, theirs.observations[:, -3:])
+        np.testing.assert_array_equal(mine.actions, theirs.actions)
+        np.testing.assert_allclose(mine.rewards, theirs.rewards)
+        assert mine.success
+    arguments = ["--dataset", "spatula/press/test-v0", "--gradient-steps", "20", "--output", str(tmp_path / "run")]
+    assert main(arguments) == 0
+    assert find_policy(str(tmp_path / "run"), PRESS).description.startswith("saved policy")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--expert", "3"], "needs --config or --env"),
+        (["--expert", "0", "--env", PRESS], "1 or more"),
+        (["--expert", "3", "--env", PRESS, "--set", "seeds=[1]"], "--set needs --config"),
+    ],
+)
+def test_impossible_wishes_are_refused(arguments, message, capsys):
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert message in capsys.readouterr().err
+
+
+def test_the_configuration_of_cloning_is_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        CloneConfig().seed = 3
