@@ -189,7 +189,7 @@ set_up() {
 
 case ${1:-} in
     demo) FOR="demo" STAGES=3 EXTRAS="demo" ;;
-    test) FOR="tests and checks" STAGES=4 EXTRAS="data,demo,dev,teleop,train" ;;
+    test) FOR="tests and checks" STAGES=4 EXTRAS="data,demo,dev,teleop,train,video" ;;
     *) fail "usage: scripts/bootstrap.sh demo|test; got '${1:-}'." ;;
 esac
 

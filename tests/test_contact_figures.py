@@ -120,8 +120,8 @@ def test_pressure_times_area_is_the_force(script):
 
 def test_the_flags_method_holds_the_organ_and_bullet_loses_it(script):
     held, lost = (script.record_force(contact, 20.0, 0.12)[-5:] for contact in ("flags", "bullet"))
-    assert held.min() > 1.0
-    assert np.abs(lost).max() < 0.5
+    assert held.min() > 0.5
+    assert np.abs(lost).max() < 0.1
 
 
 def test_fast_plunges_leave_nothing_in_the_organ(script):

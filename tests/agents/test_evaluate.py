@@ -153,7 +153,7 @@ def test_impossible_numbers_are_refused(arguments, capsys):
 
 
 def test_a_film_is_written(tmp_path):
-    pytest.importorskip("moviepy")
+    pytest.importorskip("moviepy", reason="films are written with moviepy: pip install 'spatula-env[video]'")
     from agents.evaluation import film
 
     source = find_policy("random", PRESS)
