@@ -5,7 +5,7 @@
 #   scripts/bootstrap.sh test    that, and what tests, checks and training need; torch's CPU build
 #
 # Versions come from requirements/lock.txt. PYTHON=... chooses the interpreter. A finished profile leaves a stamp made
-# of the lock, pyproject.toml, the interpreter and this folder, and is not set up again while the stamp holds.
+# of the lock, pyproject.toml, this script, the interpreter and this folder, and is not set up again while the stamp holds.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -145,7 +145,7 @@ import hashlib, os, pathlib, sys
 digest = hashlib.sha256(repr((sys.version, sys.base_prefix, os.getcwd())).encode())
 for name in sys.argv[1:]:
     digest.update(pathlib.Path(name).read_bytes())
-print(digest.hexdigest())' "$LOCK" pyproject.toml
+print(digest.hexdigest())' "$LOCK" pyproject.toml scripts/bootstrap.sh
 }
 
 # Whether .venv belongs to this folder, was never left half made, and is of the interpreter that is asked for.
