@@ -931,7 +931,7 @@ def draw_force(path: Path, speed: float = 20.0, seconds: float = 0.5) -> str:
         panels[0].text(
             arrived + 0.01 * seconds, 0.88, "held from here", transform=panels[0].get_xaxis_transform(), color="0.35"
         )
-        panels[1].set_ylim(-1.0, 8.0)
+        panels[1].set_ylim(-0.3, 1.4)
         panels[1].set_xlabel("time [s]")
         panels[0].set_title(f"A press at {speed:g} u/s ({speed * scene.scale.speed:g} m/s); below, the same enlarged")
         handles, labels = panels[0].get_legend_handles_labels()
