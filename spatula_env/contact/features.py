@@ -569,6 +569,44 @@ def meeting_time(heights: np.ndarray, samples: int) -> float:
 
 
 @inline_kernel
+def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
+    """Whether an edge lies within the faces around one, from one query to the next: it passes over none of its rim."""
+    for p in range(heights.shape[1]):
+        if ridges[plane, p, 0] >= 0:
+            for row in range(4):
+                if heights[row, p] > MARGIN:
+                    return False
+    return True
+
+
+@inline_kernel
+def border_reached(heights: np.ndarray, which: int, time: float, met: int, samples: int, ridges: np.ndarray) -> int:
+    """Through which face next to the one it met an edge leaves the tool once its end has swung down past the rim.
+
+    Args:
+        heights: (4, P) from `fill_heights` [u].
+        which: 0 for the first end of the edge, 1 for the second.
+        time: When the edge first touched the tool.
+        met: The face that it touched.
+        samples: At how many times between two queries the edge is looked at.
+        ridges: (P, P, 2) of the tool.
+
+    Returns:
+        The face; -1 if there is none.
+    """
+    for sample in range(1, samples + 1):
+        now = sample / samples
+        behind = heights[which, met] + now * (heights[2 + which, met] - heights[which, met])
+        if now <= time or behind > -MARGIN:
+            continue
+        first, end, plane_in, plane_out = clip_edge(heights, now)
+        border = plane_in if which == 0 else plane_out
+        if first <= end and border >= 0 and border != met and ridges[met, border, 0] >= 0:
+            return border
+    return -1
+
+
+@inline_kernel
 def edge_misses(extent: np.ndarray, last: np.ndarray, local: np.ndarray, a: int, b: int) -> bool:
     """Whether the box around an edge's way between two queries is apart from the box around the tool."""
     for axis in range(3):
@@ -596,11 +634,14 @@ def gather_edges(
     angular_velocity: np.ndarray,
     friction: float,
     owner: int,
+    again: bool,
 ) -> int:
     """Append constraints for each edge of the organ that came into the tool or touches it.
 
     When an edge first touches the tool, hardly any of it is inside, and between which faces tells what it lies over: an
-    edge of the tool that two faces share, or one face between two of the edges around it.
+    edge of the tool that two faces share, or one face between two of the edges around it. An edge that lay on a face
+    may then swing over its rim. What swings so far only because nothing holds the edge's other end yet is not told from
+    what really does: this is asked when contacts are looked for `again`, where a solve has put the organ.
     """
     # Taking an array out of a structure counts references: once here, not for every edge.
     local, last, candidates, codes = memory.local, memory.last_local, memory.candidates, memory.codes
@@ -618,7 +659,8 @@ def gather_edges(
             way = 0.0
             for axis in range(3):
                 way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
-            time = meeting_time(heights, min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES))
+            samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
+            time = meeting_time(heights, samples)
             if time > 1.0:
                 continue
             first, end, plane_in, plane_out = clip_edge(heights, time)
@@ -629,9 +671,12 @@ def gather_edges(
                 plane_out = touched_plane(heights, 1, time, plane_in)
             # The face over which the edge lay.
             met = least_deep_plane(heights, time, first, end)
+            lies = not again or stays_over(heights, met, ridges)
             nx, ny, nz = plane_normals[met, 0], plane_normals[met, 1], plane_normals[met, 2]
             for which in range(2):
                 border = plane_in if which == 0 else plane_out
+                if (border < 0 or border == met) and not lies:
+                    border = border_reached(heights, which, time, met, samples, ridges)
                 if border < 0 or border == met:
                     continue
                 if ridge_contact(ridges, corners, plane_normals, border, met, local, a, b, contact):
@@ -673,6 +718,7 @@ def gather_features(
     angular_velocity: np.ndarray,
     friction: float,
     owner: int,
+    again: bool,
 ) -> int:
     """Append constraints where vertices, corners and edges have met, making room for them. Returns the new count."""
     found = find_candidates(tool, memory, triangles)
@@ -691,5 +737,5 @@ def gather_features(
     )  # fmt: skip
     return gather_edges(
         rows, features, names, count, tool, memory, triangles, found, first_vertex, position, rotation,
-        linear_velocity, angular_velocity, friction, owner,
+        linear_velocity, angular_velocity, friction, owner, again,
     )  # fmt: skip

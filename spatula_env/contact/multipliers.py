@@ -10,12 +10,14 @@ from spatula_env._kernels import inline_kernel
 from spatula_env.contact.structures import (
     DISPLACEMENT,
     FRICTION,
+    GAP,
     GROUND,
     IMPULSE,
     NORMAL,
     ORIGIN,
     OWNER,
     POINT,
+    WEIGHTS,
     reserve,
 )
 
@@ -47,6 +49,82 @@ def start_warm(
 
 
 @inline_kernel
+def _push_part(warm: Any, e: int, part: float, inverse_mass: np.ndarray, vertices: np.ndarray) -> None:
+    """Apply `part` of a kept displacement to the vertices (V, 3) that it moved [u]."""
+    for corner in range(3):
+        vertex = warm.features[e, corner]
+        moved = part * warm.rows[e, WEIGHTS + corner] * inverse_mass[vertex]
+        for axis in range(3):
+            vertices[vertex, axis] += moved * warm.rows[e, DISPLACEMENT + axis]
+
+
+@inline_kernel
+def _height_over(warm: Any, e: int, vertices: np.ndarray) -> float:
+    """Of a kept constraint's point over its plane, with vertices (V, 3) [u]."""
+    height = 0.0
+    for axis in range(3):
+        s = 0.0
+        for corner in range(3):
+            s += warm.rows[e, WEIGHTS + corner] * vertices[warm.features[e, corner], axis]
+        height += (s - warm.rows[e, POINT + axis]) * warm.rows[e, NORMAL + axis]
+    return height
+
+
+@inline_kernel
+def expect_vertices(
+    known: int,
+    warm: Any,
+    inverse_mass: np.ndarray,
+    start_positions: np.ndarray,
+    linear_velocities: np.ndarray,
+    angular_velocities: np.ndarray,
+    dt: float,
+    part: float,
+    thrown: np.ndarray,
+    expected: np.ndarray,
+) -> None:
+    """Where contact will about put the organs' vertices: it undoes most of what it undid in the last step.
+
+    Springs that a tool holds compressed throw the surface deep into it in every step, and where it was thrown says
+    little of where it touches. A contact that pushes less than it did would leave its plane; it is then undone only so
+    far that the surface stays a little behind the plane, where it is found.
+
+    Args:
+        known: How many constraints were kept.
+        warm: They; their points are moved on with the tools.
+        inverse_mass: (V,) [1/kg].
+        start_positions: (N, 3) of the tools before this step [u].
+        linear_velocities: (N, 3) [u/s].
+        angular_velocities: (N, 3) [rad/s].
+        dt: [s].
+        part: How much of a displacement is undone at most.
+        thrown: (V, 3) where the vertices come without contact [u].
+        expected: (V, 3) written [u].
+    """
+    expected[:] = thrown
+    for e in range(known):
+        _push_part(warm, e, 1.0, inverse_mass, expected)
+    for e in range(known):
+        owner, row = warm.features[e, OWNER], warm.rows[e]
+        if owner != GROUND:
+            v, w, origin = linear_velocities[owner], angular_velocities[owner], start_positions[owner]
+            x, y, z = row[POINT] - origin[0], row[POINT + 1] - origin[1], row[POINT + 2] - origin[2]
+            row[POINT] += dt * (v[0] + w[1] * z - w[2] * y)
+            row[POINT + 1] += dt * (v[1] + w[2] * x - w[0] * z)
+            row[POINT + 2] += dt * (v[2] + w[0] * y - w[1] * x)
+        before, after = _height_over(warm, e, thrown), _height_over(warm, e, expected)
+        share = part
+        if before >= 0.0:
+            share = 0.0
+        elif after > 0.0:
+            share = part * before / (before - after)
+        row[GAP] = share
+    expected[:] = thrown
+    for e in range(known):
+        _push_part(warm, e, warm.rows[e, GAP], inverse_mass, expected)
+
+
+@inline_kernel
 def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, warm: Any) -> int:
     """Keep the displacements of a solve, for the velocity solve and for the next step; returns how many."""
     reserve(warm, 0, count)
@@ -54,9 +132,8 @@ def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndar
     for c in range(count):
         if rows[c, DISPLACEMENT] != 0.0 or rows[c, DISPLACEMENT + 1] != 0.0 or rows[c, DISPLACEMENT + 2] != 0.0:
             warm.names[kept] = names[c]
-            warm.features[kept, OWNER] = features[c, OWNER]
-            for axis in range(3):
-                warm.rows[kept, DISPLACEMENT + axis] = rows[c, DISPLACEMENT + axis]
+            warm.features[kept] = features[c]
+            warm.rows[kept] = rows[c]
             kept += 1
     return kept
 

@@ -278,6 +278,80 @@ def solve_velocities(
 
 
 @inline_kernel
+def passive_share(
+    first: int,
+    end: int,
+    inverse_mass: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    nodal_impulses: np.ndarray,
+    step_work: float,
+    gravity: float,
+    mean_edge: float,
+    ledger: np.ndarray,
+) -> float:
+    """Which share of a step's impulses an organ's motion as a whole can have, for the work that they do.
+
+    A tool that turns by a radian in a step pushes along planes that it had on its way, and may throw the organ off
+    with more energy than it gives. What the nodes do relative to each other is left to `limit_energy`.
+
+    Args:
+        first: Index of the organ's first vertex.
+        end: Index after its last one.
+        inverse_mass: (V,) [1/kg]; fixed nodes have zero.
+        vertices: (V, 3) [u].
+        velocities: (V, 3) with all impulses [u/s].
+        nodal_impulses: (V, 3) of the tools [kg u/s].
+        step_work: What they do [kg u2/s2]; it is in the ledger.
+        gravity: [u/s2].
+        mean_edge: Of the organ with the smallest [u].
+        ledger: (4,) the organ's, by the column names of this module.
+
+    Returns:
+        From 0 to 1; 1 unless energy would come from nothing.
+    """
+    height, mass = -ledger[REST_HEIGHT], 0.0
+    px, py, pz = 0.0, 0.0, 0.0
+    jx, jy, jz = 0.0, 0.0, 0.0
+    for i in range(first, end):
+        if inverse_mass[i] == 0.0:
+            continue
+        m = 1.0 / inverse_mass[i]
+        mass += m
+        height += m * vertices[i, 2]
+        px += m * velocities[i, 0]
+        py += m * velocities[i, 1]
+        pz += m * velocities[i, 2]
+        jx += nodal_impulses[i, 0]
+        jy += nodal_impulses[i, 1]
+        jz += nodal_impulses[i, 2]
+    if mass == 0.0:
+        return 1.0
+    least = 0.5 * mass * mean_edge**2
+    allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least) - gravity * height
+    if 0.5 * (px * px + py * py + pz * pz) / mass <= allowed:
+        return 1.0
+    # Taking away the share x of the impulses leaves squares x^2 / 2 - x slope too much.
+    squares = (jx * jx + jy * jy + jz * jz) / mass
+    slope = (px * jx + py * jy + pz * jz) / mass - step_work
+    excess = 0.5 * (px * px + py * py + pz * pz) / mass - allowed
+    if squares == 0.0 or slope <= 0.0:
+        return 1.0
+    root = slope * slope - 2.0 * squares * excess
+    taken = (slope - np.sqrt(root)) / squares if root > 0.0 else slope / squares
+    return 1.0 - min(taken, 1.0)
+
+
+@inline_kernel
+def scale_impulses(count: int, rows: np.ndarray, features: np.ndarray, first: int, end: int, share: float) -> None:
+    """Leave a share of what the tools' constraints with one organ's vertices, from first to end, have given it."""
+    for c in range(count):
+        if features[c, OWNER] != GROUND and first <= features[c, 0] < end:
+            for axis in range(3):
+                rows[c, IMPULSE + axis] *= share
+
+
+@inline_kernel
 def limit_energy(
     first: int,
     end: int,

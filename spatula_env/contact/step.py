@@ -17,13 +17,17 @@ from spatula_env.contact.flags import (
     lead_by_motion,
 )
 from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
-from spatula_env.contact.multipliers import add_passed, keep_warm, note_passed, start_warm
+from spatula_env.contact.multipliers import add_passed, expect_vertices, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
+    GREATEST_WORK,
+    WORK,
     count_lone,
     keep_ledger,
     limit_energy,
     measure_gaps,
+    passive_share,
+    scale_impulses,
     solve_positions,
     solve_velocities,
     start_pushed,
@@ -66,9 +70,15 @@ PATH_PART = 0.5
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
+MOST_PARTS = 4
+"""An organ that would move farther than so many times `ORGAN_PART` is looked for where contact will about put it."""
+
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
+
+EXPECTED_PART = 0.9
+"""Greatest part of the last solve's displacements that is expected; see `multipliers.expect_vertices`."""
 
 FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
@@ -91,7 +101,7 @@ def greatest_speed(tool: Any, linear_velocity: np.ndarray, angular_velocity: np.
 
 
 @inline_kernel
-def divide_step(
+def divide_paths(
     tools: Any,
     start_positions: np.ndarray,
     positions: np.ndarray,
@@ -100,10 +110,9 @@ def divide_step(
     start: np.ndarray,
     vertices: np.ndarray,
     dt: float,
-    mean_edge: float,
     passes: np.ndarray,
-) -> tuple[int, int]:
-    """Into how many parts a step is divided, so that nothing moves too far between two queries.
+) -> int:
+    """Into how many parts the tools' paths are divided, so that no tool moves too far between two queries.
 
     Args:
         tools: As in `resolve_step`, as the next six.
@@ -112,24 +121,65 @@ def divide_step(
         linear_velocities: See there.
         angular_velocities: See there.
         start: See there.
-        vertices: (V, 3) nodes at the end of the step [u].
+        vertices: (V, 3) nodes at the end of the step, without contact [u].
         dt: [s].
-        mean_edge: Of the organ with the smallest [u].
         passes: (N,) written: whether a tool comes near an organ.
 
     Returns:
-        Parts of the tools' paths, and of the organs' motion.
+        It.
     """
-    parts, organ_parts = 1, 1
+    parts = 1
     for k in range(passes.shape[0]):
         tool = tools[k]
         passes[k] = tool_passes(start_positions[k], positions[k], tool.extent[6], start, vertices)
         if passes[k]:
             way = greatest_speed(tool, linear_velocities[k], angular_velocities[k]) * dt
             parts = max(parts, int(np.ceil(way / (PATH_PART * tool.extent[7]))))
-    if passes.shape[0] > 0:
-        organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
-    return parts, organ_parts
+    return parts
+
+
+@inline_kernel
+def keep_passive(
+    world: Any,
+    count: int,
+    tool_count: int,
+    start: np.ndarray,
+    positions: np.ndarray,
+    linear_velocities: np.ndarray,
+    angular_velocities: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    nodal_impulses: np.ndarray,
+    wrenches: np.ndarray,
+) -> None:
+    """Take from each organ what energy it has more than the tools have put in, from a step's impulses and its motion.
+
+    Arguments as in `resolve_step`, at its end; the last four are changed.
+    """
+    first_vertices, inverse_mass, ledger = world.first_vertices, world.inverse_mass, world.ledger
+    rows, features = world.constraints.rows, world.constraints.features
+    mean_edge, gravity = world.settings[MEAN_EDGE], world.settings[GRAVITY]
+    before = ledger.copy()
+    keep_ledger(
+        count, rows, features, first_vertices, inverse_mass, start, positions, linear_velocities, angular_velocities,
+        ledger,
+    )  # fmt: skip
+    for o in range(first_vertices.shape[0]):
+        first = first_vertices[o]
+        end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
+        work = ledger[o, WORK] - before[o, WORK]
+        share = passive_share(
+            first, end, inverse_mass, vertices, velocities, nodal_impulses, work, gravity, mean_edge, ledger[o]
+        )
+        if share < 1.0:
+            for i in range(first, end):
+                for axis in range(3):
+                    velocities[i, axis] -= (1.0 - share) * inverse_mass[i] * nodal_impulses[i, axis]
+            ledger[o, WORK] = before[o, WORK] + share * work
+            ledger[o, GREATEST_WORK] = max(before[o, GREATEST_WORK], ledger[o, WORK])
+            scale_impulses(count, rows, features, first, end, share)
+            sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
+        limit_energy(first, end, inverse_mass, vertices, velocities, gravity, mean_edge, ledger[o])
 
 
 @kernel(
@@ -192,7 +242,7 @@ def resolve_step(
     )  # fmt: skip
     warm, warm_count = world.warm, world.warm_count
     first_vertices, friction, settings = world.first_vertices, world.friction, world.settings
-    inverse_mass, ledger = world.inverse_mass, world.ledger
+    inverse_mass = world.inverse_mass
     dt, mean_edge = settings[DT], settings[MEAN_EDGE]
     if mode == SECOND_STEP:
         # Both faces of a tool push against each other; what they come to in one step is not carried into the next.
@@ -204,16 +254,31 @@ def resolve_step(
         for axis in range(3):
             vertices[i, axis], velocities[i, axis] = free_vertices[i, axis], free_velocities[i, axis]
     passes, quiet = np.zeros(tool_count, np.bool_), np.zeros(tool_count * organ_count, np.bool_)
-    parts, organ_parts = divide_step(
-        tools, start_positions, positions, linear_velocities, angular_velocities, start, vertices, dt, mean_edge, passes
+    parts = divide_paths(
+        tools, start_positions, positions, linear_velocities, angular_velocities, start, vertices, dt, passes
     )
+    organ_parts = 1
+    if tool_count > 0:
+        organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
+    # An organ that is thrown far is expected where contact undoes that, about as it did in the last step.
+    predicts = organ_parts > MOST_PARTS and parts == 1 and warm_count[0] > 0
+    expected = vertices
+    if predicts:
+        expected = np.empty_like(vertices)
+        expect_vertices(
+            warm_count[0], warm, inverse_mass, start_positions, linear_velocities, angular_velocities, dt,
+            EXPECTED_PART, vertices, expected,
+        )  # fmt: skip
+        organ_parts = max(1, int(np.ceil(largest_shift(start, expected) / (ORGAN_PART * mean_edge) - 1e-9)))
     queries = organ_parts + (parts if parts > 1 else 0)
     result[QUERIES] = queries
     reference = start
     shift = start
     if queries > 1:
-        shift = vertices - start
+        shift = expected - start
         vertices[:] = start
+    elif predicts:
+        vertices[:] = expected
     position, rotation, last_position, last_rotation = (
         np.empty((tool_count, 3)),
         np.empty((tool_count, 9)),
@@ -251,6 +316,10 @@ def resolve_step(
                 for axis in range(3):
                     vertices[i, axis] += (organ_part - organ_done) * shift[i, axis]
             organ_done = organ_part
+        # The flags are decided where the organs would be without contact, as published.
+        thrown = vertices
+        if predicts and query == queries - 1:
+            thrown = vertices + (free_vertices - expected)
         quiet[:] = False
         for k in range(tool_count):
             tool = tools[k]
@@ -262,7 +331,7 @@ def resolve_step(
             for o in range(organ_count):
                 memory = memories[k * organ_count + o]
                 first = first_vertices[o]
-                own = vertices[first : first + memory.local.shape[1]]
+                own = thrown[first : first + memory.local.shape[1]]
                 if not passes[k] and not memory.states[0].any():
                     memory.states[1] = False
                     continue
@@ -296,23 +365,27 @@ def resolve_step(
                     memory, first, triangles = memories[k * organ_count + o], first_vertices[o], surfaces[o]
                     silent = attempt == 0 and quiet[k * organ_count + o]
                     if silent or (not passes[k] and not memory.states[0].any()):
-                        fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
+                        fill_record(tool, memory, thrown, first, triangles, position[k], rotation[k], True)
                         continue
-                    if attempt > 0:
-                        fill_local(position[k], rotation[k], vertices, first, memory.local)
                     before = count
-                    if mode == FLAGS:
-                        count = gather_features(
-                            constraints, count, tool, memory, triangles, first, position[k], rotation[k], linear[k],
-                            angular[k], friction[k], k,
-                        )  # fmt: skip
+                    for look in range(2):
+                        if attempt > 0 or predicts:
+                            fill_local(position[k], rotation[k], vertices if look == 0 else thrown, first, memory.local)
+                        if mode == FLAGS:
+                            count = gather_features(
+                                constraints, count, tool, memory, triangles, first, position[k], rotation[k], linear[k],
+                                angular[k], friction[k], k, attempt > 0 and parts == 1,
+                            )  # fmt: skip
+                        # Where less was thrown into the tool than expected, it is looked where that really is.
+                        if attempt > 0 or not predicts or count > before:
+                            break
                     if attempt == 0:
                         # A tool that was put into an organ came through no face. Then the published method decides.
                         if mode == FLAGS and count == before and not memory.states[0].any():
                             for grade in (1, 0):
                                 if decide_flags(tool, memory, triangles, first_step, exclusive, grade)[0] > 0:
                                     break
-                        fill_record(tool, memory, vertices, first, triangles, position[k], rotation[k], True)
+                        fill_record(tool, memory, thrown, first, triangles, position[k], rotation[k], True)
                         result[PENETRATION] = max(result[PENETRATION], memory.record[:, 3].max())
                     reserve(constraints, count, count + tool.nodes.shape[0])
                     count = gather_nodes(
@@ -324,13 +397,18 @@ def resolve_step(
             # The first solve is there for friction too, which holds a surface that only touches.
             if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
                 break
-            if attempt == 0 and queries == 1:
+            if attempt == 0 and query == queries - 1 and (predicts or queries == 1):
+                # From here on the organs are where they would be without contact, and what pushes them is known.
+                if predicts:
+                    vertices[:] = thrown
                 start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
+            if attempt > 0:
+                # What has pushed already may give way again.
+                start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
             lone = count_lone(count, features, touched)
             solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE)
-            if attempt == 0:
-                warm_count[0] = keep_warm(count, rows, features, constraints.names, warm)
+            warm_count[0] = keep_warm(count, rows, features, constraints.names, warm)
             if query < queries - 1:
                 passed = note_passed(count, passed, constraints, earlier, position)
         for k in range(tool_count):
@@ -354,13 +432,8 @@ def resolve_step(
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:
-        keep_ledger(
-            count, rows, features, first_vertices, inverse_mass, start, positions, linear_velocities,
-            angular_velocities, ledger,
+        keep_passive(
+            world, count, tool_count, start, positions, linear_velocities, angular_velocities, vertices, velocities,
+            nodal_impulses, wrenches,
         )  # fmt: skip
-        for o in range(organ_count):
-            end = first_vertices[o + 1] if o + 1 < organ_count else vertex_count
-            limit_energy(
-                first_vertices[o], end, inverse_mass, vertices, velocities, settings[GRAVITY], mean_edge, ledger[o]
-            )
     return 0

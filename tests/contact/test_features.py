@@ -15,12 +15,14 @@ from spatula_env.contact.features import (
     MOST_SAMPLES,
     OUTSIDE_TRIANGLE,
     best_plane,
+    border_reached,
     clip_edge,
     fill_heights,
     least_deep_plane,
     meeting_time,
     meeting_weights,
     ridge_contact,
+    stays_over,
     touched_plane,
 )
 from spatula_env.contact.flags import triangle_weights
@@ -298,6 +300,30 @@ def test_an_end_on_the_rim_touches_the_face_by_which_the_edge_does_not_go_out():
     assert touched_plane(heights_of(BOX, 0.5 * points, 0.5 * points), 0, 0.0, -1) == -1
     # It lies over the lower face, whichever part of it one takes.
     assert least_deep_plane(heights, 0.5, 0.0, 0.4) == bottom
+
+
+def test_an_edge_that_swings_past_the_rim_reaches_the_side():
+    # Its first end lies on the upper face (z = 0.0625), the other, beside the right side (x = 0.5), goes from above the
+    # face to below the lower one: the edge passes the right side, though it ends between the upper and the lower face.
+    normals, _ = faces_of(BOX)
+    right, top, bottom = (
+        int(np.argmax(normals @ np.array(direction, dtype=float))) for direction in ((1, 0, 0), (0, 0, 1), (0, 0, -1))
+    )
+    ridges = shape_of(BOX)[0]
+    held, above, below = (0.3, 0.1, 0.0625), (0.55, 0.1, 0.09), (0.55, 0.1, -0.2)
+    heights = heights_of(BOX, columns([held, above]), columns([held, below]))
+    assert not stays_over(heights, top, ridges)
+    assert clip_edge(heights, 1.0)[3] == bottom
+    assert border_reached(heights, 1, 0.0, top, MOST_SAMPLES, ridges) == right
+    # The same with the ends exchanged; nothing for the end that is held, or if the other stays above.
+    swapped = heights_of(BOX, columns([above, held]), columns([below, held]))
+    assert border_reached(swapped, 0, 0.0, top, MOST_SAMPLES, ridges) == right
+    assert border_reached(heights, 0, 0.0, top, MOST_SAMPLES, ridges) == -1
+    stays = heights_of(BOX, columns([held, above]), columns([held, (0.55, 0.1, 0.07)]))
+    assert border_reached(stays, 1, 0.0, top, MOST_SAMPLES, ridges) == -1
+    # An edge between the sides does not come near the rim, however it moves.
+    inner = heights_of(BOX, columns([held, (-0.3, 0.0, 0.2)]), columns([held, (-0.2, 0.1, -0.2)]))
+    assert stays_over(inner, top, ridges)
 
 
 @given(seeds)

@@ -17,6 +17,8 @@ from spatula_env.contact.response import (
     keep_ledger,
     limit_energy,
     measure_gaps,
+    passive_share,
+    scale_impulses,
     solve_positions,
     solve_velocities,
     start_pushed,
@@ -486,6 +488,47 @@ def test_a_part_of_the_work_is_allowed_for_rounding(seed):
     mass = organ.masses[organ.free].sum()
     assert organ.limit(allowed, mean_edge=np.sqrt(0.2002 / ENERGY_TOLERANCE / mass)) == 0.0
     assert organ.limit(allowed) > 0.0
+
+
+@given(seeds, st.floats(0.05, 0.95))
+def test_impulses_give_an_organ_no_more_energy_than_they_do_work(seed, part):
+    # What the organ's motion as a whole has more, with all impulses, is not there with the share that is left.
+    organ = Energies(seed, fixed=(1, 7))
+    generator = np.random.default_rng(seed + 1)
+    impulses = generator.normal(size=(12, 3))
+    impulses[organ.inverse_mass == 0.0] = 0.0
+    free = organ.free
+    given_momentum, mass = impulses[free].sum(axis=0), organ.masses[free].sum()
+    work = generator.uniform(-1.0, 0.2)
+
+    def excess(share):
+        """Energy of the mean motion and of height less the work, with a share of the impulses."""
+        mean = (organ.momentum(organ.velocities) - (1.0 - share) * given_momentum) / mass
+        height = organ.masses[free] @ organ.vertices[free, 2] - organ.rest_height
+        return 0.5 * mass * mean @ mean + organ.gravity * height - share * work
+
+    # Allowed is something between what it is without impulses and with all of them, if those add any.
+    without, with_all = excess(0.0), excess(1.0)
+    allowed = without + part * (with_all - without)
+    ledger = np.array([allowed + work, -1e9, organ.rest_height, 1.0])
+    share = passive_share(
+        FIRST, END, organ.inverse_mass, organ.vertices, organ.velocities, impulses, work, organ.gravity, 0.0, ledger
+    )
+    if with_all <= without:
+        assert share == 1.0
+    else:
+        assert 0.0 < share < 1.0
+        assert excess(share) == pytest.approx(allowed, abs=1e-9)
+        # The largest share with which that is so.
+        assert excess(min(share + 1e-3, 1.0)) > allowed
+
+
+def test_a_share_of_impulses_is_left_to_one_organ_and_to_all_of_the_ground():
+    rows, features = np.ones((4, ROW_LENGTH)), np.zeros((4, 5), dtype=np.int32)
+    features[:, 0], features[:, OWNER] = (FIRST, FIRST, END, FIRST), (0, GROUND, 0, 1)
+    scale_impulses(4, rows, features, FIRST, END, 0.25)
+    np.testing.assert_array_equal(rows[:, IMPULSE : IMPULSE + 3].T, np.tile([0.25, 1.0, 1.0, 0.25], (3, 1)))
+    np.testing.assert_array_equal(rows[:, :IMPULSE], 1.0)
 
 
 def test_fixed_nodes_stay_at_rest_when_energy_is_taken():
