@@ -43,14 +43,12 @@ class ClampEnv(SpatulaEnv):
     The organ is not fixed: it hangs from the ridge, by friction alone (coefficient 0.4). Jaws that take away less than
     about a sixth of the ridge's width let it slip; jaws that take away a quarter hold it; more only presses harder.
 
-    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+    `SpatulaEnv` tells what all environments have in common.
 
     ## Action Space
     The action space is a `Box(-1, 1, (4,), float32)`: velocities of the grip, the middle between the jaws, as fractions
-    of `max_speed`, and the speed at which the jaws part, as a fraction of `max_jaw_speed`. They are constant for a
-    whole step. The grip is stopped at the faces of its workspace, and the jaws at free widths of 2 and 32 mm. The clamp
-    does not turn (with `control="velocity_6d"` it does). Numbers beyond the bounds are clipped; an action of the wrong
-    shape or that is not finite is a `ValueError`.
+    of `max_speed`, and the speed at which the jaws part, as a fraction of `max_jaw_speed`. The jaws are stopped at free
+    widths of 2 and 32 mm. The clamp does not turn (with `control="velocity_6d"` it does).
 
     | Num | Action                                    | Min | Max | Name       | Falcon | Unit                       |
     | --- | ----------------------------------------- | --- | --- | ---------- | ------ | -------------------------- |
@@ -64,13 +62,10 @@ class ClampEnv(SpatulaEnv):
     `rotation_y` and `rotation_z`, before the speed of the jaws; and the observation tells orientation and its rate,
     three numbers each, after the velocity.
 
-    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the ridge's top at
-    rest, on the organ's axis. All positions are relative to that middle. The axes are x to the operator's right, y away
-    from the operator and z up; a Falcon's are x to the right, y up and z towards the operator.
+    The workspace's middle is 25 mm above the ridge's top at rest.
 
     ## Observation Space
-    With `obs_mode="state"` the observation is a `Box((87,), float32)` of the following parts; with `obs_mode="dict"` a
-    `Dict` of the same parts by name. Everything is in SI units, and is clipped to the bounds.
+    The observation is a `Box((87,), float32)` of these parts:
 
     | Num   | Observation                                                 | Min     | Max    | Name             | Unit |
     | ----- | ----------------------------------------------------------- | ------- | ------ | ---------------- | ---- |
@@ -97,13 +92,7 @@ class ClampEnv(SpatulaEnv):
     | 85    | lift asked for minus lift                                   | -0.11   | 0.11   | error            | m    |
     | 86    | slip allowed minus slip                                     | -0.02   | 0.02   | error            | m    |
 
-    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
-    velocities follow `max_speed` and `max_jaw_speed`. SI units make small numbers: normalise them for learning, for
-    instance with `gymnasium.wrappers.RescaleObservation`.
-
-    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and "desired_goal" are
-    (lift, slip) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`, the parts by name) is what is
-    left without "goal" and "error".
+    With `reward="sparse"` goals are (lift, slip).
 
     ## Rewards
     The *lift* is by how much higher the nodes of the ridge's crest are than at rest, on average. A *grip* begins when
@@ -112,21 +101,17 @@ class ClampEnv(SpatulaEnv):
     both jaws touch, it counts as 20 mm. A step is *within tolerance* if the lift is within 1 mm of the goal's and the
     slip is no greater than the goal's.
 
-    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
-      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+    The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
-      | Name   | Weight | Term                                                            |
-      | ------ | ------ | --------------------------------------------------------------- |
-      | reach  | 0.15   | $t(d, 15\,mm)$, d from the grip to the middle of the ridge      |
-      | grip   | 0.1    | 1 while both jaws touch, 0 else                                 |
-      | lift   | 0.25   | grip times $t(d, 5\,mm)$, d the error of the lift                |
-      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                 |
-      | slip   | -10.0  | grip times slip [m]                                             |
-      | force  | -0.1   | sum of the magnitudes of the two jaws' contact forces [N]       |
-      | action | -0.01  | squared length of the action                                    |
-
-    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
-      gives it for any goals, one or many, as hindsight replay needs.
+    | Name   | Weight | Term                                                            |
+    | ------ | ------ | --------------------------------------------------------------- |
+    | reach  | 0.15   | $t(d, 15\,mm)$, d from the grip to the middle of the ridge      |
+    | grip   | 0.1    | 1 while both jaws touch, 0 else                                 |
+    | lift   | 0.25   | grip times $t(d, 5\,mm)$, d the error of the lift                |
+    | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                 |
+    | slip   | -10.0  | grip times slip [m]                                             |
+    | force  | -0.1   | sum of the magnitudes of the two jaws' contact forces [N]       |
+    | action | -0.01  | squared length of the action                                    |
 
     ## Starting State
     The organ is at rest. The lift is uniform in 4 to 12 mm, the slip allowed uniform in 1 to 2 mm. The clamp is at
@@ -136,22 +121,14 @@ class ClampEnv(SpatulaEnv):
     `reset(options={"goal": (lift, slip), "tool_position": (x, y, z)})` replaces either of them [m].
 
     ## Episode End
-    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and stays
-    true until the next reset.
-
-    ### Termination
-    Never, unless `terminate_on_success` or `damage_limit` is set.
-
-    ### Truncation
-    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; and `gripped`, 1 with
     a grip and 0 without.
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. `gymnasium.make_vec("Spatula/Clamp-v0", num_envs=64)`
-    makes as many environments that are stepped together, with the batch engine. Another default has
+    Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. Another default has
 
     | Parameter   | Type      | Default | Description                          |
     | ----------- | --------- | ------- | ------------------------------------ |

@@ -1,4 +1,4 @@
-"""From an agent's action to the tools' motion: the workspace, and control by velocity."""
+"""From an agent's action to the tools' motion: control by velocity."""
 
 from __future__ import annotations
 
@@ -13,55 +13,9 @@ from spatula_env.geometry.rotations import conjugate, from_rotation_vector, mult
 from spatula_env.tasks.base import PartSpec
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
-    from spatula_env.tasks.base import Setting, Situation, ToolShape
+    from spatula_env.tasks.situation import Setting, Situation, ToolShape
 
 FloatArray = NDArray[np.float64]
-
-FALCON_WORKSPACE = 0.1016
-"""Edge of the cube in which the Novint Falcon's grip moves, 4 inches [m]."""
-
-
-@dataclass(frozen=True)
-class Workspace:
-    """A cube that the grip is kept in, and the frame whose origin is the cube's middle.
-
-    The axes are those of the scene: x to the right, y away from the operator, z up. A Falcon's own axes are x
-    to the right, y up, z towards the operator, so x = x_F, y = -z_F and z = y_F.
-
-    Attributes:
-        center: (3,) the cube's middle in the scene [u].
-        length: Metres in a scene unit of length.
-        size: Edge of the cube [m].
-    """
-
-    center: tuple[float, float, float]
-    length: float
-    size: float = FALCON_WORKSPACE
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        check_positive(self.length, "length")
-        check_positive(self.size, "size")
-
-    @property
-    def low(self) -> FloatArray:
-        """(3,) lower corner [m]."""
-        return np.full(3, -0.5 * self.size)
-
-    @property
-    def high(self) -> FloatArray:
-        """(3,) upper corner [m]."""
-        return np.full(3, 0.5 * self.size)
-
-    def from_scene(self, points: ArrayLike) -> FloatArray:
-        """Points (..., 3) of the scene [u] in the workspace frame [m]."""
-        return (np.asarray(points, dtype=np.float64) - self.center) * self.length
-
-    def to_scene(self, points: ArrayLike) -> FloatArray:
-        """Points (..., 3) of the workspace frame [m] in the scene [u]."""
-        return np.asarray(points, dtype=np.float64) / self.length + self.center
 
 
 @dataclass(frozen=True)

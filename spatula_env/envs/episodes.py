@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector.utils import create_empty_array
 from numpy.typing import NDArray
 
-from spatula_env.envs.control import VelocityControl, Workspace
+from spatula_env.envs.control import VelocityControl
 from spatula_env.envs.frames import Frames
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
-from spatula_env.envs.randomization import NEUTRAL, draw
+from spatula_env.envs.randomization import Variation
+from spatula_env.envs.safety import COST_PRESSURE, Safety
 from spatula_env.envs.settings import Definition, EnvSettings, check_choice
-from spatula_env.tasks.base import (
-    BoolArray,
-    Evaluation,
-    FloatArray,
-    IntArray,
-    Setting,
-    Situation,
-    Start,
-    ToolShape,
-    weighted_sum,
-)
+from spatula_env.envs.workspace import Workspace, place_workspace, setting_of
+from spatula_env.tasks.base import Evaluation, Task, weighted_sum
+from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situation, Start
 
 if TYPE_CHECKING:
     from spatula_env.envs.control import Motion
@@ -36,13 +29,6 @@ if TYPE_CHECKING:
 
 START_OPTIONS = ("goal", "tool_position")
 """What of an episode's beginning can be chosen."""
-
-COST_PRESSURE = 2670.0
-"""Pressure from which on cost is counted, 20 mmHg [Pa]. Rats whose brains were retracted with no more for 15 minutes
-were spared damage (J. Rosenorn and N. Diemer, J Neurosurg 63:608, 1985): that is a dose, and no limit for a moment."""
-
-VIOLATION_PRESSURE = 4000.0
-"""Pressure that is flagged, 30 mmHg [Pa]: with it, for as long, five brains of six had infarcts (the same source)."""
 
 Info = dict[str, NDArray[Any]]
 """What there is to tell of W worlds: (W,) each, under keys that never change."""
@@ -126,7 +112,6 @@ class Episodes:
         self.workspace = place_workspace(scene, self.worlds.nodes[0], definition.workspace_height)
         self.setting = setting_of(scene, self.workspace, self.worlds.nodes[0], self.worlds.triangles, self.period)
         top = (*self.workspace.center[:2], float(self.worlds.nodes[0, :, 2].max()))
-        self._rest = np.array(self.worlds.nodes[0])
         self.frames = Frames(self.workspace, scene.scale, top, count)
         self.task = definition.task(settings.task, self.setting)
         self.control = VelocityControl(
@@ -150,17 +135,14 @@ class Episodes:
         self.goals: FloatArray = np.zeros((count, len(self.task.goal_names)))
         self.elapsed: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self.situation: Situation | None = None
-        self._settings = [self.setting] * count
-        self._rest_nodes: FloatArray = self.setting.rest_nodes[None]
+        self._variation = Variation(
+            settings.randomization, settings.observation.noise, scene, self.setting, self.frames, self.worlds
+        )
         self._memory = self.task.new_memory(count)
-        self._tool_scale: FloatArray = np.ones(count)
         self._held: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self._succeeded: BoolArray = np.zeros(count, dtype=np.bool_)
         self._safety = Safety(count)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
-        self._drawn = {name: np.full(count, value) for name, value in NEUTRAL.items()}
-        self._drawn["sensor_noise"][:] = settings.observation.noise
-        self._noise: list[np.random.Generator | None] = [None] * count
         longest = int(settings.randomization.get("action_delay", (0, 0))[1])
         self._asked: FloatArray = np.zeros((count, longest + 1, self.control.size))
         self._frames = FrameMemory(settings.observation)
@@ -194,18 +176,6 @@ class Episodes:
     def info(self) -> Info:
         """What else there is to tell of all worlds; arrays of their own."""
         return {name: values.copy() for name, values in self._info.items()}
-
-    @property
-    def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
-        """The sparse reward of goals, of (achieved_goal, desired_goal, info); see `SpatulaEnv.compute_reward`."""
-        if not self._sparse:
-            raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
-        task = self.task
-
-        def compute(achieved: NDArray[Any], desired: NDArray[Any], info: Any) -> NDArray[np.float32]:
-            return task.compute_reward(achieved, desired)
-
-        return compute
 
     def to_scene(self, points: FloatArray, world: int) -> FloatArray:
         """Points (K, 3) in the workspace frame of a world [m] in the scene [u]."""
@@ -264,11 +234,10 @@ class Episodes:
             chosen: What is not left to chance, from `choose`.
         """
         worlds = np.fromiter(generators, dtype=np.int64)
-        if self.settings.randomization or self.settings.observation.noise > 0.0:
-            self._draw(worlds, generators)
+        self._variation.draw(generators)
         # Drawn in any case, so that choices do not change the episodes after this one; and one by one, so that a
         # world's episodes depend on its own generator only.
-        settings = [self._settings[world] for world in worlds.tolist()]
+        settings = [self._variation.settings[world] for world in worlds.tolist()]
         start = Start.joined(
             [
                 self.task.sample(generator, 1, setting)
@@ -277,7 +246,7 @@ class Episodes:
         )
         start = replace(start, **(chosen or {}))
         self.worlds.reset(worlds)
-        scale = self._tool_scale[worlds]
+        scale = self._variation.tool_scale[worlds]
         positions, orientations = self.control.place(start.tool_position, start.tool_orientation, start.control, scale)
         self.worlds.place_tools(
             self.frames.points_to_scene(positions, worlds),
@@ -303,7 +272,7 @@ class Episodes:
             control=self.control.opening(positions, scale),
             control_rate=np.zeros((count, self.control.coordinates)),
             nodes=self.frames.points_from_scene(self.worlds.nodes[worlds], worlds),
-            rest_nodes=self._rest_of(worlds),
+            rest_nodes=self._variation.rest_of(worlds),
         )
         self._show(situation, worlds, first=True)
 
@@ -321,8 +290,9 @@ class Episodes:
         every = np.arange(self.count)
         positions = frames.points_from_scene(worlds.tool_positions, every)
         orientations = frames.orientations_from_scene(worlds.tool_orientations, every)
+        scale = self._variation.tool_scale
         motion = self.control.motion(
-            self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, self._tool_scale
+            self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
         )
         loads = worlds.advance(
             frames.velocities_to_scene(motion.linear),
@@ -358,56 +328,8 @@ class Episodes:
             return actions
         self._asked[:, :-1] = self._asked[:, 1:]
         self._asked[:, -1] = actions
-        late = self._drawn["action_delay"].astype(np.int64)
+        late = self._variation.drawn["action_delay"].astype(np.int64)
         return np.asarray(self._asked[np.arange(self.count), self._asked.shape[1] - 1 - late])
-
-    def _draw(self, worlds: IntArray, generators: Mapping[int, np.random.Generator]) -> None:
-        """Draw what differs from episode to episode."""
-        ranges = self.settings.randomization
-        for world, generator in generators.items():
-            # A generator of its own: goals and starts are then those of an environment without all this, and do not
-            # depend on how long the episode before was.
-            (child,) = generator.spawn(1)
-            self._noise[world] = child
-            for name, value in draw(ranges, child).items():
-                if name in ranges:
-                    self._drawn[name][world] = value
-        if not ranges:
-            return
-        drawn = {name: values[worlds] for name, values in self._drawn.items()}
-        self.frames.set(
-            worlds,
-            shift=np.stack([drawn["organ_x"], drawn["organ_y"]], axis=1),
-            yaw=drawn["organ_yaw"],
-            size=drawn["organ_size"],
-            stiffness=drawn["stiffness"],
-        )
-        self._tool_scale[worlds] = drawn["tool_size"]
-        if {"friction", "tool_size", "organ_size"} & set(ranges):
-            self.worlds.vary(drawn["friction"], drawn["tool_size"] / drawn["organ_size"], worlds)
-        for row, world in enumerate(worlds.tolist()):
-            self._settings[world] = self._setting_in(world, float(drawn["tool_size"][row]))
-        self._rest_nodes = np.stack([setting.rest_nodes for setting in self._settings])
-
-    def _setting_in(self, world: int, tool_size: float) -> Setting:
-        """The setting of a world whose organ and tools have been drawn."""
-        at = np.array([world])
-        organ_position = np.array([[self.scene.organs[0].position]])
-        ground = (0.0, 0.0, self._rest[:, 2].min() if self.scene.ground is None else self.scene.ground.height)
-        return replace(
-            self.setting,
-            rest_nodes=np.ascontiguousarray(self.frames.points_from_scene(self._rest[None], at)[0]),
-            ground_height=float(self.frames.points_from_scene(np.array([[ground]]), at)[0, 0, 2]),
-            tools=tuple(
-                replace(tool, vertices=tool.vertices * tool_size, nodes=tool.nodes * tool_size)
-                for tool in self.setting.tools
-            ),
-            organ_position=self.frames.points_from_scene(organ_position, at)[0, 0],
-            length=float(self.frames.length[world]),
-        )
-
-    def _rest_of(self, worlds: IntArray) -> FloatArray:
-        return self._rest_nodes if len(self._rest_nodes) < self.count else self._rest_nodes[worlds]
 
     def _situation(self, motion: Motion, actions: FloatArray, loads: Loads) -> Situation:
         frames, worlds, every = self.frames, self.worlds, np.arange(self.count)
@@ -425,8 +347,8 @@ class Episodes:
             tool_rotation_rate=motion.rate,
             tool_positions=positions,
             tool_orientations=orientations,
-            tool_scale=self._tool_scale,
-            control=self.control.opening(positions, self._tool_scale),
+            tool_scale=self._variation.tool_scale,
+            control=self.control.opening(positions, self._variation.tool_scale),
             control_rate=motion.coordinate_rate,
             contact_forces=forces,
             contact_force=forces.sum(axis=1),
@@ -439,7 +361,7 @@ class Episodes:
             ),
             contact_depth=loads.penetrations * frames.length,
             nodes=frames.points_from_scene(worlds.nodes, every),
-            rest_nodes=self._rest_nodes,
+            rest_nodes=self._variation.rest_nodes,
             action=actions,
             elapsed=np.asarray((self.elapsed + 1) * self.period, dtype=np.float64),
         )
@@ -472,14 +394,14 @@ class Episodes:
             "diverged": np.zeros(len(worlds), dtype=np.bool_),
             "hold_time": self._held[worlds] * self.period,
             "time": self.worlds.times[worlds],
-            "force": np.sqrt((situation.contact_force**2).sum(axis=1)),
+            "force": situation.force,
             "peak_force": situation.peak_force,
             "peak_pressure": situation.peak_pressure,
             "mean_pressure": situation.mean_pressure,
             **self._safety.info(worlds, self.settings.damage_limit),
             **evaluation.measures,
             **{f"reward/{name}": values for name, values in evaluation.terms.items()},
-            **{f"randomization/{name}": self._drawn[name][worlds] for name in self.settings.randomization},
+            **{f"randomization/{name}": self._variation.drawn[name][worlds] for name in self.settings.randomization},
         }
         if every:
             self._info = info
@@ -507,12 +429,7 @@ class Episodes:
     ) -> None:
         """Renew the observations of some worlds (n,)."""
         builder = self.observation_builder
-        noise, deviations = None, self._drawn["sensor_noise"][worlds]
-        if (deviations > 0.0).any():
-            size = sum(part.size for part in builder.parts)
-            noise = deviations[:, None] * np.stack(
-                [self._generator_of_noise(world).standard_normal(size) for world in worlds.tolist()]
-            )
+        noise = self._variation.sensor_noise(worlds, sum(part.size for part in builder.parts))
         pictures = None if self._draw_pictures is None else self._draw_pictures(worlds)
         frames = builder.build(situation, goals, evaluation, noise, pictures)
         late = self.settings.observation
@@ -526,123 +443,57 @@ class Episodes:
         for name, values in frames.items():
             whole[name][worlds] = values
 
-    def _generator_of_noise(self, world: int) -> np.random.Generator:
-        generator = self._noise[world]
-        assert generator is not None
-        return generator
 
+class EpisodesEnv:
+    """What environments for one agent and for many tell of their episodes.
 
-class Safety:
-    """Counts what the organs of W worlds suffer in an episode; none of it enters a reward."""
-
-    _STEP = ("cost", "work")
-    _TOTALS = ("cost", "work", "violation_time", "peak_force", "peak_pressure")
-
-    def __init__(self, count: int) -> None:
-        """Nothing suffered yet.
-
-        Args:
-            count: W.
-        """
-        self._now = {name: np.zeros(count) for name in self._STEP}
-        self._violation: BoolArray = np.zeros(count, dtype=np.bool_)
-        self._episode = {name: np.zeros(count) for name in self._TOTALS}
-
-    def begin(self, worlds: IntArray) -> None:
-        """Start counting anew in some worlds (n,)."""
-        for values in (*self._now.values(), *self._episode.values()):
-            values[worlds] = 0.0
-        self._violation[worlds] = False
-
-    def count(
-        self,
-        situation: Situation,
-        motion: Motion,
-        loads: Loads,
-        frames: Frames,
-        period: float,
-        worlds: IntArray,
-    ) -> None:
-        """Add a control step of some worlds (n,)."""
-        torques = frames.vectors_from_scene(loads.torques, frames.torque)
-        power = -(situation.contact_forces * motion.linear + torques * motion.angular).sum(axis=(1, 2))
-        self._now["cost"][worlds] = (loads.overpressures * frames.pressure)[worlds]
-        self._now["work"][worlds] = power[worlds] * period
-        self._violation[worlds] = (situation.peak_pressure > VIOLATION_PRESSURE)[worlds]
-        episode = self._episode
-        for name in self._STEP:
-            episode[name][worlds] += self._now[name][worlds]
-        episode["violation_time"][worlds] += period * self._violation[worlds]
-        for name, values in (("peak_force", situation.peak_force), ("peak_pressure", situation.peak_pressure)):
-            episode[name][worlds] = np.maximum(episode[name], values)[worlds]
-
-    def damaged(self, limit: float) -> BoolArray:
-        """(W,) whether an episode's cost exceeds a limit [Pa s]."""
-        return np.asarray(self._episode["cost"] > limit)
-
-    def info(self, worlds: IntArray, limit: float | None) -> Info:
-        """What there is to tell of some worlds (n,)."""
-        damaged = self.damaged(limit) if limit is not None else self._violation & False
-        return {
-            **{name: values[worlds] for name, values in self._now.items()},
-            "violation": self._violation[worlds],
-            "is_damaged": damaged[worlds],
-            **{f"episode_{name}": values[worlds] for name, values in self._episode.items()},
-        }
-
-
-def place_workspace(scene: Scene, rest_nodes: FloatArray, height: float) -> Workspace:
-    """The workspace above the organ's axis, its middle at a height above the organ's top [m]."""
-    x, y, _ = scene.organs[0].position
-    top = float(rest_nodes[:, 2].max())
-    return Workspace((x, y, top + height / scene.scale.length), scene.scale.length)
-
-
-def setting_of(
-    scene: Scene,
-    workspace: Workspace,
-    rest_nodes: FloatArray | None = None,
-    triangles: NDArray[np.int32] | None = None,
-    period: float = 0.05,
-) -> Setting:
-    """The setting of a scene, for its task.
-
-    Args:
-        scene: With one organ.
-        workspace: Where its tools may move; see `place_workspace`.
-        rest_nodes: (V, 3) of the organ [u]; as the scene has it, before it has come to rest, by default.
-        triangles: (T, 3) of the organ; its own by default.
-        period: Length of a control step [s].
+    Attributes:
+        definition: Scene and task; subclasses with an id have one.
     """
-    length = scene.scale.length
-    placed = scene.organs[0]
-    rest = np.array(placed.vertices) if rest_nodes is None else rest_nodes
-    grip = np.mean([tool.position for tool in scene.tools], axis=0)
-    ground = float(rest[:, 2].min()) if scene.ground is None else scene.ground.height
-    tools = tuple(
-        ToolShape(
-            vertices=np.array(tool.tool.vertices) * length,
-            orientation=np.array(tool.orientation),
-            offset=(np.array(tool.position) - grip) * length,
-            nodes=np.array(tool.tool.nodes) * length,
-            normals=np.array(tool.tool.normals),
-            face=np.array(tool.tool.face),
-            triangles=np.array(tool.tool.triangles),
-        )
-        for tool in scene.tools
-    )
-    return Setting(
-        rest_nodes=workspace.from_scene(rest),
-        triangles=np.array(placed.organ.triangles if triangles is None else triangles),
-        ground_height=float(workspace.from_scene((0.0, 0.0, ground))[2]),
-        tools=tools,
-        workspace_low=workspace.low,
-        workspace_high=workspace.high,
-        period=period,
-        organ=placed.organ,
-        organ_position=workspace.from_scene(placed.position),
-        length=length,
-    )
+
+    definition: ClassVar[Definition]
+    _episodes: Episodes
+
+    @property
+    def workspace(self) -> Workspace:
+        """The cube that the grip is kept in."""
+        return self._episodes.workspace
+
+    @property
+    def task(self) -> Task:
+        """What is asked."""
+        return self._episodes.task
+
+    @property
+    def control(self) -> VelocityControl:
+        """What an action means."""
+        return self._episodes.control
+
+    @property
+    def observation_builder(self) -> ObservationBuilder:
+        """How observations are laid out."""
+        return self._episodes.observation_builder
+
+    @property
+    def steps_per_action(self) -> int:
+        """Physics steps in a control step."""
+        return self._episodes.steps_per_action
+
+    @property
+    def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
+        """The sparse reward of goals, for hindsight replay: of (achieved_goal, desired_goal, info).
+
+        Goals are (..., G) and the result is (...); `info` is not looked at. There is no such attribute with
+        `reward="dense"`, because libraries tell by it which environments have the goal interface.
+        """
+        if self._episodes.settings.reward != "sparse":
+            raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
+        task = self.task
+
+        def compute(achieved: NDArray[Any], desired: NDArray[Any], info: Any) -> NDArray[np.float32]:
+            return task.compute_reward(achieved, desired)
+
+        return compute
 
 
 def _share_of_face(face: NDArray[np.int32]) -> FloatArray:

@@ -42,14 +42,12 @@ class FissureEnv(SpatulaEnv):
     towards the eye: those count that meet neither the organ nor the blade. Nothing is seen at rest, nor past a blade
     that is merely in the fissure: it has to be tilted like the line of sight, and the wall with it.
 
-    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+    `SpatulaEnv` tells what all environments have in common.
 
     ## Action Space
     The action space is a `Box(-1, 1, (4,), float32)`: velocities of the blade as fractions of `max_speed`, and the rate
-    of its tilt as a fraction of `max_rotation_rate`. They are constant for a whole step. The blade's middle is stopped
-    at the faces of its workspace, and its tilt at 0.6 rad to either side. It turns about its middle, 20 mm above its
-    lower edge. Numbers beyond the bounds are clipped; an action of the wrong shape or that is not finite is a
-    `ValueError`.
+    of its tilt as a fraction of `max_rotation_rate`. The tilt is stopped at 0.6 rad to either side. The blade turns
+    about its middle, 20 mm above its lower edge.
 
     | Num | Action                                 | Min | Max | Name       | Falcon | Unit                            |
     | --- | -------------------------------------- | --- | --- | ---------- | ------ | ------------------------------- |
@@ -61,13 +59,10 @@ class FissureEnv(SpatulaEnv):
     The fissure runs along x, to the operator's right. With `control="velocity_6d"` there are six numbers: the rates
     about y and z as well, as `rotation_y` and `rotation_z`; orientation and its rate have three numbers each then.
 
-    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the organ's top at
-    rest, on the organ's axis. All positions are relative to that middle. The axes are x to the operator's right, y away
-    from the operator and z up; a Falcon's are x to the right, y up and z towards the operator.
+    The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    With `obs_mode="state"` the observation is a `Box((80,), float32)` of the following parts; with `obs_mode="dict"` a
-    `Dict` of the same parts by name. Everything is in SI units, and is clipped to the bounds.
+    The observation is a `Box((80,), float32)` of these parts:
 
     | Num   | Observation                                             | Min     | Max    | Name               | Unit  |
     | ----- | ------------------------------------------------------- | ------- | ------ | ------------------ | ----- |
@@ -93,33 +88,23 @@ class FissureEnv(SpatulaEnv):
     | 78    | tilt of the line of sight minus the blade's             | -1.2    | 1.2    | error              | rad   |
     | 79    | share that is to be seen minus share that is seen       | -1      | 1      | error              | 1     |
 
-    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
-    velocities follow `max_speed` and `max_rotation_rate`. SI units make small numbers: normalise them for learning, for
-    instance with `gymnasium.wrappers.RescaleObservation`.
-
-    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and "desired_goal" are
-    (place, view, exposure) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`, the parts by name)
-    is what is left without "goal" and "error". What is achieved is the blade's place along the fissure, the blade's
-    tilt, and the share of the target that is seen.
+    With `reward="sparse"` goals are (place, view, exposure). What is achieved is the blade's place along the fissure,
+    the blade's tilt, and the share of the target that is seen.
 
     ## Rewards
     A step is *within tolerance* if at least the share asked for is seen, the blade's middle is within 8 mm of the
     target along the fissure, and the blade's tilt within 0.1 rad of the line of sight.
 
-    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
-      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+    The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
-      | Name     | Weight | Term                                                                                |
-      | -------- | ------ | ----------------------------------------------------------------------------------- |
-      | reach    | 0.15   | $t(d, 15\,mm)$, d from the blade's lower edge to 3 mm above, 2 mm beside the target |
-      | align    | 0.15   | reach times $t(a, 0.15\,rad)$, a the angle between the blade and the sight          |
-      | exposure | 0.2    | share of the target that is seen, as a part of that asked for, 1 at most            |
-      | hold     | 0.5    | 1 within tolerance, 0 elsewhere                                                     |
-      | force    | -0.1   | magnitude of the contact force [N]                                                  |
-      | action   | -0.01  | squared length of the action                                                        |
-
-    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
-      gives it for any goals, one or many, as hindsight replay needs.
+    | Name     | Weight | Term                                                                                |
+    | -------- | ------ | ----------------------------------------------------------------------------------- |
+    | reach    | 0.15   | $t(d, 15\,mm)$, d from the blade's lower edge to 3 mm above, 2 mm beside the target |
+    | align    | 0.15   | reach times $t(a, 0.15\,rad)$, a the angle between the blade and the sight          |
+    | exposure | 0.2    | share of the target that is seen, as a part of that asked for, 1 at most            |
+    | hold     | 0.5    | 1 within tolerance, 0 elsewhere                                                     |
+    | force    | -0.1   | magnitude of the contact force [N]                                                  |
+    | action   | -0.01  | squared length of the action                                                        |
 
     ## Starting State
     The organ is at rest. The target's middle is within 10 mm of the fissure's, uniformly; the line of sight is tilted
@@ -130,14 +115,7 @@ class FissureEnv(SpatulaEnv):
     `reset(options={"goal": (place, view, exposure), "tool_position": (x, y, z)})` replaces either of them.
 
     ## Episode End
-    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and stays
-    true until the next reset.
-
-    ### Termination
-    Never, unless `terminate_on_success` or `damage_limit` is set.
-
-    ### Truncation
-    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `exposure`, the share of the target that is seen;
@@ -145,8 +123,7 @@ class FissureEnv(SpatulaEnv):
     [m]; and `view_error`, the angle between the blade's tilt and the line of sight's [rad].
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `FissureConfig`. `gymnasium.make_vec("Spatula/Fissure-v0",
-    num_envs=64)` makes as many environments that are stepped together, with the batch engine. Another default has
+    Those of `SpatulaEnv`; `task` changes fields of `FissureConfig`. Another default has
 
     | Parameter   | Type      | Default | Description                          |
     | ----------- | --------- | ------- | ------------------------------------ |

@@ -11,7 +11,7 @@ from spatula_env.geometry.rotations import conjugate, from_rotation_vector, mult
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from spatula_env.envs.control import Workspace
+    from spatula_env.envs.workspace import Workspace
     from spatula_env.scenes import Scale
 
     FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from spatula_env.envs.episodes import Episodes, Pictures
-    from spatula_env.tasks.base import IntArray
+    from spatula_env.tasks.situation import IntArray
 
 
 def observed_pictures(episodes: Episodes) -> Pictures:

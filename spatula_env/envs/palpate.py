@@ -36,13 +36,11 @@ class PalpateEnv(SpatulaEnv):
     spatula's faces. The organ is round, slips under the spatula and is stiffer in some places than in others, so the
     force has to be regulated.
 
-    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+    `SpatulaEnv` tells what all environments have in common.
 
     ## Action Space
-    The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It
-    moves with constant velocity for a whole step and is stopped at the faces of its workspace. It does not turn;
-    with `control="velocity_6d"`, which has six numbers, it does. Numbers beyond the bounds are clipped; an action of
-    the wrong shape or that is not finite is a `ValueError`.
+    The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It does not
+    turn; with `control="velocity_6d"`, which has six numbers, it does.
 
     | Num | Action                           | Min | Max | Name       | Falcon | Unit                   |
     | --- | -------------------------------- | --- | --- | ---------- | ------ | ---------------------- |
@@ -50,15 +48,10 @@ class PalpateEnv(SpatulaEnv):
     | 1   | velocity away from the operator  | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s) |
     | 2   | velocity upwards                 | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s) |
 
-    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the
-    organ's top at rest, on the organ's axis. All positions are relative to that middle. The axes are x to the
-    operator's right, y away from the operator and z up; a Falcon's are x to the right, y up and z towards the
-    operator.
+    The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    With `obs_mode="state"` the observation is a `Box((100,), float32)` of the following parts; with
-    `obs_mode="dict"` a `Dict` of the same parts by name. Everything is in SI units, and is clipped to the
-    bounds.
+    The observation is a `Box((100,), float32)` of these parts:
 
     | Num   | Observation                                          | Min     | Max    | Name             | Unit |
     | ----- | ---------------------------------------------------- | ------- | ------ | ---------------- | ---- |
@@ -86,32 +79,22 @@ class PalpateEnv(SpatulaEnv):
     The 5 points of the path lie 0, 1/8, 1/4, 3/8 and 1/2 of its length ahead of the farthest place that has been felt,
     on the organ at rest, or at the path's end.
 
-    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
-    velocity follow `max_speed`. SI units make small numbers: normalise them for learning, for instance with
-    `gymnasium.wrappers.RescaleObservation`.
-
-    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and
-    "desired_goal" are (share, x, y, force) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`,
-    the parts by name) is what is left without "goal" and "error".
+    With `reward="sparse"` goals are (share, x, y, force). The share achieved is that felt so far, in the band of the
+    episode.
 
     ## Rewards
     A step is *within tolerance* if as much of the path has been felt as is asked for, the spatula's middle is within
     2 mm of the path's end, horizontally, and the normal force is in the band.
 
-    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
-      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+    The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
-      | Name   | Weight | Term                                                                             |
-      | ------ | ------ | -------------------------------------------------------------------------------- |
-      | reach  | 0.1    | $t(d, 20\,mm)$, d from the spatula's underside to the first of the 5 points      |
-      | force  | 0.1    | $t(f, 0.1\,N) \, t(p, 3\,mm)$, f the force's error, p the distance from the path |
-      | felt   | 0.3    | share felt by share asked for, 1 at most                                         |
-      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                                  |
-      | action | -0.01  | squared length of the action                                                     |
-
-    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
-      gives it for any goals, one or many, as hindsight replay needs. The share achieved is that felt so far, in the
-      band of the episode.
+    | Name   | Weight | Term                                                                             |
+    | ------ | ------ | -------------------------------------------------------------------------------- |
+    | reach  | 0.1    | $t(d, 20\,mm)$, d from the spatula's underside to the first of the 5 points      |
+    | force  | 0.1    | $t(f, 0.1\,N) \, t(p, 3\,mm)$, f the force's error, p the distance from the path |
+    | felt   | 0.3    | share felt by share asked for, 1 at most                                         |
+    | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                                  |
+    | action | -0.01  | squared length of the action                                                     |
 
     ## Starting State
     The organ is at rest. The path's ends are 30 to 40 mm apart, in any direction, the middle between them in a disc of
@@ -123,14 +106,7 @@ class PalpateEnv(SpatulaEnv):
     then ends there, and comes from beyond the organ's axis.
 
     ## Episode End
-    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and
-    stays true until the next reset.
-
-    ### Termination
-    Never, unless `terminate_on_success` or `damage_limit` is set.
-
-    ### Truncation
-    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
     ## Info
     Besides what every environment tells (see `SpatulaEnv`):
@@ -144,9 +120,7 @@ class PalpateEnv(SpatulaEnv):
     | `end_distance` | horizontal distance of the spatula's middle from the path's end | m    |
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `PalpateConfig`.
-    `gymnasium.make_vec("Spatula/Palpate-v0", num_envs=64)` makes as many environments that are stepped together,
-    with the batch engine. The default of one option is another:
+    Those of `SpatulaEnv`; `task` changes fields of `PalpateConfig`. Another default has
 
     | Parameter   | Type      | Default | Description                          |
     | ----------- | --------- | ------- | ------------------------------------ |

@@ -13,8 +13,8 @@ from spatula_env.render.moment import Moment
 from spatula_env.tasks.marks import Mark, Patch, Path, Points, Ring
 
 if TYPE_CHECKING:
-    from spatula_env.envs.control import Workspace
     from spatula_env.envs.episodes import Episodes
+    from spatula_env.envs.workspace import Workspace
     from spatula_env.render.scene_view import SceneView
     from spatula_env.render.window import Window
 
@@ -62,7 +62,7 @@ class EpisodePictures:
 
         Returns:
             Pictures (n, height, width, 3) and their depth (n, height, width), the distance along the optical axis of
-            what is nearest in each pixel [m]. Where there is nothing, depth is that of the horizon, `horizon`.
+            what is nearest in each pixel [m]. Where there is nothing, depth is that of the camera's far plane.
 
         Raises:
             ValueError: If the size is not that of a picture.
@@ -79,13 +79,6 @@ class EpisodePictures:
             _, depth[:] = self._sensor.draw_rgbd(moment, out=picture)
         depths *= np.float32(self._episodes.workspace.length)
         return pictures, depths
-
-    @property
-    def horizon(self) -> float:
-        """Depth of a pixel of `rgbd` in which nothing is seen [m]; no depth is greater."""
-        if self._sensor is None:
-            self._sensor = self._make_view(levels=0 if max(self._size) <= 160 else None)
-        return float(np.float32(self._sensor.camera.far) * np.float32(self._episodes.workspace.length))
 
     def show(self, world: int = 0) -> None:
         """Show one world in a window, and wait until it is time for the next picture.

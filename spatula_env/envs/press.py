@@ -32,13 +32,11 @@ class PressEnv(SpatulaEnv):
     height now. The organ sinks, sways and gives way around the spatula: in the middle, its surface goes up to
     3 mm deeper than the spatula does, and how much depends on the place. The depth has to be regulated.
 
-    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+    `SpatulaEnv` tells what all environments have in common.
 
     ## Action Space
-    The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It
-    moves with constant velocity for a whole step and is stopped at the faces of its workspace. The spatula
-    does not turn; with `control="velocity_6d"`, which has six numbers, it does. Numbers beyond the bounds are
-    clipped; an action of the wrong shape or that is not finite is a `ValueError`.
+    The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It does not
+    turn; with `control="velocity_6d"`, which has six numbers, it does.
 
     | Num | Action                           | Min | Max | Name       | Falcon | Unit                  |
     | --- | -------------------------------- | --- | --- | ---------- | ------ | --------------------- |
@@ -46,15 +44,10 @@ class PressEnv(SpatulaEnv):
     | 1   | velocity away from the operator  | -1  | 1   | velocity_y | -z     | `max_speed` (0.1 m/s) |
     | 2   | velocity upwards                 | -1  | 1   | velocity_z | y      | `max_speed` (0.1 m/s) |
 
-    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 25 mm above the
-    organ's top at rest, on the organ's axis. All positions are relative to that middle. The axes are x to the
-    operator's right, y away from the operator and z up; a Falcon's are x to the right, y up and z towards the
-    operator.
+    The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    With `obs_mode="state"` the observation is a `Box((71,), float32)` of the following parts; with
-    `obs_mode="dict"` a `Dict` of the same parts by name. Everything is in SI units, and is clipped to the
-    bounds.
+    The observation is a `Box((71,), float32)` of these parts:
 
     | Num   | Observation                                     | Min     | Max    | Name             | Unit |
     | ----- | ----------------------------------------------- | ------- | ------ | ---------------- | ---- |
@@ -73,32 +66,23 @@ class PressEnv(SpatulaEnv):
     | 68-69 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error            | m    |
     | 70    | depth asked for minus depth there               | -0.09   | 0.09   | error            | m    |
 
-    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The organ
-    lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
-    The bounds of the velocity follow `max_speed`. SI units make small numbers: normalise them for learning,
-    for instance with `gymnasium.wrappers.RescaleObservation`.
+    The organ lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
 
-    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and
-    "desired_goal" are (x, y, depth) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`,
-    the parts by name) is what is left without "goal" and "error".
+    With `reward="sparse"` goals are (x, y, depth).
 
     ## Rewards
     A step is *within tolerance* if the spatula's middle is within 2 mm of the place, horizontally, and the
     depth is within 1 mm of the goal's.
 
-    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
-      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+    The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
-      | Name   | Weight | Term                                                               |
-      | ------ | ------ | ------------------------------------------------------------------ |
-      | reach  | 0.25   | $t(d, 20\,mm)$, d from the spatula's underside to the target point |
-      | depth  | 0.25   | $t(d, 3\,mm) \, t(p, 3\,mm)$, d the depth's error, p the place's   |
-      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                    |
-      | force  | -0.002 | magnitude of the contact force [N]                                 |
-      | action | -0.01  | squared length of the action                                       |
-
-    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
-      gives it for any goals, one or many, as hindsight replay needs.
+    | Name   | Weight | Term                                                               |
+    | ------ | ------ | ------------------------------------------------------------------ |
+    | reach  | 0.25   | $t(d, 20\,mm)$, d from the spatula's underside to the target point |
+    | depth  | 0.25   | $t(d, 3\,mm) \, t(p, 3\,mm)$, d the depth's error, p the place's   |
+    | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                    |
+    | force  | -0.002 | magnitude of the contact force [N]                                 |
+    | action | -0.01  | squared length of the action                                       |
 
     ## Starting State
     The organ is at rest. The place is uniform in a disc of 15 mm radius around the organ's axis, the depth
@@ -108,21 +92,13 @@ class PressEnv(SpatulaEnv):
     `reset(options={"goal": (x, y, depth), "tool_position": (x, y, z)})` replaces either of them [m].
 
     ## Episode End
-    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and
-    stays true until the next reset.
-
-    ### Termination
-    Never, unless `terminate_on_success` or `damage_limit` is set.
-
-    ### Truncation
-    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `depth`, `depth_error` and `place_error` [m].
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `PressConfig`. `gymnasium.make_vec("Spatula/Press-v0", num_envs=64)`
-    makes as many environments that are stepped together, with the batch engine.
+    Those of `SpatulaEnv`; `task` changes fields of `PressConfig`.
 
     ## Version History
     * v0: first version.

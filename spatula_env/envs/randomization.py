@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.tasks.base import check_range
+from spatula_env.tasks.configuration import check_range
+
+if TYPE_CHECKING:
+    from spatula_env.envs.frames import Frames
+    from spatula_env.scenes import Scene
+    from spatula_env.sim.worlds import Worlds
+    from spatula_env.tasks.situation import FloatArray, IntArray, Setting
 
 Ranges = Mapping[str, tuple[float, float]]
 """Least and greatest value of each thing that is drawn at random, uniformly, in each episode."""
@@ -125,3 +132,106 @@ def draw(ranges: Ranges, generator: np.random.Generator) -> dict[str, float]:
         else:
             values[name] = float(generator.uniform(low, high))
     return values
+
+
+class Variation:
+    """What W worlds differ in: draws it at the beginning of episodes, and tells what follows from it.
+
+    Attributes:
+        drawn: (W,) each, by the names in `NEUTRAL`.
+        settings: Where the task of each world is asked.
+        rest_nodes: (W, V, 3) the organs at rest, or (1, V, 3) where nothing is drawn [m].
+        tool_scale: (W,) factor on the tools' lengths.
+    """
+
+    def __init__(
+        self, ranges: Ranges, noise: float, scene: Scene, setting: Setting, frames: Frames, worlds: Worlds
+    ) -> None:
+        """All worlds alike.
+
+        Args:
+            ranges: Of what is drawn.
+            noise: Factor on the standard deviations of measurements, where it is not drawn.
+            scene: Of all worlds.
+            setting: What they have in common.
+            frames: Where and how large the organs are; written.
+            worlds: The physics, everything at rest.
+        """
+        self._ranges, self._scene, self._setting, self._frames, self._worlds = ranges, scene, setting, frames, worlds
+        count = worlds.count
+        self._rest = np.array(worlds.nodes[0])
+        self._noisy = noise > 0.0
+        self._generators: list[np.random.Generator | None] = [None] * count
+        self.drawn = {name: np.full(count, value) for name, value in NEUTRAL.items()}
+        self.drawn["sensor_noise"][:] = noise
+        self.settings = [setting] * count
+        self.rest_nodes: FloatArray = setting.rest_nodes[None]
+        self.tool_scale: FloatArray = np.ones(count)
+
+    def draw(self, generators: Mapping[int, np.random.Generator]) -> None:
+        """Draw what differs from episode to episode.
+
+        Args:
+            generators: The worlds in which episodes begin, and where the randomness of each comes from.
+        """
+        ranges = self._ranges
+        if not ranges and not self._noisy:
+            return
+        for world, generator in generators.items():
+            # A generator of its own: goals and starts are then those of an environment without all this, and do not
+            # depend on how long the episode before was.
+            (child,) = generator.spawn(1)
+            self._generators[world] = child
+            for name, value in draw(ranges, child).items():
+                if name in ranges:
+                    self.drawn[name][world] = value
+        if not ranges:
+            return
+        worlds = np.fromiter(generators, dtype=np.int64)
+        drawn = {name: values[worlds] for name, values in self.drawn.items()}
+        self._frames.set(
+            worlds,
+            shift=np.stack([drawn["organ_x"], drawn["organ_y"]], axis=1),
+            yaw=drawn["organ_yaw"],
+            size=drawn["organ_size"],
+            stiffness=drawn["stiffness"],
+        )
+        self.tool_scale[worlds] = drawn["tool_size"]
+        if {"friction", "tool_size", "organ_size"} & set(ranges):
+            self._worlds.vary(drawn["friction"], drawn["tool_size"] / drawn["organ_size"], worlds)
+        for world in worlds.tolist():
+            self.settings[world] = self._setting_in(world)
+        self.rest_nodes = np.stack([setting.rest_nodes for setting in self.settings])
+
+    def rest_of(self, worlds: IntArray) -> FloatArray:
+        """(n, V, 3) the organs of some worlds (n,) at rest, or (1, V, 3) where nothing is drawn [m]."""
+        return self.rest_nodes[worlds] if self._ranges else self.rest_nodes
+
+    def sensor_noise(self, worlds: IntArray, size: int) -> FloatArray | None:
+        """Errors of measurement in some worlds (n,), in standard deviations: (n, size), or None if there are none."""
+        deviations = self.drawn["sensor_noise"][worlds]
+        if not (deviations > 0.0).any():
+            return None
+        errors = []
+        for world in worlds.tolist():
+            generator = self._generators[world]
+            assert generator is not None
+            errors.append(generator.standard_normal(size))
+        return np.asarray(deviations[:, None] * np.stack(errors))
+
+    def _setting_in(self, world: int) -> Setting:
+        """The setting of a world whose organ and tools have been drawn."""
+        scene, frames, at, tool_size = self._scene, self._frames, np.array([world]), float(self.tool_scale[world])
+        organ_position = np.array([[scene.organs[0].position]])
+        ground = (0.0, 0.0, self._rest[:, 2].min() if scene.ground is None else scene.ground.height)
+        return replace(
+            self._setting,
+            rest_nodes=np.ascontiguousarray(frames.points_from_scene(self._rest[None], at)[0]),
+            ground_height=float(frames.points_from_scene(np.array([[ground]]), at)[0, 0, 2]),
+            tools=tuple(
+                replace(tool, vertices=tool.vertices * tool_size, nodes=tool.nodes * tool_size)
+                for tool in self._setting.tools
+            ),
+            organ_position=frames.points_from_scene(organ_position, at)[0, 0],
+            length=float(frames.length[world]),
+        )

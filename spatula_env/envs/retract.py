@@ -37,13 +37,11 @@ class RetractEnv(SpatulaEnv):
     does; and the blade moves it along the fold only by friction, and slips if it is drawn along too far. It takes
     0.06 to 0.2 N.
 
-    Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
+    `SpatulaEnv` tells what all environments have in common.
 
     ## Action Space
-    The action space is a `Box(-1, 1, (3,), float32)`: the blade's velocity as a fraction of `max_speed`. It
-    moves with constant velocity for a whole step and is stopped at the faces of its workspace. It does not turn;
-    with `control="velocity_6d"`, which has six numbers, it does. Numbers beyond the bounds are clipped; an action of
-    the wrong shape or that is not finite is a `ValueError`.
+    The action space is a `Box(-1, 1, (3,), float32)`: the blade's velocity as a fraction of `max_speed`. It does not
+    turn; with `control="velocity_6d"`, which has six numbers, it does.
 
     | Num | Action                           | Min | Max | Name       | Falcon | Unit                   |
     | --- | -------------------------------- | --- | --- | ---------- | ------ | ---------------------- |
@@ -51,15 +49,10 @@ class RetractEnv(SpatulaEnv):
     | 1   | velocity away from the operator  | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s) |
     | 2   | velocity upwards                 | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s) |
 
-    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm, its middle 20 mm above the
-    organ's top at rest, on the organ's axis. All positions are relative to that middle. The axes are x to the
-    operator's right, y away from the operator and z up; a Falcon's are x to the right, y up and z towards the
-    operator.
+    The workspace's middle is 20 mm above the organ's top at rest.
 
     ## Observation Space
-    With `obs_mode="state"` the observation is a `Box((79,), float32)` of the following parts; with
-    `obs_mode="dict"` a `Dict` of the same parts by name. Everything is in SI units, and is clipped to the
-    bounds.
+    The observation is a `Box((79,), float32)` of these parts:
 
     | Num   | Observation                                          | Min     | Max    | Name             | Unit |
     | ----- | ---------------------------------------------------- | ------- | ------ | ---------------- | ---- |
@@ -82,30 +75,20 @@ class RetractEnv(SpatulaEnv):
     The patch is what is within 9 mm of its middle on the flank; its position and its displacement are weighted means of
     its nodes', and nodes nearer its middle count for more.
 
-    The 16 nodes are spread over the upper half by farthest-point sampling, and always the same. The bounds of the
-    velocity follow `max_speed`. SI units make small numbers: normalise them for learning, for instance with
-    `gymnasium.wrappers.RescaleObservation`.
-
-    With `reward="sparse"` the observation is a `Dict` with the goal interface: "achieved_goal" and
-    "desired_goal" are the displacement (x, y) with the bounds of "goal", and "observation" (or, with `obs_mode="dict"`,
-    the parts by name) is what is left without "goal" and "error".
+    With `reward="sparse"` goals are displacements (x, y).
 
     ## Rewards
     A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally.
 
-    - `reward="dense"` (default): the weighted sum of these terms, which `info` holds before weighting, each
-      under the key `"reward/<name>"`. With $t(d, s) = 1 - \tanh(d / s)$,
+    The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
-      | Name   | Weight | Term                                                                                |
-      | ------ | ------ | ----------------------------------------------------------------------------------- |
-      | reach  | 0.25   | $t(d, 20\,mm)$, d from the blade to where it touches the patch, its edge 8 mm below |
-      | shift  | 0.25   | $t(d, 3\,mm)$, d from the patch's displacement to the goal                          |
-      | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                                     |
-      | force  | -0.02  | magnitude of the contact force [N]                                                  |
-      | action | -0.01  | squared length of the action                                                        |
-
-    - `reward="sparse"`: 0 within tolerance, -1 elsewhere. `compute_reward(achieved_goal, desired_goal, info)`
-      gives it for any goals, one or many, as hindsight replay needs.
+    | Name   | Weight | Term                                                                                |
+    | ------ | ------ | ----------------------------------------------------------------------------------- |
+    | reach  | 0.25   | $t(d, 20\,mm)$, d from the blade to where it touches the patch, its edge 8 mm below |
+    | shift  | 0.25   | $t(d, 3\,mm)$, d from the patch's displacement to the goal                          |
+    | hold   | 0.5    | 1 within tolerance, 0 elsewhere                                                     |
+    | force  | -0.02  | magnitude of the contact force [N]                                                  |
+    | action | -0.01  | squared length of the action                                                        |
 
     ## Starting State
     The organ is at rest. The patch is on the left or on the right flank with equal chance, its middle within 8 mm of
@@ -117,14 +100,7 @@ class RetractEnv(SpatulaEnv):
     flank from which the goal leads into the fold.
 
     ## Episode End
-    Success is to have been within tolerance for 10 steps (0.5 s) in a row. `info["is_success"]` tells it, and
-    stays true until the next reset.
-
-    ### Termination
-    Never, unless `terminate_on_success` or `damage_limit` is set.
-
-    ### Truncation
-    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+    Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
     ## Info
     Besides what every environment tells (see `SpatulaEnv`):
@@ -135,9 +111,7 @@ class RetractEnv(SpatulaEnv):
     | `shift_error` | distance of its displacement from the goal           | m    |
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `RetractConfig`.
-    `gymnasium.make_vec("Spatula/Retract-v0", num_envs=64)` makes as many environments that are stepped together,
-    with the batch engine. The default of one option is another:
+    Those of `SpatulaEnv`; `task` changes fields of `RetractConfig`. Another default has
 
     | Parameter   | Type      | Default | Description                          |
     | ----------- | --------- | ------- | ------------------------------------ |

@@ -11,12 +11,13 @@ import numpy as np
 
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.randomization import DEFAULT_RANGES, Ranges, read_ranges
-from spatula_env.geometry.checks import check_count, check_positive
-from spatula_env.tasks.base import config_from_mapping
+from spatula_env.geometry.checks import check_count, check_not_negative, check_positive
+from spatula_env.tasks.configuration import config_from_mapping
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
-    from spatula_env.tasks.base import Setting, Task
+    from spatula_env.tasks.base import Task
+    from spatula_env.tasks.situation import Setting
 
 OBS_MODES = ("state", "dict", "rgb", "rgbd", "pointcloud")
 """How observations can be laid out; see `ObservationBuilder`."""
@@ -50,8 +51,7 @@ class ObservationSettings:
 
     def __post_init__(self) -> None:
         """Check the values, and take a list as it comes from a file."""
-        if not 0.0 <= self.noise < np.inf:
-            raise ValueError(f"observation.noise must be zero or more and finite, got {self.noise!r}")
+        check_not_negative(self.noise, "observation.noise")
         check_count(self.delay, "observation.delay", 0)
         check_count(self.history, "observation.history", 1)
         check_count(self.organ_points, "observation.organ_points", 1)

@@ -2,44 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
-from spatula_env.envs.control import VelocityControl, Workspace, as_action
-from spatula_env.envs.episodes import Episodes
-from spatula_env.envs.observations import Observation, ObservationBuilder, first_of
+from spatula_env.envs.control import as_action
+from spatula_env.envs.episodes import Episodes, EpisodesEnv
+from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
-from spatula_env.envs.settings import RENDER_MODES, Definition
+from spatula_env.envs.settings import RENDER_MODES
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 from spatula_env.sim.worlds import SeparateWorlds
-from spatula_env.tasks.base import FloatArray, Task
+from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
 
-class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     r"""Any task, in any scene with one organ, for one agent.
 
     Environments with an id, such as `PressEnv`, are this class with a `Definition`: a scene and a task. They share all
-    that follows. `SpatulaVectorEnv` is the same for many worlds at once.
+    that follows. `SpatulaVectorEnv` is the same for many worlds at once, which `gymnasium.make_vec(id, num_envs=64)`
+    makes. Physics runs at 240 Hz and control at 20 Hz: a step lasts 50 ms, and the 200 steps of an episode 10 s.
 
     ## Action Space
     `control="velocity"` is what the task needs, and `control="velocity_6d"` moves along and turns about all three axes
-    (and opens and closes jaws, where there are any). An action is a vector of fractions of the greatest velocities.
-    What would lead out of the workspace, or turn or open the tools too far, is cut to what just reaches the limit. No
-    point of a tool gets below a stop above the ground, which each task has where tissue is held.
-    Numbers beyond -1 and 1 are clipped; an action of the wrong shape or that is not finite is a `ValueError`.
+    (and opens and closes jaws, where there are any). An action is a vector of fractions of the greatest velocities,
+    which are kept for a whole step. What would lead out of the workspace, or turn or open the tools too far, is cut to
+    what just reaches the limit. No point of a tool gets below a stop above the ground, which each task has where tissue
+    is held. Numbers beyond -1 and 1 are clipped; an action of the wrong shape or that is not finite is a `ValueError`.
+
+    The workspace is that of a Novint Falcon, one to one: a cube of 101.6 mm over the organ's axis. All positions are
+    relative to its middle: x to the operator's right, y away from the operator and z up. A Falcon's axes are x to the
+    right, y up and z towards the operator; the tasks' tables tell which of them moves what.
 
     ## Observation Space
-    All positions are in the workspace frame [m]: x to the operator's right, y away from the operator, z up. Every
-    number is clipped to the bounds of its space, which are finite.
+    Everything is in SI units, positions in the frame of the workspace. Every number is clipped to the bounds of its
+    space, which are finite; those of velocities follow `max_speed`, `max_rotation_rate` and `max_jaw_speed`. SI units
+    make small numbers: normalise them for learning, for instance with `gymnasium.wrappers.RescaleObservation`.
 
     | `obs_mode`   | Observation                                                                                     |
     | ------------ | ----------------------------------------------------------------------------------------------- |
@@ -49,7 +54,9 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     | `rgbd`       | `depth` (84, 84, 1) as well, the distance from the camera's plane [m], at most 1 m              |
     | `pointcloud` | `organ` (256, 3) and `tool` (64, 3), always the same points of the surfaces [m], and `state`    |
 
-    `state` then holds, in this order, the pose and the velocity of the tools, force and torque on them, and the goal.
+    The 16 nodes of the organ whose displacement is observed are spread over its upper half by farthest-point sampling,
+    and always the same. Where there are pictures or points, `state` holds, in this order, the pose and the velocity of
+    the tools, force and torque on them, and the goal.
 
     With `reward="sparse"` observations are dictionaries with Gymnasium-Robotics' goal interface: "achieved_goal" and
     "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal.
@@ -73,8 +80,9 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     | the action                     | `action`                         |
 
     ## Rewards
-    `reward="dense"`: the weighted sum of the task's terms. `reward="sparse"`: 0 within tolerance, -1 elsewhere;
-    `compute_reward(achieved_goal, desired_goal, info)` gives it for any goals, one or many, as hindsight replay needs.
+    `reward="dense"`: the weighted sum of the task's terms, which `info` holds before weighting. `reward="sparse"`: 0
+    within tolerance, -1 elsewhere; `compute_reward(achieved_goal, desired_goal, info)` gives it for any goals, one or
+    many, as hindsight replay needs.
 
     ## Safety
     Pressure is a channel of its own and never a part of the reward. The *cost* of a step is the integral over time of
@@ -84,7 +92,8 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     cost exceeds it.
 
     ## Episode End
-    Success is to have been within tolerance for `hold_time` without a break.
+    Success is to have been within tolerance for `hold_time` without a break; `info["is_success"]` stays true until the
+    next reset.
 
     ### Termination
     By success if `terminate_on_success` is set, and by damage if `damage_limit` is; else never.
@@ -166,8 +175,6 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     # Not a ClassVar: Gymnasium lets an environment have metadata of its own.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
-
-    definition: ClassVar[Definition]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Let Python tell what arguments there are."""
@@ -272,44 +279,10 @@ class SpatulaEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episodes.close()
 
     @property
-    def workspace(self) -> Workspace:
-        """The cube that the tool's position is kept in."""
-        return self._episodes.workspace
-
-    @property
-    def task(self) -> Task:
-        """What is asked."""
-        return self._episodes.task
-
-    @property
-    def control(self) -> VelocityControl:
-        """What an action means."""
-        return self._episodes.control
-
-    @property
-    def observation_builder(self) -> ObservationBuilder:
-        """How observations are laid out."""
-        return self._episodes.observation_builder
-
-    @property
-    def steps_per_action(self) -> int:
-        """Physics steps in a control step."""
-        return self._episodes.steps_per_action
-
-    @property
     def goal(self) -> FloatArray:
         """(G,) what is asked in this episode (a copy)."""
         goal: FloatArray = self._episodes.goals[0].copy()
         return goal
-
-    @property
-    def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
-        """The sparse reward of goals, for hindsight replay: of (achieved_goal, desired_goal, info).
-
-        Goals are (..., G) and the result is (...); `info` is not looked at. There is no such attribute with
-        `reward="dense"`, because libraries tell by it which environments have the goal interface.
-        """
-        return self._episodes.compute_reward
 
     def _show(self) -> None:
         if self.render_mode == "human":

@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 import operator
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
@@ -15,15 +15,15 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from spatula_env.envs.control import VelocityControl, Workspace, as_actions
-from spatula_env.envs.episodes import START_OPTIONS, Episodes, Info
-from spatula_env.envs.observations import Observation, ObservationBuilder
+from spatula_env.envs.control import as_actions
+from spatula_env.envs.episodes import START_OPTIONS, Episodes, EpisodesEnv, Info
+from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
-from spatula_env.envs.settings import Definition, check_choice
+from spatula_env.envs.settings import check_choice
 from spatula_env.geometry.checks import check_count
 from spatula_env.sim.worlds import Worlds, make_worlds
-from spatula_env.tasks.base import BoolArray, FloatArray, Task
+from spatula_env.tasks.situation import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from spatula_env.sim.worlds import IntArray
@@ -34,7 +34,7 @@ AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
 StepResult = tuple[Observation, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
 
-class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
     r"""Any task, in many worlds of a scene with one organ.
 
     World k of an environment seeded with s goes through the same episodes as a `SpatulaEnv` seeded with s + k, up to
@@ -60,8 +60,6 @@ class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
         definition: Scene and task; subclasses have one.
         settings: All options.
     """
-
-    definition: ClassVar[Definition]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Let Python tell what arguments there are."""
@@ -211,39 +209,9 @@ class SpatulaVectorEnv(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]
         return self._episodes.worlds
 
     @property
-    def workspace(self) -> Workspace:
-        """The cube that the tools' positions are kept in."""
-        return self._episodes.workspace
-
-    @property
-    def task(self) -> Task:
-        """What is asked."""
-        return self._episodes.task
-
-    @property
-    def control(self) -> VelocityControl:
-        """What an action means."""
-        return self._episodes.control
-
-    @property
-    def observation_builder(self) -> ObservationBuilder:
-        """How observations are laid out."""
-        return self._episodes.observation_builder
-
-    @property
-    def steps_per_action(self) -> int:
-        """Physics steps in a control step."""
-        return self._episodes.steps_per_action
-
-    @property
     def goals(self) -> FloatArray:
         """(W, G) what is asked in each world's episode (a copy) [m]."""
         return self._episodes.goals.copy()
-
-    @property
-    def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
-        """The sparse reward of goals, for hindsight replay; see `SpatulaEnv.compute_reward`."""
-        return self._episodes.compute_reward
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]

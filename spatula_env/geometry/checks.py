@@ -21,6 +21,20 @@ def check_positive(value: float, name: str) -> None:
         raise ValueError(f"{name} must be positive and finite, got {value!r}")
 
 
+def check_not_negative(value: float, name: str) -> None:
+    """Check that a number is zero or more, and finite.
+
+    Args:
+        value: The number.
+        name: What to call it in the error message.
+
+    Raises:
+        ValueError: If it is not.
+    """
+    if not (math.isfinite(value) and value >= 0.0):
+        raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
+
+
 def check_count(value: int, name: str, least: int) -> None:
     """Check that a number is an integer, and not too small.
 

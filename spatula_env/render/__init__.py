@@ -1,8 +1,8 @@
 """Pictures without a window, by a small software rasteriser, and a window drawn with OpenGL.
 
-`Renderer` draws `Mesh` and `Segments` seen by a `Camera`, on a `Ground`, as bytes and depth. `SceneView` draws a
-`Moment` of a scene with it, and `Window` shows one. Importing this package loads neither Numba nor pyglet: kernels are
-compiled, or taken from Numba's cache, when one of the three is first asked for.
+`Renderer` draws `Mesh`es seen by a `Camera`, on a `Ground`, as bytes and depth. `SceneView` draws a `Moment` of a scene
+with it, and `Window` shows one. Importing this package loads neither Numba nor pyglet: kernels are compiled, or taken
+from Numba's cache, when one of the three is first asked for.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from spatula_env.render.primitives import (
     Lighting,
     Material,
     Mesh,
-    Segments,
 )
-from spatula_env.render.shapes import arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh, tube_mesh
+from spatula_env.render.shapes import arrow_mesh, box_mesh, ring_mesh, sphere_mesh, tube_mesh
 
 if TYPE_CHECKING:
     from spatula_env.render.renderer import Renderer
@@ -52,11 +51,9 @@ __all__ = [
     "Moment",
     "Renderer",
     "SceneView",
-    "Segments",
     "Window",
     "arrow_mesh",
     "box_mesh",
-    "disc_mesh",
     "palette",
     "ring_mesh",
     "sphere_mesh",

@@ -43,9 +43,8 @@ CAPPED = 16
 CASTS = 32
 RECEIVES = 64
 TEXTURED = 128
-LINE = 256
-TRANSLUCENT = 512
-CORE = 1024  # not shown: what a section's rind leaves of the mesh
+TRANSLUCENT = 256
+CORE = 512  # not shown: what a section's rind leaves of the mesh
 
 # Columns of a mesh's parameters.
 OPACITY = 0

@@ -1,4 +1,4 @@
-"""What a picture is made of: meshes, lines, the ground, the background and the light."""
+"""What a picture is made of: meshes, the ground, the background and the light."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.geometry.checks import check_not_negative
 from spatula_env.geometry.transforms import as_vector3
 from spatula_env.render.camera import Vector, to_vector
-from spatula_env.render.palette import GOAL, IDLE, TISSUE, Color, to_color
+from spatula_env.render.palette import TISSUE, Color, to_color
 
 
 def _points(value: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -175,119 +176,6 @@ class Mesh:
         return replace(self, vertices=_points(vertices, "vertices"))
 
 
-@dataclass(frozen=True, eq=False)
-class Segments:
-    """Straight lines: trails, rings, axes, ray paths. They are not shaded and cast no shadow.
-
-    Attributes:
-        starts: u (S, 3).
-        ends: u (S, 3).
-        color: of all lines.
-        colors: (S, 3) in 0..1, instead of `color`.
-        width: in pixels or in u, above zero.
-        unit: "pixel" (as wide at every distance) or "world" (u, thinner with distance).
-        opacity: 0..1. Where lines of one object overlap, they do not darken each other.
-
-    Raises:
-        ValueError: if a shape or a range is wrong or a number is not finite.
-    """
-
-    starts: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    color: Color = IDLE
-    colors: NDArray[np.float64] | None = None
-    width: float = 2.0
-    unit: Literal["pixel", "world"] = "pixel"
-    opacity: float = 1.0
-
-    def __post_init__(self) -> None:
-        starts, ends = _points(self.starts, "starts"), _points(self.ends, "ends")
-        if starts.shape != ends.shape:
-            raise ValueError(f"starts and ends must have one shape, got {starts.shape} and {ends.shape}")
-        if not 0.0 < self.width < math.inf:
-            raise ValueError(f"width must be above zero and finite, got {self.width}")
-        if self.unit not in ("pixel", "world"):
-            raise ValueError(f"unit must be 'pixel' or 'world', got {self.unit!r}")
-        _check_unit(self.opacity, "opacity")
-        put = object.__setattr__
-        put(self, "starts", starts)
-        put(self, "ends", ends)
-        put(self, "color", to_color(self.color))
-        if self.colors is not None:
-            put(self, "colors", _colors(self.colors, len(starts), "colors"))
-
-    @classmethod
-    def polyline(
-        cls,
-        points: ArrayLike,
-        *,
-        closed: bool = False,
-        color: Color = IDLE,
-        colors: NDArray[np.float64] | None = None,
-        width: float = 2.0,
-        unit: Literal["pixel", "world"] = "pixel",
-        opacity: float = 1.0,
-    ) -> Segments:
-        """Lines from each point to the next.
-
-        Args:
-            points: u (P, 3); fewer than two make no line.
-            closed: join the last point to the first.
-            color: of all lines.
-            colors: one for each line, instead of `color`.
-            width: see the class.
-            unit: see the class.
-            opacity: see the class.
-
-        Returns:
-            P - 1 segments, or P if closed.
-        """
-        array = _points(points, "points")
-        ends = np.roll(array, -1, axis=0)
-        count = len(array) if closed else max(len(array) - 1, 0)
-        return cls(array[:count], ends[:count], color, colors, width, unit, opacity)
-
-    @classmethod
-    def circle(
-        cls,
-        center: ArrayLike,
-        radius: float,
-        normal: ArrayLike = (0.0, 0.0, 1.0),
-        *,
-        count: int = 64,
-        color: Color = GOAL,
-        width: float = 2.0,
-        unit: Literal["pixel", "world"] = "pixel",
-        opacity: float = 1.0,
-    ) -> Segments:
-        """A circle, such as the ring around a goal.
-
-        Args:
-            center: u (3,).
-            radius: u, above zero.
-            normal: of its plane (3,), any length but zero.
-            count: lines around it, 3 or more.
-            color: of the lines.
-            width: see the class.
-            unit: see the class.
-            opacity: see the class.
-
-        Returns:
-            `count` segments.
-
-        Raises:
-            ValueError: if an argument is out of its range.
-        """
-        if not 0.0 < radius < math.inf:
-            raise ValueError(f"radius must be above zero and finite, got {radius}")
-        if count < 3:
-            raise ValueError(f"count must be 3 or more, got {count}")
-        first, second, _ = perpendicular_axes(normal)
-        angle = 2.0 * np.pi * np.arange(count)[:, None] / count
-        points = as_vector3(center, "center") + radius * (np.cos(angle) * first + np.sin(angle) * second)
-        return cls.polyline(points, closed=True, color=color, width=width, unit=unit, opacity=opacity)
-
-
 @dataclass(frozen=True)
 class Ground:
     """The plane z = `height`, drawn without geometry; seen from below it is not there.
@@ -396,8 +284,7 @@ class Lighting:
         if self.key_direction[2] < 0.1:
             raise ValueError(f"key_direction must be above the horizon, got {self.key_direction}")
         for name in ("key", "fill", "ambient", "shadow_softness"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be zero or more and finite, got {getattr(self, name)}")
+            check_not_negative(getattr(self, name), name)
         _check_unit(self.shadow, "shadow")
 
 

@@ -12,8 +12,8 @@ A picture is made in these steps, at `supersample` x `supersample` samples per p
 3. `compose.draw_picture` then goes down the picture in bands of a few rows, so that the samples stay in the cache.
    `draw_opaque` leaves, for every sample of a band, the nearest triangle and its 1 / W. A sample on an edge shared by
    two triangles belongs to exactly one of them. `draw_cap` closes cut meshes.
-4. `compose.draw_translucent` goes through the translucent triangles from front to back and keeps for every sample what
-   is left of the light behind; that sums to the same as blending from back to front.
+4. `translucent.draw_translucent` goes through the translucent triangles from front to back and keeps for every sample
+   what is left of the light behind; that sums to the same as blending from back to front.
 5. `compose.resolve` shades each triangle once in each pixel where samples show it, weights by samples, and encodes.
 
 Nothing here is compiled with fast-math, and no loop runs in parallel: equal input gives equal bytes.
@@ -36,7 +36,6 @@ from spatula_env.render.layout import (
     DRAW_BACK,
     EYE,
     FAR,
-    LINE,
     MARK,
     NEAR,
     NORMAL,
@@ -178,13 +177,27 @@ def collect_limits(
 
 
 @inlined
-def plane_distance(points: Floats, i: int, parameters: Floats, m: int) -> float:
+def _plane_distance(points: Floats, i: int, parameters: Floats, m: int) -> float:
     """How far vertex i is on the side of mesh m's plane that is cut away."""
     return float(
         parameters[m, PLANE] * points[i, 0]
         + parameters[m, PLANE + 1] * points[i, 1]
         + parameters[m, PLANE + 2] * points[i, 2]
         - parameters[m, PLANE + 3]
+    )
+
+
+@inlined
+def plane_distances(
+    points: Floats, a: int, b: int, c: int, parameters: Floats, m: int, cut: bool
+) -> tuple[float, float, float]:
+    """The same for three vertices, or zeros if the mesh is not cut."""
+    if not cut:
+        return 0.0, 0.0, 0.0
+    return (
+        _plane_distance(points, a, parameters, m),
+        _plane_distance(points, b, parameters, m),
+        _plane_distance(points, c, parameters, m),
     )
 
 
@@ -218,14 +231,10 @@ def _begin(
     x0, x1, y0, y1 = bounds(p, a, b, c, near, width, height)
     if x0 >= x1 or y0 >= y1:
         return 0, 0, 0, 0, 0, 0.0
-    da = db = dc = 0.0
-    if cut:
-        da = plane_distance(points, a, parameters, m)
-        db = plane_distance(points, b, parameters, m)
-        dc = plane_distance(points, c, parameters, m)
-        if min(da, db, dc) > 0.0:
-            return 0, 0, 0, 0, 0, 0.0
-        cut = max(da, db, dc) > 0.0
+    da, db, dc = plane_distances(points, a, b, c, parameters, m, cut)
+    if min(da, db, dc) > 0.0:
+        return 0, 0, 0, 0, 0, 0.0
+    cut = max(da, db, dc) > 0.0
     count = collect_limits(edge, det, near, lowest < near, cut, da, db, dc, limits, t)
     return count, x0, x1, y0, y1, det
 
@@ -247,8 +256,7 @@ def _fill_functions(
 ) -> None:
     """Write the shading functions of triangle t (see `layout`)."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-    # A line has no sides.
-    back = det > 0.0 and not flags[m] & LINE
+    back = det > 0.0
     side = -1.0 if back else 1.0
     inverse = 1.0 / det
     smooth = flags[m] & SMOOTH != 0
@@ -267,7 +275,7 @@ def _fill_functions(
         if textured:
             for k in range(3):
                 functions[t, MARK + 3 * k + j] = ea * texture[a, k] + eb * texture[b, k] + ec * texture[c, k]
-    if not smooth and not flags[m] & LINE:
+    if not smooth:
         nx, ny, nz = triangle_normal(points, triangles, t)
         for k in range(3):
             functions[t, NORMAL + 3 * k] = functions[t, NORMAL + 3 * k + 1] = 0.0

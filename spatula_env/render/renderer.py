@@ -1,4 +1,4 @@
-"""The renderer: owns the buffers, packs the scene, runs the k."""
+"""The renderer: owns the buffers, packs the scene, runs the kernels."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.render import background as backgrounds
 from spatula_env.render import compose, rasterizer, shadows, vertices
 from spatula_env.render import layout as k
 from spatula_env.render.camera import Camera
 from spatula_env.render.palette import Color, linear_color, linear_to_srgb, srgb_to_linear, to_color
-from spatula_env.render.primitives import Background, Ground, Lighting, Mesh, Segments, perpendicular_axes
+from spatula_env.render.primitives import Background, Ground, Lighting, Mesh, perpendicular_axes
 
 _STYLES = {"plain": 0.0, "grid": 1.0, "checker": 2.0}
 
@@ -24,7 +25,7 @@ WRAPS = (0.50, 0.22, 0.16)
 
 
 class Renderer:
-    """Draws triangle meshes, lines and a ground plane on the processor, without a window or a graphics driver.
+    """Draws triangle meshes and a ground plane on the processor, without a window or a graphics driver.
 
     The buffers are kept between pictures; the background with the ground is drawn once and kept while camera,
     background and ground stay equal. Equal input gives equal bytes. One renderer serves one thread.
@@ -66,7 +67,6 @@ class Renderer:
         self._depth = np.zeros(samples, dtype=np.float32)
         self._shown = np.zeros(samples, dtype=np.int32)
         self._left = np.zeros(samples, dtype=np.float32)
-        self._stamp = np.zeros(samples, dtype=np.int32)
         self._inside = np.zeros(samples, dtype=np.int32)
         self._rows = np.zeros((band * self.supersample, 2), dtype=np.int32)
         self._total = np.zeros((band * self.width, 3), dtype=np.float32)
@@ -94,7 +94,6 @@ class Renderer:
         self,
         camera: Camera,
         meshes: Sequence[Mesh],
-        segments: Sequence[Segments] = (),
         *,
         ground: Ground | None = None,
         background: Background | Color | None = None,
@@ -105,7 +104,6 @@ class Renderer:
         Args:
             camera: the view.
             meshes: surfaces.
-            segments: lines; they are hidden by what is in front of them.
             ground: the ground plane; None draws none.
             background: a gradient, or one colour; None is the default gradient.
             out: (H, W, 3) bytes, C-contiguous, to draw into; a new array if None.
@@ -117,14 +115,13 @@ class Renderer:
             ValueError: if `out` does not fit, or a background colour is out of its range.
         """
         picture = self._output(out)
-        self._draw(camera, meshes, segments, ground, background, picture)
+        self._draw(camera, meshes, ground, background, picture)
         return picture
 
     def render_rgbd(
         self,
         camera: Camera,
         meshes: Sequence[Mesh],
-        segments: Sequence[Segments] = (),
         *,
         ground: Ground | None = None,
         background: Background | Color | None = None,
@@ -135,7 +132,6 @@ class Renderer:
         Args:
             camera: the view.
             meshes: surfaces.
-            segments: lines.
             ground: the ground plane.
             background: as in `render`.
             out: as in `render`.
@@ -143,14 +139,14 @@ class Renderer:
         Returns:
             The picture (H, W, 3), uint8, and the depth (H, W), float32: distance along the optical axis in u, at the
             pixel's centre, of the nearest opaque thing in the pixel; the ground counts however far it has faded, and
-            `camera.far` stands where there is nothing. Opaque lines count, what is translucent does not.
+            `camera.far` stands where there is nothing. What is translucent does not count.
 
         Raises:
             ValueError: as in `render`.
         """
         picture = self._output(out)
         depth = np.empty((self.height, self.width), dtype=np.float32)
-        self._draw(camera, meshes, segments, ground, background, picture, depth)
+        self._draw(camera, meshes, ground, background, picture, depth)
         return picture, depth
 
     # ------------------------------------------------------------------------------------------------- private
@@ -227,7 +223,7 @@ class Renderer:
                 (plane.fade_start, plane.fade_end),
             ]
         )
-        compose.draw_background(
+        backgrounds.draw_background(
             self._view,
             numbers,
             self.width,
@@ -331,35 +327,10 @@ class Renderer:
         self._flags[m] = (self._flags[shell] & ~(k.CASTS | k.SMOOTH | k.DRAW_BACK)) | k.CORE
         return vertex_end, triangle_end
 
-    def _pack_segments(self, lines: Segments, m: int, vertex: int, triangle: int) -> tuple[int, int]:
-        """Turn lines into quadrilaterals in the buffers; returns the next free vertex and triangle."""
-        count = len(lines.starts)
-        ends = []
-        for points in (lines.starts, lines.ends):
-            placed = np.empty_like(points)
-            vertices.place(np.ascontiguousarray(points), 0, count, self._matrix, placed)
-            ends.append(placed)
-        pixels = lines.unit == "pixel"
-        width = lines.width * (self.supersample if pixels else 1.0)
-        vertex_end = vertices.widen_lines(*ends, width, pixels, self._view[k.FOCAL], self._placed, vertex)
-        first = vertex + 4 * np.arange(count, dtype=np.int32)
-        triangle_end = triangle + 2 * count
-        for corner, (one, other) in enumerate(((0, 0), (1, 2), (2, 3))):
-            self._triangles[triangle : triangle + count, corner] = first + one
-            self._triangles[triangle + count : triangle_end, corner] = first + other
-        self._owner[triangle:triangle_end] = m
-        self._ranges[m] = vertex, vertex
-        colors = lines.color if lines.colors is None else np.repeat(lines.colors, 4, axis=0)
-        self._colors[vertex:vertex_end] = srgb_to_linear(colors)
-        self._parameters[m, k.OPACITY] = lines.opacity
-        self._flags[m] = k.LINE | k.DRAW_BACK | (k.TRANSLUCENT if lines.opacity < 1.0 else 0)
-        return vertex_end, triangle_end
-
     def _draw(
         self,
         camera: Camera,
         meshes: Sequence[Mesh],
-        segments: Sequence[Segments],
         ground: Ground | None,
         background: Background | Color | None,
         picture: NDArray[np.uint8],
@@ -377,14 +348,13 @@ class Renderer:
             self._drawn = wanted
 
         cored = [m for m, mesh in enumerate(meshes) if mesh.rind > 0.0]
-        corners = sum(4 * len(lines.starts) for lines in segments)
-        triangles = sum(2 * len(lines.starts) for lines in segments)
+        corners = triangles = 0
         for mesh in meshes:
             # Splitting adds 3 vertices a triangle, then 12; its input and its output need room at once.
             copies = 2 if mesh.rind > 0.0 else 1
             corners += copies * (len(mesh.vertices) + (0, 3, 15)[mesh.refine] * len(mesh.triangles))
             triangles += copies * (1, 5, 20)[mesh.refine] * len(mesh.triangles)
-        count = len(meshes) + len(cored) + len(segments)
+        count = len(meshes) + len(cored)
         # Behind the triangles, one place for the section of each mesh.
         self._grow(corners, triangles + count, count)
         floor = -math.inf if ground is None else ground.height
@@ -397,12 +367,9 @@ class Renderer:
             starts.append(triangle)
             vertex, triangle = self._pack_core(meshes[shell], m, shell, vertex, triangle)
         vertices.place(self._points, 0, vertex, self._matrix, self._placed)
-        for m, lines in enumerate(segments, start=len(meshes) + len(cored)):
-            starts.append(triangle)
-            vertex, triangle = self._pack_segments(lines, m, vertex, triangle)
         starts.append(triangle)
         self._owner[triangle : triangle + count] = np.arange(count)
-        shells = [-1] * len(meshes) + [triangle + shell for shell in cored] + [-1] * len(segments)
+        shells = [-1] * len(meshes) + [triangle + shell for shell in cored]
 
         shadows.cast_shadows(
             self._points,
@@ -470,7 +437,6 @@ class Renderer:
             self._depth,
             self._shown,
             self._left,
-            self._stamp,
             self._inside,
             self._rows,
             self._total,

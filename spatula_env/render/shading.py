@@ -22,7 +22,6 @@ from spatula_env.render.layout import (
     HAS_SHADOWS,
     KEY,
     KEY_DIRECTION,
-    LINE,
     MAP_SCALE,
     MAP_U,
     MAP_V,
@@ -156,7 +155,7 @@ def shade(
         red = w * (functions[t, COLOR] * x + functions[t, COLOR + 1] * y + functions[t, COLOR + 2])
         green = w * (functions[t, COLOR + 3] * x + functions[t, COLOR + 4] * y + functions[t, COLOR + 5])
         blue = w * (functions[t, COLOR + 6] * x + functions[t, COLOR + 7] * y + functions[t, COLOR + 8])
-        if kind & (UNLIT | LINE):
+        if kind & UNLIT:
             total[pixel, 0] += weight * red
             total[pixel, 1] += weight * green
             total[pixel, 2] += weight * blue

@@ -35,7 +35,7 @@ from spatula_env.render.layout import (
     Indices,
     Singles,
 )
-from spatula_env.render.rasterizer import bounds, collect_limits, edges, is_thin, plane_distance, span
+from spatula_env.render.rasterizer import bounds, collect_limits, edges, is_thin, plane_distances, span
 
 
 @kernel("void(f8[:,::1], f8[:,::1], i4[:,::1], i4[::1], i8, i4[::1], f8[:,::1], f4[:,::1], i4[:,::1])")
@@ -61,14 +61,10 @@ def draw_flat(
             continue
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         cut = flags[m] & CUT != 0
-        da = db = dc = 0.0
-        if cut:
-            da = plane_distance(points, a, parameters, m)
-            db = plane_distance(points, b, parameters, m)
-            dc = plane_distance(points, c, parameters, m)
-            if min(da, db, dc) > 0.0:
-                continue
-            cut = max(da, db, dc) > 0.0
+        da, db, dc = plane_distances(points, a, b, c, parameters, m, cut)
+        if min(da, db, dc) > 0.0:
+            continue
+        cut = max(da, db, dc) > 0.0
         for k in range(2):
             q[0, k], q[1, k], q[2, k] = p[a, k], p[b, k], p[c, k]
         det = edges(q, 0, 1, 2, edge)

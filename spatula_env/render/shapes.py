@@ -1,4 +1,4 @@
-"""Ready-made meshes: spheres, boxes, arrows, discs, rings and tubes."""
+"""Ready-made meshes: spheres, boxes, arrows, rings and tubes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,31 +14,44 @@ from numpy.typing import ArrayLike, NDArray
 from spatula_env.geometry.checks import check_positive
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotation_matrix
 from spatula_env.render.palette import FORCE, GOAL, STEEL, Color
-from spatula_env.render.primitives import BRUSHED_STEEL, MATTE, Material, Mesh, perpendicular_axes
+from spatula_env.render.primitives import BRUSHED_STEEL, Material, Mesh, perpendicular_axes
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+
+class Look(TypedDict, total=False):
+    """How a mesh looks; what is left out is as usual for its kind.
+
+    Attributes:
+        color: of the surface.
+        opacity: 0..1.
+        material: of the surface.
+        casts_shadow: onto the ground and other meshes.
+    """
+
+    color: Color
+    opacity: float
+    material: Material
+    casts_shadow: bool
 
 
 def sphere_mesh(
     centers: ArrayLike,
     radius: float,
     *,
-    color: Color = GOAL,
     colors: ArrayLike | None = None,
     subdivisions: int = 2,
-    opacity: float = 1.0,
-    material: Material = MATTE,
-    casts_shadow: bool = True,
+    **look: Unpack[Look],
 ) -> Mesh:
     """One sphere or many equal ones, such as markers of contact nodes.
 
     Args:
         centers: u (3,) or (N, 3).
         radius: u, above zero.
-        color: of all spheres.
-        colors: (N, 3), one for each sphere, instead of `color`.
+        colors: (N, 3), one for each sphere, instead of one colour for all.
         subdivisions: 0..4 splits of an icosahedron, 20 * 4**subdivisions triangles each.
-        opacity: 0..1.
-        material: of the surface.
-        casts_shadow: onto the ground and other meshes.
+        **look: see `Look`.
 
     Returns:
         One mesh.
@@ -61,15 +74,8 @@ def sphere_mesh(
         if shades.shape != middles.shape:
             raise ValueError(f"colors must have the shape {middles.shape}, got {shades.shape}")
         vertex_colors = np.repeat(shades, len(unit), axis=0)
-    return Mesh(
-        vertices,
-        triangles.astype(np.int32),
-        color=color,
-        vertex_colors=vertex_colors,
-        opacity=opacity,
-        material=material,
-        casts_shadow=casts_shadow,
-    )
+    seen: Look = {"color": GOAL, **look}
+    return Mesh(vertices, triangles.astype(np.int32), vertex_colors=vertex_colors, **seen)
 
 
 def box_mesh(
@@ -78,10 +84,7 @@ def box_mesh(
     orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
     *,
     bevel: float = 0.0,
-    color: Color = STEEL,
-    opacity: float = 1.0,
-    material: Material = BRUSHED_STEEL,
-    casts_shadow: bool = True,
+    **look: Unpack[Look],
 ) -> Mesh:
     """A box, such as the spatula.
 
@@ -90,10 +93,7 @@ def box_mesh(
         position: of its centre, u (3,).
         orientation: unit quaternion (x, y, z, w).
         bevel: width by which edges and corners are cut at 45 degrees, u; at most half the shortest edge.
-        color: of the surface.
-        opacity: 0..1.
-        material: of the surface; brush marks run along the box's x axis.
-        casts_shadow: onto the ground and other meshes.
+        **look: see `Look`; brush marks run along the box's x axis.
 
     Returns:
         A flat-shaded mesh of 12 triangles, or of 44 with a bevel.
@@ -115,16 +115,8 @@ def box_mesh(
         corners, triangles = _plain_box()
         local = corners * half
     vertices = as_vector3(position, "position") + local @ quaternion_matrix(orientation).T
-    return Mesh(
-        vertices,
-        triangles,
-        color=color,
-        opacity=opacity,
-        smooth=False,
-        material=material,
-        texture=local,
-        casts_shadow=casts_shadow,
-    )
+    seen: Look = {"color": STEEL, "material": BRUSHED_STEEL, **look}
+    return Mesh(vertices, triangles, smooth=False, texture=local, **seen)
 
 
 def arrow_mesh(
@@ -132,11 +124,8 @@ def arrow_mesh(
     vector: ArrayLike,
     *,
     width: float = 0.12,
-    color: Color = FORCE,
-    opacity: float = 1.0,
     sides: int = 24,
-    material: Material = MATTE,
-    casts_shadow: bool = True,
+    **look: Unpack[Look],
 ) -> Mesh:
     """An arrow, such as a force.
 
@@ -144,11 +133,8 @@ def arrow_mesh(
         start: of the shaft, u (3,).
         vector: from the start to the tip, u (3,). A zero vector gives a mesh without triangles.
         width: of the shaft, u, above zero. The head is 2.4 times as wide; a short arrow is all head.
-        color: of the surface.
-        opacity: 0..1.
         sides: around the shaft, 3 or more.
-        material: of the surface.
-        casts_shadow: onto the ground and other meshes.
+        **look: see `Look`.
 
     Returns:
         A closed mesh.
@@ -161,9 +147,9 @@ def arrow_mesh(
     foot = as_vector3(start, "start")
     along = as_vector3(vector, "vector")
     length = float(np.linalg.norm(along))
+    seen: Look = {"color": FORCE, **look}
     if length < 1e-9:
-        empty = np.zeros((0, 3), dtype=np.int32)
-        return Mesh(foot[None], empty, color=color, opacity=opacity, material=material)
+        return Mesh(foot[None], np.zeros((0, 3), dtype=np.int32), **seen)
     head = 1.2 * width
     tip = min(3.2 * width, length)
     # A head that does not fit is made smaller as a whole, so that a small force is a small arrow.
@@ -171,61 +157,7 @@ def arrow_mesh(
     shaft, head = 0.5 * width * scale, head * scale
     profile = [(0.0, 0.0), (shaft, 0.0), (shaft, length - tip), (head, length - tip), (0.0, length)]
     vertices, triangles = _revolve(profile, sides)
-    frame = np.stack(perpendicular_axes(along))
-    return Mesh(
-        foot + vertices @ frame,
-        triangles,
-        color=color,
-        opacity=opacity,
-        material=material,
-        casts_shadow=casts_shadow,
-    )
-
-
-def disc_mesh(
-    center: ArrayLike,
-    radius: float,
-    normal: ArrayLike = (0.0, 0.0, 1.0),
-    *,
-    inner_radius: float = 0.0,
-    color: Color = GOAL,
-    opacity: float = 1.0,
-    sides: int = 48,
-    material: Material = MATTE,
-) -> Mesh:
-    """A flat disc, or a flat ring if `inner_radius` is above zero. It is two-sided and casts no shadow.
-
-    Args:
-        center: u (3,).
-        radius: outer radius, u, above zero.
-        normal: of its plane (3,), any length but zero.
-        inner_radius: u, in 0..radius, below `radius`.
-        color: of the surface.
-        opacity: 0..1.
-        sides: around it, 3 or more.
-        material: of the surface.
-
-    Returns:
-        An open mesh.
-
-    Raises:
-        ValueError: if an argument is out of its range.
-    """
-    check_positive(radius, "radius")
-    _check_sides(sides)
-    if not 0.0 <= inner_radius < radius:
-        raise ValueError(f"inner_radius must be in 0..{radius} and below it, got {inner_radius}")
-    vertices, triangles = _revolve([(radius, 0.0), (inner_radius, 0.0)], sides)
-    frame = np.stack(perpendicular_axes(normal))
-    return Mesh(
-        as_vector3(center, "center") + vertices @ frame,
-        triangles,
-        color=color,
-        opacity=opacity,
-        two_sided=True,
-        material=material,
-        casts_shadow=False,
-    )
+    return Mesh(foot + vertices @ np.stack(perpendicular_axes(along)), triangles, **seen)
 
 
 def ring_mesh(
@@ -234,11 +166,8 @@ def ring_mesh(
     normal: ArrayLike = (0.0, 0.0, 1.0),
     *,
     width: float = 0.08,
-    color: Color = GOAL,
-    opacity: float = 1.0,
     sides: int = 48,
-    material: Material = MATTE,
-    casts_shadow: bool = True,
+    **look: Unpack[Look],
 ) -> Mesh:
     """A torus, such as the ring around a goal.
 
@@ -247,11 +176,8 @@ def ring_mesh(
         radius: of the tube's middle line, u, above zero.
         normal: of its plane (3,), any length but zero.
         width: of the tube, u, above zero and below twice the radius.
-        color: of the surface.
-        opacity: 0..1.
         sides: around the ring, 3 or more.
-        material: of the surface.
-        casts_shadow: onto the ground and other meshes.
+        **look: see `Look`.
 
     Returns:
         A closed mesh.
@@ -274,38 +200,25 @@ def ring_mesh(
     i_next, j_next = (i + 1) % sides, (j + 1) % around
     a, b = i * around + j, i_next * around + j
     c, d = i_next * around + j_next, i * around + j_next
-    triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
-    frame = np.stack(perpendicular_axes(normal))
-    return Mesh(
-        as_vector3(center, "center") + vertices @ frame,
-        triangles.astype(np.int32),
-        color=color,
-        opacity=opacity,
-        material=material,
-        casts_shadow=casts_shadow,
-    )
+    vertices = as_vector3(center, "center") + vertices @ np.stack(perpendicular_axes(normal))
+    seen: Look = {"color": GOAL, **look}
+    return Mesh(vertices, _split(a, b, c, d), **seen)
 
 
 def tube_mesh(
     points: ArrayLike,
     *,
     width: float = 0.05,
-    color: Color = GOAL,
-    opacity: float = 1.0,
     sides: int = 8,
-    material: Material = MATTE,
-    casts_shadow: bool = False,
+    **look: Unpack[Look],
 ) -> Mesh:
-    """A tube from point to point, such as a path. Its ends are open.
+    """A tube from point to point, such as a path. Its ends are open, and usually it casts no shadow.
 
     Args:
         points: u (P, 3); equal neighbours are taken for one point. Fewer than two give a mesh without triangles.
         width: of the tube, u, above zero.
-        color: of the surface.
-        opacity: 0..1.
         sides: around it, 3 or more.
-        material: of the surface.
-        casts_shadow: onto the ground and other meshes.
+        **look: see `Look`.
 
     Returns:
         An open mesh.
@@ -321,9 +234,9 @@ def tube_mesh(
     steps = np.diff(line, axis=0)
     lengths = np.linalg.norm(steps, axis=1)
     line = line[np.concatenate([[True], lengths > 1e-9])] if len(line) else line
-    look: dict[str, Any] = {"color": color, "opacity": opacity, "material": material, "casts_shadow": casts_shadow}
+    seen: Look = {"color": GOAL, "casts_shadow": False, **look}
     if len(line) < 2:
-        return Mesh(np.zeros((1, 3)), np.zeros((0, 3), dtype=np.int32), **look)
+        return Mesh(np.zeros((1, 3)), np.zeros((0, 3), dtype=np.int32), **seen)
     directions = (steps / np.maximum(lengths, 1e-300)[:, None])[lengths > 1e-9]
     along = np.concatenate([directions[:1], directions[1:] + directions[:-1], directions[-1:]])
     # The axis that no part of the tube runs along.
@@ -337,8 +250,7 @@ def tube_mesh(
     i, j = np.meshgrid(np.arange(len(line) - 1), np.arange(sides), indexing="ij")
     a, b = i * sides + j, i * sides + (j + 1) % sides
     c, d = b + sides, a + sides
-    triangles = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)]).reshape(-1, 3)
-    return Mesh(rings.reshape(-1, 3), triangles.astype(np.int32), **look)
+    return Mesh(rings.reshape(-1, 3), _split(a, b, c, d), **seen)
 
 
 def quaternion_matrix(orientation: ArrayLike) -> NDArray[np.float64]:
@@ -442,6 +354,12 @@ def _wind_outwards(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) 
     result = triangles.copy()
     result[inwards] = result[inwards][:, ::-1]
     return result
+
+
+def _split(a: NDArray[np.int_], b: NDArray[np.int_], c: NDArray[np.int_], d: NDArray[np.int_]) -> NDArray[np.int32]:
+    """Two triangles (2 K, 3) for each of K quadrilaterals with these corners, of any shape but all of one."""
+    halves = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    return halves.reshape(-1, 3).astype(np.int32)
 
 
 def _revolve(profile: Sequence[tuple[float, float]], sides: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

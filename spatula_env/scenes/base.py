@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from spatula_env.geometry import Organ, Tool
-from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.checks import check_not_negative, check_positive
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotate
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Ground:
         """Check the values."""
         if not math.isfinite(self.height):
             raise ValueError(f"height must be finite, got {self.height!r}")
-        _check_not_negative(self.friction, "friction")
+        check_not_negative(self.friction, "friction")
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class PlacedTool:
     def __post_init__(self) -> None:
         """Check the values."""
         _set_pose(self)
-        _check_not_negative(self.friction, "friction")
+        check_not_negative(self.friction, "friction")
 
 
 @dataclass(frozen=True)
@@ -217,8 +217,3 @@ def _set_pose(placed: PlacedOrgan | PlacedTool) -> None:
     orientation = as_quaternion(placed.orientation, "orientation")
     object.__setattr__(placed, "position", tuple(position.tolist()))
     object.__setattr__(placed, "orientation", tuple(orientation.tolist()))
-
-
-def _check_not_negative(value: float, name: str) -> None:
-    if not (math.isfinite(value) and value >= 0.0):
-        raise ValueError(f"{name} must be zero or more and finite, got {value!r}")

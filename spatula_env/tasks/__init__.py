@@ -7,22 +7,15 @@ share it.
 
 from __future__ import annotations
 
-from spatula_env.tasks.base import (
-    Evaluation,
-    Memory,
-    PartSpec,
-    Setting,
-    Situation,
-    Start,
-    Task,
-    ToolShape,
-)
+from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task
 from spatula_env.tasks.clamp import ClampConfig, ClampTask, ClampWeights
+from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.fissure import FissureConfig, FissureTask, FissureWeights
 from spatula_env.tasks.marks import Mark, Patch, Path, Points, Ring
 from spatula_env.tasks.palpate import PalpateConfig, PalpateTask, PalpateWeights
 from spatula_env.tasks.press import PressConfig, PressTask, PressWeights
 from spatula_env.tasks.retract import RetractConfig, RetractTask, RetractWeights
+from spatula_env.tasks.situation import Setting, Situation, Start, ToolShape
 
 __all__ = [
     "ClampConfig",
@@ -52,5 +45,7 @@ __all__ = [
     "Situation",
     "Start",
     "Task",
+    "TaskConfig",
     "ToolShape",
+    "Weights",
 ]

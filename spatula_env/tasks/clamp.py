@@ -8,27 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spatula_env.geometry.blocks import RidgedBlock
-from spatula_env.geometry.checks import check_positive
 from spatula_env.geometry.rotations import conjugate, turn
-from spatula_env.tasks.base import (
-    BoolArray,
-    Evaluation,
-    FloatArray,
-    IntArray,
-    Memory,
-    PartSpec,
-    Setting,
-    Situation,
-    Start,
-    Task,
-    ToolShape,
-    as_seen,
-    check_range,
-    check_weights,
-    closeness,
-    config_from_mapping,
-)
+from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
+from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.marks import Mark, Patch, Path
+from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start, ToolShape
 
 LEAST_LIFT, GREATEST_LIFT = -0.03, 0.08
 """Limits of a measured lift [m]: a ridge that is pushed down, and one that is as high as the workspace lets it be."""
@@ -41,17 +25,15 @@ GREATEST_OFFSET = 0.12
 
 
 @dataclass(frozen=True)
-class ClampWeights:
+class ClampWeights(Weights):
     """Weights of the reward terms of `ClampTask`.
 
     Attributes:
         reach: Of the closeness of the grip to the ridge's middle, 0..1.
         grip: Of both jaws touching the ridge, 0 or 1.
         lift: Of that times the closeness of the lift to the goal's, 0..1.
-        hold: Of being within tolerance, 0 or 1.
         slip: Of the slip of what is gripped [1/m].
         force: Of the sum of the magnitudes of the two jaws' contact forces [1/N].
-        action: Of the squared length of the action.
     """
 
     reach: float = 0.15
@@ -62,13 +44,9 @@ class ClampWeights:
     force: float = -0.1
     action: float = -0.01
 
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        check_weights(self)
-
 
 @dataclass(frozen=True)
-class ClampConfig:
+class ClampConfig(TaskConfig):
     """What is asked with a clamp.
 
     Attributes:
@@ -81,7 +59,6 @@ class ClampConfig:
         start_opening_range: Least and greatest free width between the jaws at the start [m].
         reach_scale: Distance to the ridge's middle at which the reward term "reach" has fallen to 0.24 [m].
         lift_scale: Error of the lift at which its closeness has fallen to 0.24 [m].
-        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
     """
 
     lift_range: tuple[float, float] = (0.004, 0.012)
@@ -97,12 +74,10 @@ class ClampConfig:
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
-        if not 0.0 <= self.start_offset < np.inf:
-            raise ValueError(f"start_offset must be zero or more and finite, got {self.start_offset!r}")
-        for name in ("lift_tolerance", "hold_time", "reach_scale", "lift_scale"):
-            check_positive(getattr(self, name), name)
-        for name in ("lift_range", "slip_range", "start_height_range", "start_opening_range"):
-            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        self._check_not_negative("start_offset")
+        self._check_positive("lift_tolerance", "hold_time", "reach_scale", "lift_scale")
+        self._read_ranges("lift_range", "slip_range")
+        self._read_ranges("start_height_range", "start_opening_range", not_negative=True)
         if self.lift_range[0] <= self.lift_tolerance:
             raise ValueError(
                 f"lift_range must begin above lift_tolerance, {self.lift_tolerance}, or the organ at rest would be "
@@ -112,10 +87,7 @@ class ClampConfig:
             raise ValueError(f"lift_range must end at {GREATEST_LIFT} m at most, got {self.lift_range}")
         if not 0.0 <= self.slip_range[0] <= self.slip_range[1] < GREATEST_SLIP:
             raise ValueError(f"slip_range must lie from 0 to below {GREATEST_SLIP} m, got {self.slip_range}")
-        for name in ("start_height_range", "start_opening_range"):
-            if getattr(self, name)[0] < 0.0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        object.__setattr__(self, "weights", config_from_mapping(ClampWeights, self.weights, "weights"))
+        self._read_weights(ClampWeights)
 
 
 class ClampTask(Task):
@@ -159,15 +131,11 @@ class ClampTask(Task):
         self._plane = _across(turn(conjugate(first.orientation), away))
         along = first.vertices @ self._plane.T
         self._middle, self._half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
-        self._check_reach()
+        middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
+        self.check_room("start_offset", config.start_offset, middle)
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
         """Draw the beginnings of episodes: everything uniform in its range.
-
-        Args:
-            generator: Where randomness comes from.
-            count: Number of episodes, W.
-            setting: Where the organ is.
 
         Returns:
             Goals (W, 2), positions of the grip (W, 3) and widths between the jaws (W, 1) [m].
@@ -213,12 +181,7 @@ class ClampTask(Task):
         memory["gripped"][rows] = False
 
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
-        """Judge a situation.
-
-        Args:
-            situation: Of W worlds.
-            goal: (W, 2) [m].
-            memory: Of the grips.
+        """See `Task`.
 
         Returns:
             Reward terms "reach", "grip", "lift", "hold", "slip", "force" and "action"; what was achieved; the measures
@@ -229,10 +192,7 @@ class ClampTask(Task):
         nodes, rest = situation.nodes, situation.rest_nodes
         lift = (nodes[:, self._crest, 2] - rest[:, self._crest, 2]).mean(axis=1)
         slip, gripped = self._slip(situation, memory)
-        achieved = np.column_stack([lift, slip])
-        achieved = np.minimum(np.maximum(achieved, self._goal_low), self._goal_high)
-        error = as_seen(goal) - as_seen(achieved)
-        within = self.fulfils(as_seen(achieved), as_seen(goal))
+        achieved, error, within = self.compare(np.column_stack([lift, slip]), goal)
 
         offset = nodes[:, self._flanks].mean(axis=1) - situation.tool_position
         lift_error = np.abs(error[:, 0])
@@ -245,7 +205,7 @@ class ClampTask(Task):
                 "hold": within.astype(np.float64),
                 "slip": gripped * slip,
                 "force": forces,
-                "action": (situation.action**2).sum(axis=1),
+                "action": situation.effort,
             },
             achieved=achieved,
             error=error,
@@ -288,22 +248,6 @@ class ClampTask(Task):
         memory["reference"][beginning] = place[beginning]
         slip = np.sqrt(((place - memory["reference"]) ** 2).sum(axis=1))
         return np.where(gripped, np.minimum(slip, GREATEST_SLIP), GREATEST_SLIP), gripped.astype(np.float64)
-
-    def _check_reach(self) -> None:
-        config, setting = self.config, self.setting
-        middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
-        widest = float(np.minimum(setting.workspace_high[:2] - middle, middle - setting.workspace_low[:2]).min())
-        if config.start_offset > widest:
-            raise ValueError(
-                f"start_offset must be {widest:.4f} m at most, where the workspace ends; got {config.start_offset!r}"
-            )
-        top = float(setting.rest_nodes[self._crest, 2].max())
-        highest = float(setting.workspace_high[2] + setting.tool_low[2]) - top
-        if config.start_height_range[1] > highest:
-            raise ValueError(
-                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
-                f"got {config.start_height_range}"
-            )
 
 
 def _facing(tool: ToolShape, direction: FloatArray) -> int:

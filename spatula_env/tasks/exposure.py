@@ -44,18 +44,13 @@ def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
             u[k], v[k] = u[k - 1], v[k - 1]
             k -= 1
         u[k], v[k] = pu, pv
-    size = 0
-    for i in range(count):
-        while size >= 2:
-            a, b = outline[size - 2], outline[size - 1]
-            if turn_of(u[a], v[a], u[b], v[b], u[i], v[i]) > 0.0:
-                break
-            size -= 1
-        outline[size] = i
-        size += 1
-    lower = size + 1
-    for i in range(count - 2, -1, -1):
-        while size >= lower:
+    size, least = 0, 2
+    for step in range(2 * count - 1):
+        # Along the lower side from left to right, and back along the upper one.
+        i = step if step < count else 2 * count - 2 - step
+        if step == count:
+            least = size + 1
+        while size >= least:
             a, b = outline[size - 2], outline[size - 1]
             if turn_of(u[a], v[a], u[b], v[b], u[i], v[i]) > 0.0:
                 break

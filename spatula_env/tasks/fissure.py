@@ -10,24 +10,11 @@ import numpy as np
 from spatula_env.geometry.blocks import FissuredBlock
 from spatula_env.geometry.checks import check_count, check_positive
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
-from spatula_env.tasks.base import (
-    BoolArray,
-    Evaluation,
-    FloatArray,
-    Memory,
-    PartSpec,
-    Setting,
-    Situation,
-    Start,
-    Task,
-    as_seen,
-    check_range,
-    check_weights,
-    closeness,
-    config_from_mapping,
-)
+from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
+from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.exposure import visible_points
 from spatula_env.tasks.marks import Mark, Path
+from spatula_env.tasks.situation import BoolArray, FloatArray, Setting, Situation, Start
 
 GREATEST_VIEW = 0.6
 """Tilts of the blade and of the line of sight are reported up to this [rad]."""
@@ -40,16 +27,14 @@ SIGHT_LENGTH = 0.06
 
 
 @dataclass(frozen=True)
-class FissureWeights:
+class FissureWeights(Weights):
     """Weights of the reward terms of `FissureTask`.
 
     Attributes:
         reach: Of the closeness of the blade's edge to the target, 0..1.
         align: Of that times the closeness of the blade's tilt to the line of sight, 0..1.
         exposure: Of the share of the target that is seen, as a part of the share asked for, 0..1.
-        hold: Of being within tolerance, 0 or 1.
         force: Of the contact force [1/N].
-        action: Of the squared length of the action.
     """
 
     reach: float = 0.15
@@ -59,13 +44,9 @@ class FissureWeights:
     force: float = -0.1
     action: float = -0.01
 
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        check_weights(self)
-
 
 @dataclass(frozen=True)
-class FissureConfig:
+class FissureConfig(TaskConfig):
     """What is asked in a fissure.
 
     Attributes:
@@ -85,7 +66,6 @@ class FissureConfig:
         reach_aside: How far beside it, on the side to which the line of sight leans [m].
         reach_scale: Distance from there at which the term has fallen to 0.24 [m].
         align_scale: Angle at which the closeness of tilt and line of sight has fallen to 0.24 [rad].
-        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
     """
 
     place_limit: float = 0.01
@@ -108,27 +88,16 @@ class FissureConfig:
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
-        for name in ("place_limit", "start_offset", "start_tilt", "reach_height", "reach_aside"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
-        for name in (
-            "target_height",
-            "place_tolerance",
-            "view_tolerance",
-            "hold_time",
-            "reach_scale",
-            "align_scale",
-        ):
-            check_positive(getattr(self, name), name)
-        for name in ("view_range", "exposure_range", "start_height_range"):
-            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        self._check_not_negative("place_limit", "start_offset", "start_tilt", "reach_height", "reach_aside")
+        self._check_positive(
+            "target_height", "place_tolerance", "view_tolerance", "hold_time", "reach_scale", "align_scale"
+        )
+        self._read_ranges("view_range", "exposure_range")
+        self._read_ranges("start_height_range", not_negative=True)
         if not 0.0 <= self.view_range[0] <= self.view_range[1] <= GREATEST_VIEW:
             raise ValueError(f"view_range must lie in 0 to {GREATEST_VIEW}, got {self.view_range}")
         if not 0.0 < self.exposure_range[0] <= self.exposure_range[1] <= 1.0:
             raise ValueError(f"exposure_range must lie above 0 and end at 1 at most, got {self.exposure_range}")
-        if self.start_height_range[0] < 0.0:
-            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
         if self.start_tilt > GREATEST_VIEW:
             raise ValueError(f"start_tilt must be {GREATEST_VIEW} at most, got {self.start_tilt}")
         size, grid = self._pair("target_size"), self._pair("target_grid")
@@ -138,7 +107,7 @@ class FissureConfig:
             check_count(count, "target_grid", 2)
         object.__setattr__(self, "target_size", (float(size[0]), float(size[1])))
         object.__setattr__(self, "target_grid", (int(grid[0]), int(grid[1])))
-        object.__setattr__(self, "weights", config_from_mapping(FissureWeights, self.weights, "weights"))
+        self._read_weights(FissureWeights)
 
     def _pair(self, name: str) -> tuple[Any, Any]:
         value = getattr(self, name)
@@ -201,11 +170,6 @@ class FissureTask(Task):
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
         """Draw the beginnings of episodes: everything uniform in its range, and the side of the sight by a coin.
 
-        Args:
-            generator: Where randomness comes from.
-            count: Number of episodes, W.
-            setting: Where the organ is.
-
         Returns:
             Goals (W, 3), positions (W, 3) [m] and orientations (W, 4) of the blade.
         """
@@ -241,12 +205,7 @@ class FissureTask(Task):
             raise ValueError(f"goal must have an exposure above 0 and of 1 at most, got {goal[2]}")
 
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
-        """Judge a situation.
-
-        Args:
-            situation: Of W worlds.
-            goal: (W, 3).
-            memory: Nothing is remembered.
+        """See `Task`.
 
         Returns:
             Reward terms "reach", "align", "exposure", "hold", "force" and "action"; what was achieved; the measures
@@ -263,10 +222,7 @@ class FissureTask(Task):
         exposure = self._exposure(situation.nodes, corners, target, along, goal[:, 1])
         tilt = to_rotation_vector(multiply(orientation, conjugate(self._blade_start)))[:, 0]
         place = ((edge - middle) * along).sum(axis=1)
-        achieved = np.column_stack([place, tilt, exposure])
-        achieved = np.minimum(np.maximum(achieved, self._goal_low), self._goal_high)
-        error = as_seen(goal) - as_seen(achieved)
-        within = self.fulfils(as_seen(achieved), as_seen(goal))
+        achieved, error, within = self.compare(np.column_stack([place, tilt, exposure]), goal)
 
         offset = target - edge
         aside = -config.reach_aside * np.sign(goal[:, 1:2]) * np.cross([0.0, 0.0, 1.0], along)
@@ -279,8 +235,8 @@ class FissureTask(Task):
                 "align": reach * closeness(view_error, config.align_scale),
                 "exposure": np.minimum(exposure / goal[:, 2], 1.0),
                 "hold": within.astype(np.float64),
-                "force": np.sqrt((situation.contact_force**2).sum(axis=1)),
-                "action": (situation.action**2).sum(axis=1),
+                "force": situation.force,
+                "action": situation.effort,
             },
             achieved=achieved,
             error=error,
@@ -341,24 +297,14 @@ class FissureTask(Task):
         return float(0.5 * np.linalg.norm(last - first) - 0.5 * self.config.target_size[0])
 
     def _check_reach(self) -> None:
-        config, setting = self.config, self.setting
+        config = self.config
         limit = self._greatest_place()
         if config.place_limit > limit:
             raise ValueError(
                 f"place_limit must be {limit:.4f} m at most, where the fissure's floor ends; got {config.place_limit!r}"
             )
-        middle, _ = self._floor_line(setting.rest_nodes[None])
-        widest = float(np.minimum(setting.workspace_high - middle[0], middle[0] - setting.workspace_low)[:2].min())
-        if config.start_offset > widest:
-            raise ValueError(
-                f"start_offset must be {widest:.4f} m at most, where the workspace ends; got {config.start_offset!r}"
-            )
-        highest = float(setting.workspace_high[2] + setting.tool_low[2] - setting.rest_nodes[:, 2].max())
-        if config.start_height_range[1] > highest:
-            raise ValueError(
-                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
-                f"got {config.start_height_range}"
-            )
+        middle, _ = self._floor_line(self.setting.rest_nodes[None])
+        self.check_room("start_offset", config.start_offset, middle[0, :2])
 
 
 _ROUND = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))

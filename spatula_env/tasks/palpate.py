@@ -7,28 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spatula_env.geometry.checks import check_positive
 from spatula_env.geometry.rotations import turn
-from spatula_env.tasks.base import (
-    BoolArray,
-    Evaluation,
-    FloatArray,
-    IntArray,
-    Memory,
-    PartSpec,
-    Setting,
-    Situation,
-    Start,
-    Task,
-    as_seen,
-    check_range,
-    check_weights,
-    closeness,
-    config_from_mapping,
-    sample_disc,
-)
+from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness, sample_disc
+from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.marks import Mark, Path, Ring
-from spatula_env.tasks.surface import surface_heights
+from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
 PIECES = 40
 """A path is divided into this many pieces of equal length, each of which is felt or not."""
@@ -53,15 +36,13 @@ MARK_HEIGHT = 0.001
 
 
 @dataclass(frozen=True)
-class PalpateWeights:
+class PalpateWeights(Weights):
     """Weights of the reward terms of `PalpateTask`.
 
     Attributes:
         reach: Of the closeness of the spatula's underside to where it has got to on the path, 0..1.
         force: Of the closeness of the normal force to the middle of the band, while on the path, 0..1.
         felt: Of the share of the path that has been felt, as a part of the share asked for, 0..1.
-        hold: Of being within tolerance, 0 or 1.
-        action: Of the squared length of the action.
     """
 
     reach: float = 0.1
@@ -70,13 +51,9 @@ class PalpateWeights:
     hold: float = 0.5
     action: float = -0.01
 
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        check_weights(self)
-
 
 @dataclass(frozen=True)
-class PalpateConfig:
+class PalpateConfig(TaskConfig):
     """What is asked in a palpation.
 
     Attributes:
@@ -93,7 +70,6 @@ class PalpateConfig:
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         force_scale: Error of the force at which the term "force" has fallen to 0.24 [N].
-        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
     """
 
     middle_radius: float = 0.004
@@ -113,21 +89,12 @@ class PalpateConfig:
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
-        for name in ("middle_radius", "bend_limit", "start_radius"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
-        for name in (
-            "force_tolerance",
-            "path_tolerance",
-            "end_tolerance",
-            "hold_time",
-            "reach_scale",
-            "force_scale",
-        ):
-            check_positive(getattr(self, name), name)
-        for name in ("length_range", "force_range", "share_range", "start_height_range"):
-            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        self._check_not_negative("middle_radius", "bend_limit", "start_radius")
+        self._check_positive(
+            "force_tolerance", "path_tolerance", "end_tolerance", "hold_time", "reach_scale", "force_scale"
+        )
+        self._read_ranges("length_range", "force_range", "share_range")
+        self._read_ranges("start_height_range", not_negative=True)
         if self.length_range[0] <= 2.0 * self.end_tolerance:
             raise ValueError(
                 f"length_range must begin above twice end_tolerance, {self.end_tolerance}, or a path could begin where "
@@ -145,9 +112,7 @@ class PalpateConfig:
             )
         if not (0.0 < self.share_range[0] and self.share_range[1] <= 1.0):
             raise ValueError(f"share_range must be above 0 and 1 at most, got {self.share_range}")
-        if self.start_height_range[0] < 0.0:
-            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
-        object.__setattr__(self, "weights", config_from_mapping(PalpateWeights, self.weights, "weights"))
+        self._read_weights(PalpateWeights)
 
 
 class PalpateTask(Task):
@@ -159,10 +124,8 @@ class PalpateTask(Task):
     piece, in the one before. In which order pieces are felt, and how often, does not matter. The normal force is the
     part of the contact force that is perpendicular to the spatula's faces.
 
-    What is achieved is the share felt so far, the place of the spatula's middle, and the normal force. Goals, achieved
-    and desired, are rounded to single precision before they are compared, because that is what an agent sees and what a
-    replay buffer stores: `compute_reward` gives the same verdict as `evaluate`. The share felt was felt in the band of
-    the episode, also when hindsight asks for another force in the end.
+    What is achieved is the share felt so far, the place of the spatula's middle, and the normal force. The share felt
+    was felt in the band of the episode, also when hindsight asks for another force in the end.
 
     Attributes:
         config: What is asked.
@@ -189,7 +152,6 @@ class PalpateTask(Task):
             [1.0, high[0], high[1], GREATEST_NORMAL_FORCE],
         )
         self.config = config
-        self._triangles = np.array(setting.triangles)
         self._underside = float(setting.tool_low[2])
         count = 3 * len(AHEAD)
         self.extra_parts = (
@@ -202,11 +164,6 @@ class PalpateTask(Task):
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
         """Draw the beginnings of episodes: places uniform in discs, directions on the circle, all else in its range.
-
-        Args:
-            generator: Where randomness comes from.
-            count: Number of episodes, W.
-            setting: Where the organ is.
 
         Returns:
             Goals (W, 4) and tool positions (W, 3) [m]; drawn (W, 3) is the way from the path's end to its beginning
@@ -283,11 +240,6 @@ class PalpateTask(Task):
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
         """Judge a situation, and remember what has been felt.
 
-        Args:
-            situation: Of W worlds.
-            goal: (W, 4).
-            memory: See `new_memory`.
-
         Returns:
             Reward terms "reach", "force", "felt", "hold" and "action"; what was achieved; the measures "share",
             "progress", "normal_force" and "force_error" [N] and "end_distance" [m]; the parts "path_ahead" [m],
@@ -301,10 +253,8 @@ class PalpateTask(Task):
         self._feel(memory, along, aside, force_error)
         share = memory["felt"].mean(axis=1)
 
-        achieved = np.column_stack([share, situation.tool_position[:, :2], force])
-        achieved = np.minimum(np.maximum(achieved, self._goal_low), self._goal_high)
-        error = as_seen(goal) - as_seen(achieved)
-        within = self.fulfils(as_seen(achieved), as_seen(goal))
+        measured = np.column_stack([share, situation.tool_position[:, :2], force])
+        achieved, error, within = self.compare(measured, goal)
 
         underside = situation.tool_position.copy()
         underside[:, 2] += situation.tool_scale * self._underside
@@ -317,7 +267,7 @@ class PalpateTask(Task):
                 "force": closeness(force_error, config.force_scale) * closeness(aside, config.path_tolerance),
                 "felt": np.minimum(share / np.maximum(goal[:, 0], 1e-9), 1.0),
                 "hold": within.astype(np.float64),
-                "action": (situation.action**2).sum(axis=1),
+                "action": situation.effort,
             },
             achieved=achieved,
             error=error,
@@ -351,8 +301,7 @@ class PalpateTask(Task):
     ) -> tuple[Mark, ...]:
         """The path, and a ring around its end; the ring alone while nobody knows the path."""
         if memory is None:
-            place = np.ascontiguousarray(goal[None, 1:3])
-            height = self._heights(self.setting.rest_nodes, place)[0]
+            height = self.setting.surface_heights(self.setting.rest_nodes[None], goal[None, 1:3])[0]
             return (Ring(np.array([*goal[1:3], height + MARK_HEIGHT]), self.config.end_tolerance),)
         path = memory["path"][0] + [0.0, 0.0, MARK_HEIGHT]
         return Path(path), Ring(path[-1], self.config.end_tolerance)
@@ -378,29 +327,17 @@ class PalpateTask(Task):
         length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
         wanted = np.linspace(0.0, length[-1], PIECES + 1)
         even = np.column_stack([np.interp(wanted, length, places[:, axis]) for axis in range(2)])
-        return np.column_stack([even, self._heights(setting.rest_nodes, even)])
-
-    def _heights(self, nodes: FloatArray, places: FloatArray) -> FloatArray:
-        """(K,) height of a surface (V, 3) at places (K, 2) [m]."""
-        ground = self.setting.ground_height
-        heights: FloatArray = surface_heights(np.ascontiguousarray(nodes[None]), self._triangles, places, ground)
-        return heights
+        return np.column_stack([even, self.setting.surface_heights(setting.rest_nodes[None], even)])
 
     def _check_reach(self) -> None:
-        config, setting = self.config, self.setting
+        config = self.config
         widest = config.middle_radius + 0.5 * config.length_range[1] + config.start_radius
-        end = min(float(setting.workspace_high[:2].min()), -float(setting.workspace_low[:2].max()))
+        end = self.setting.room_around((0.0, 0.0))
         if widest > end:
             raise ValueError(
                 f"middle_radius, half of length_range and start_radius must not be more than {end:.4f} m together, "
                 f"where the workspace ends; got {config.middle_radius}, {config.length_range} and "
                 f"{config.start_radius}"
-            )
-        highest = setting.workspace_high[2] + setting.tool_low[2] - float(setting.rest_nodes[:, 2].max())
-        if config.start_height_range[1] > highest:
-            raise ValueError(
-                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
-                f"got {config.start_height_range}"
             )
 
 

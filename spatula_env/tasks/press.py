@@ -7,26 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from spatula_env.geometry.checks import check_positive
-from spatula_env.tasks.base import (
-    BoolArray,
-    Evaluation,
-    FloatArray,
-    IntArray,
-    Memory,
-    Setting,
-    Situation,
-    Start,
-    Task,
-    as_seen,
-    check_range,
-    check_weights,
-    closeness,
-    config_from_mapping,
-    sample_disc,
-)
+from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
+from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.marks import Mark, Path, Ring
-from spatula_env.tasks.surface import surface_heights
+from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
 LEAST_DEPTH, GREATEST_DEPTH = -0.03, 0.06
 """Limits of a measured depth [m]: a surface that bulges, and one that has gone from under the tool."""
@@ -36,15 +20,13 @@ RING_RATIO = 1.64
 
 
 @dataclass(frozen=True)
-class PressWeights:
+class PressWeights(Weights):
     """Weights of the reward terms of `PressTask`.
 
     Attributes:
         reach: Of the closeness of the spatula's underside to where it has to go, 0..1.
         depth: Of the closeness of depth and place to the goal's, 0..1.
-        hold: Of being within tolerance, 0 or 1.
         force: Of the contact force [1/N].
-        action: Of the squared length of the action.
     """
 
     reach: float = 0.25
@@ -53,13 +35,9 @@ class PressWeights:
     force: float = -0.002
     action: float = -0.01
 
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        check_weights(self)
-
 
 @dataclass(frozen=True)
-class PressConfig:
+class PressConfig(TaskConfig):
     """What is asked in a press.
 
     Attributes:
@@ -72,7 +50,6 @@ class PressConfig:
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         depth_scale: Error of depth or of place at which the term "depth" has fallen to 0.24 [m].
-        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
     """
 
     place_radius: float = 0.015
@@ -88,22 +65,16 @@ class PressConfig:
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
-        for name in ("place_radius", "start_radius"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
-        for name in ("place_tolerance", "depth_tolerance", "hold_time", "reach_scale", "depth_scale"):
-            check_positive(getattr(self, name), name)
-        for name in ("depth_range", "start_height_range"):
-            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        self._check_not_negative("place_radius", "start_radius")
+        self._check_positive("place_tolerance", "depth_tolerance", "hold_time", "reach_scale", "depth_scale")
+        self._read_ranges("depth_range")
+        self._read_ranges("start_height_range", not_negative=True)
         if self.depth_range[0] <= self.depth_tolerance:
             raise ValueError(
                 f"depth_range must begin above depth_tolerance, {self.depth_tolerance}, or the organ at rest "
                 f"would fulfil the goal; got {self.depth_range}"
             )
-        if self.start_height_range[0] < 0.0:
-            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
-        object.__setattr__(self, "weights", config_from_mapping(PressWeights, self.weights, "weights"))
+        self._read_weights(PressWeights)
 
 
 class PressTask(Task):
@@ -113,9 +84,6 @@ class PressTask(Task):
     where it was at rest. What is achieved is measured at the spatula: the place is that of its centre, and
     the depth is the height of the organ's surface at rest at that place minus its height now. It is the organ
     that is measured: a spatula that has sunk into the organ without moving it has achieved nothing.
-
-    Goals, achieved and desired, are rounded to single precision before they are compared, because that is
-    what an agent sees and what a replay buffer stores: `compute_reward` gives the same verdict as `evaluate`.
 
     Attributes:
         config: What is asked.
@@ -137,17 +105,11 @@ class PressTask(Task):
         low, high = setting.workspace_low, setting.workspace_high
         super().__init__(config, setting, [low[0], low[1], LEAST_DEPTH], [high[0], high[1], GREATEST_DEPTH])
         self.config = config
-        self._triangles = np.array(setting.triangles)
         self._underside = float(setting.tool_low[2])
         self._check_reach()
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
         """Draw the beginnings of episodes: places uniform in discs, depths and heights in their ranges.
-
-        Args:
-            generator: Where randomness comes from.
-            count: Number of episodes, W.
-            setting: Where the organ is.
 
         Returns:
             Goals (W, 3) and tool positions (W, 3) [m].
@@ -184,15 +146,10 @@ class PressTask(Task):
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
         """See `Task`: the surface at rest is looked up once in an episode."""
         rest = np.stack([setting.rest_nodes for setting in settings])
-        memory["target_height"][rows] = self._heights(rest, start.goal[:, :2]) - start.goal[:, 2]
+        memory["target_height"][rows] = self.setting.surface_heights(rest, start.goal[:, :2]) - start.goal[:, 2]
 
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
-        """Judge a situation.
-
-        Args:
-            situation: Of W worlds.
-            goal: (W, 3) [m].
-            memory: What `begin_memory` wrote.
+        """See `Task`.
 
         Returns:
             Reward terms "reach", "depth", "hold", "force" and "action"; what was achieved; the measures
@@ -200,23 +157,20 @@ class PressTask(Task):
         """
         config = self.config
         place = situation.tool_position[:, :2]
-        depth = self._heights(situation.rest_nodes, place) - self._heights(situation.nodes, place)
-        measured = np.column_stack([place, depth])
-        # Not np.clip: it costs several times as much on a few numbers.
-        achieved = as_seen(np.minimum(np.maximum(measured, self.goal_low), self.goal_high))
-        error = as_seen(goal) - achieved
-        place_error, depth_error, within = self._compare(error)
+        heights = self.setting.surface_heights
+        depth = heights(situation.rest_nodes, place) - heights(situation.nodes, place)
+        achieved, error, within = self.compare(as_seen(np.column_stack([place, depth])), goal)
+        place_error, depth_error = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 
         underside = situation.tool_position[:, 2] + situation.tool_scale * self._underside
         distance = np.hypot(place_error, underside - memory["target_height"])
-        force = np.sqrt((situation.contact_force**2).sum(axis=1))
         return Evaluation(
             terms={
                 "reach": closeness(distance, config.reach_scale),
                 "depth": closeness(depth_error, config.depth_scale) * closeness(place_error, config.depth_scale),
                 "hold": within.astype(np.float64),
-                "force": force,
-                "action": (situation.action**2).sum(axis=1),
+                "force": situation.force,
+                "action": situation.effort,
             },
             achieved=achieved,
             error=error,
@@ -226,50 +180,31 @@ class PressTask(Task):
 
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Whether the place and the depth are within tolerance of what is desired, (..., 3) each [m]."""
-        return self._compare(desired - achieved)[2]
+        error = desired - achieved
+        return np.asarray(
+            (np.hypot(error[..., 0], error[..., 1]) <= self.config.place_tolerance)
+            & (np.abs(error[..., 2]) <= self.config.depth_tolerance)
+        )
 
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
     ) -> tuple[Mark, ...]:
         """Rings at the place on the surface at rest and where it is to go, and a line from one to the other."""
         rest = self.setting.rest_nodes[None] if situation is None else situation.rest_nodes
-        height = self._heights(rest, goal[None, :2])[0]
+        height = self.setting.surface_heights(rest, goal[None, :2])[0]
         points = np.array([[*goal[:2], height], [*goal[:2], height - goal[2]]])
         radius = RING_RATIO * float(self.setting.tool_high[0])
         return Ring(points[0], radius), Ring(points[1], radius), Path(points)
 
-    def _heights(self, nodes: FloatArray, places: FloatArray) -> FloatArray:
-        """(W,) height of surfaces (W, V, 3) or (1, V, 3) at places (W, 2) [m]."""
-        places = np.ascontiguousarray(places)
-        ground = self.setting.ground_height
-        heights: FloatArray = surface_heights(np.ascontiguousarray(nodes), self._triangles, places, ground)
-        return heights
-
-    def _compare(self, error: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Distance from the place, absolute error of the depth, whether both are tolerable, (...) each."""
-        place_error, depth_error = np.hypot(error[..., 0], error[..., 1]), np.abs(error[..., 2])
-        within = (place_error <= self.config.place_tolerance) & (depth_error <= self.config.depth_tolerance)
-        return place_error, depth_error, within
-
     def _check_reach(self) -> None:
         config, setting = self.config, self.setting
-        widest = min(float(setting.workspace_high[:2].min()), -float(setting.workspace_low[:2].max()))
         for name in ("place_radius", "start_radius"):
-            if getattr(config, name) > widest:
-                raise ValueError(
-                    f"{name} must be {widest:.4f} m at most, where the workspace ends; got {getattr(config, name)!r}"
-                )
+            self.check_room(name, getattr(config, name), (0.0, 0.0))
         angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
         rim = config.place_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        lowest = self._heights(setting.rest_nodes[None], rim).min()
+        lowest = setting.surface_heights(setting.rest_nodes[None], rim).min()
         deepest = lowest - (setting.workspace_low[2] + setting.tool_low[2])
         if config.depth_range[1] > deepest:
             raise ValueError(
                 f"depth_range must end at {deepest:.4f} m at most, where the workspace ends; got {config.depth_range}"
-            )
-        highest = setting.workspace_high[2] + setting.tool_low[2] - float(setting.rest_nodes[:, 2].max())
-        if config.start_height_range[1] > highest:
-            raise ValueError(
-                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
-                f"got {config.start_height_range}"
             )

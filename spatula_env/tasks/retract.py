@@ -8,25 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spatula_env.geometry.blocks import RidgedBlock
-from spatula_env.geometry.checks import check_positive
-from spatula_env.tasks.base import (
-    BoolArray,
-    Evaluation,
-    FloatArray,
-    IntArray,
-    Memory,
-    PartSpec,
-    Setting,
-    Situation,
-    Start,
-    Task,
-    as_seen,
-    check_range,
-    check_weights,
-    closeness,
-    config_from_mapping,
-)
+from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
+from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.marks import Mark, Patch, Path, Points
+from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
 GREATEST_SHIFT = 0.03
 """Displacements of the patch are reported up to this along each axis [m]."""
@@ -36,15 +21,13 @@ GREATEST_PLACE = 0.15
 
 
 @dataclass(frozen=True)
-class RetractWeights:
+class RetractWeights(Weights):
     """Weights of the reward terms of `RetractTask`.
 
     Attributes:
         reach: Of the closeness of the blade to where it touches the patch, 0..1.
         shift: Of the closeness of the patch's displacement to the goal, 0..1.
-        hold: Of being within tolerance, 0 or 1.
         force: Of the contact force [1/N].
-        action: Of the squared length of the action.
     """
 
     reach: float = 0.25
@@ -53,13 +36,9 @@ class RetractWeights:
     force: float = -0.02
     action: float = -0.01
 
-    def __post_init__(self) -> None:
-        """Check the weights."""
-        check_weights(self)
-
 
 @dataclass(frozen=True)
-class RetractConfig:
+class RetractConfig(TaskConfig):
     """What is asked in a retraction.
 
     Attributes:
@@ -76,7 +55,6 @@ class RetractConfig:
         edge_depth: How far below the patch's middle the term "reach" wants the blade's lower edge [m].
         reach_scale: Distance from there at which the reward term "reach" has fallen to 0.24 [m].
         shift_scale: Error of the displacement at which the term "shift" has fallen to 0.24 [m].
-        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
     """
 
     place_limit: float = 0.008
@@ -95,14 +73,10 @@ class RetractConfig:
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
-        for name in ("place_limit", "angle_limit", "edge_depth"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
-        for name in ("patch_radius", "tolerance", "hold_time", "reach_scale", "shift_scale"):
-            check_positive(getattr(self, name), name)
-        for name in ("height_range", "shift_range", "start_height_range"):
-            object.__setattr__(self, name, check_range(getattr(self, name), name))
+        self._check_not_negative("place_limit", "angle_limit", "edge_depth")
+        self._check_positive("patch_radius", "tolerance", "hold_time", "reach_scale", "shift_scale")
+        self._read_ranges("height_range", "shift_range")
+        self._read_ranges("start_height_range", not_negative=True)
         object.__setattr__(self, "start_offset", _check_pair(self.start_offset, "start_offset"))
         if not (0.0 <= self.height_range[0] and self.height_range[1] <= 1.0):
             raise ValueError(f"height_range must lie in 0 to 1, got {self.height_range}")
@@ -113,9 +87,7 @@ class RetractConfig:
                 f"shift_range must begin above tolerance, {self.tolerance}, or the organ at rest would fulfil the "
                 f"goal, and end at {GREATEST_SHIFT} at most; got {self.shift_range}"
             )
-        if self.start_height_range[0] < 0.0:
-            raise ValueError(f"start_height_range must not be negative, got {self.start_height_range}")
-        object.__setattr__(self, "weights", config_from_mapping(RetractWeights, self.weights, "weights"))
+        self._read_weights(RetractWeights)
 
 
 class RetractTask(Task):
@@ -123,9 +95,6 @@ class RetractTask(Task):
 
     A goal is (x, y): by how much the patch is to be displaced horizontally. The patch is on that flank of the fold from
     which the goal leads into the fold. What is achieved is the weighted mean of the displacements of its nodes.
-
-    Goals, achieved and desired, are rounded to single precision before they are compared, because that is
-    what an agent sees and what a replay buffer stores: `compute_reward` gives the same verdict as `evaluate`.
 
     Attributes:
         config: What is asked.
@@ -165,11 +134,6 @@ class RetractTask(Task):
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
         """Draw the beginnings of episodes: either flank with equal chance, all else uniform in its range.
-
-        Args:
-            generator: Where randomness comes from.
-            count: Number of episodes, W.
-            setting: Where the organ is.
 
         Returns:
             Goals (W, 2) and tool positions (W, 3) [m]; drawn (W, 2) is the patch's place along the fold [m] and its
@@ -223,12 +187,7 @@ class RetractTask(Task):
             memory["rest"][row] = weights @ setting.rest_nodes[nodes]
 
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
-        """Judge a situation.
-
-        Args:
-            situation: Of W worlds.
-            goal: (W, 2) [m].
-            memory: What `begin_memory` wrote.
+        """See `Task`.
 
         Returns:
             Reward terms "reach", "shift", "hold", "force" and "action"; what was achieved; the measures "shift", how
@@ -239,10 +198,8 @@ class RetractTask(Task):
         # A product of matrices for each world: einsum would be slower.
         patch = (memory["weights"][:, None, :] @ situation.nodes)[:, 0]
         shift = patch - memory["rest"]
-        achieved = np.minimum(np.maximum(shift[:, :2], self._goal_low), self._goal_high)
-        error = as_seen(goal) - as_seen(achieved)
+        achieved, error, within = self.compare(shift[:, :2], goal)
         shift_error = np.hypot(error[:, 0], error[:, 1])
-        within = shift_error <= config.tolerance
 
         scale = situation.tool_scale
         direction = goal / np.maximum(np.hypot(goal[:, 0], goal[:, 1]), 1e-9)[:, None]
@@ -255,8 +212,8 @@ class RetractTask(Task):
                 "reach": closeness(distance, config.reach_scale),
                 "shift": closeness(shift_error, config.shift_scale),
                 "hold": within.astype(np.float64),
-                "force": np.sqrt((situation.contact_force**2).sum(axis=1)),
-                "action": (situation.action**2).sum(axis=1),
+                "force": situation.force,
+                "action": situation.effort,
             },
             achieved=achieved,
             error=error,
@@ -317,12 +274,6 @@ class RetractTask(Task):
             raise ValueError(
                 f"start_offset must keep the blade in the workspace, {setting.workspace_low[:2]} to "
                 f"{setting.workspace_high[:2]} m; got {config.start_offset}"
-            )
-        highest = setting.workspace_high[2] + setting.tool_low[2] - float(setting.rest_nodes[:, 2].max())
-        if config.start_height_range[1] > highest:
-            raise ValueError(
-                f"start_height_range must end at {highest:.4f} m at most, where the workspace ends; "
-                f"got {config.start_height_range}"
             )
 
 

@@ -9,7 +9,7 @@ import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -45,7 +45,7 @@ nor vectors. It is so; they need a policy that knows them. Nothing else is allow
 class Env:
     """An environment by its id, made once for all tests that do not close it."""
 
-    kept: dict[tuple[Any, ...], Any] = {}  # noqa: RUF012
+    kept: ClassVar[dict[tuple[Any, ...], Any]] = {}
 
     def __call__(self, id: str, **options: Any) -> Any:
         key = (id, json.dumps(options, sort_keys=True))

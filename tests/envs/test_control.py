@@ -8,17 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spatula_env import scenes
-from spatula_env.envs.control import (
-    ALL_SIX,
-    FALCON_WORKSPACE,
-    TRANSLATION,
-    ControlLayout,
-    Motion,
-    VelocityControl,
-    Workspace,
-    as_action,
-)
-from spatula_env.envs.episodes import place_workspace, setting_of
+from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout, Motion, VelocityControl, as_action
+from spatula_env.envs.workspace import FALCON_WORKSPACE, Workspace, place_workspace, setting_of
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
 from spatula_env.scenes import Scene
 from spatula_env.tasks import Setting

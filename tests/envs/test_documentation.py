@@ -99,7 +99,7 @@ def test_the_documented_actions_are_those_of_the_space(env: Any, doc: str, table
     greatest = {"velocity": "max_speed", "rotation": "max_rotation_rate", "jaw": "max_jaw_speed"}
     for row, unit in zip(tables["Action"], env.control.units, strict=True):
         option = greatest[row["Name"].partition("_")[0]]
-        name, value, told = re.fullmatch(r"`(\w+)` \(([\d.]+) (.+)\)", row["Unit"]).groups()  # type: ignore[union-attr]
+        name, value, told = re.fullmatch(r"`(\w+)` \(([\d.]+) (.+)\)", row["Unit"]).groups()
         assert (name, float(value), told) == (option, getattr(env.settings, option), unit)
     assert f"`Box(-1, 1, ({space.shape[0]},), float32)`" in doc
 

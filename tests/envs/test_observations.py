@@ -9,9 +9,9 @@ from gymnasium import spaces
 
 from spatula_env import scenes
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout, VelocityControl
-from spatula_env.envs.episodes import place_workspace, setting_of
 from spatula_env.envs.observations import NOISE, FrameMemory, ObservationBuilder, first_of, lerobot_keys
 from spatula_env.envs.settings import ObservationSettings
+from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.geometry.rotations import from_rotation_vector, multiply
 from spatula_env.tasks import Evaluation, PressConfig, PressTask, Situation, Start
 

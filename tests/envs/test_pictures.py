@@ -10,12 +10,14 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 from gymnasium.wrappers.vector import RecordVideo as RecordVideos
 
-import spatula_env  # noqa: F401
+import spatula_env
 from spatula_env.envs import PressEnv
 from spatula_env.envs.pictures import EpisodePictures, in_scene
 from spatula_env.envs.press import PressVectorEnv
 from spatula_env.tasks.marks import Patch, Points, Ring
 from spatula_env.tasks.marks import Path as Line
+
+gym.register_envs(spatula_env)
 
 SIZE = {"width": 64, "height": 56}
 GOAL = {"goal": (0.006, -0.004, 0.008), "tool_position": (0.006, -0.004, -0.016)}
@@ -65,8 +67,8 @@ def test_depth_is_the_distance_in_metres() -> None:
         images, depths = pictures.rgbd()
         assert images.shape == (1, 56, 64, 3) and images.dtype == np.uint8
         assert depths.shape == (1, 56, 64) and depths.dtype == np.float32
-        assert 0.0 < depths.min() and depths.max() <= pictures.horizon
-        camera = pictures._sensor.camera  # type: ignore[union-attr]
+        camera = pictures._sensor.camera
+        assert 0.0 < depths.min() and depths.max() <= np.float32(camera.far) * np.float32(env.workspace.length)
         points = camera.unproject(depths[0] / env.workspace.length)
         # What is seen of the organ lies on the organ, within the sagging of its triangles.
         red, green, _ = np.moveaxis(images[0].astype(int), -1, 0)

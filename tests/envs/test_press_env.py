@@ -11,11 +11,13 @@ from gymnasium import spaces
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-import spatula_env  # noqa: F401
+import spatula_env
 from spatula_env import scenes
 from spatula_env.envs import PressEnv, SpatulaEnv
 from spatula_env.sim.simulation import SimulationDiverged
 from spatula_env.tasks import PressWeights
+
+gym.register_envs(spatula_env)
 
 INTERFACES = [(mode, reward) for mode in ("state", "dict") for reward in ("dense", "sparse")]
 DOWN = np.array([0.0, 0.0, -1.0], dtype=np.float32)
@@ -362,7 +364,7 @@ def test_a_bad_action_changes_nothing(env: PressEnv) -> None:
     env.reset(seed=3)
     for bad in ([np.nan, 0.0, 0.0], [0.0, 0.0], "left", [[0.0] * 3] * 2):
         with pytest.raises(ValueError, match="action must"):
-            env.step(bad)  # type: ignore[arg-type]
+            env.step(bad)
     shown = [env.step(action) for action in actions]
     assert [np.asarray(observation).tobytes() for observation, *_ in shown] == [step[0] for step in expected[1:]]
 

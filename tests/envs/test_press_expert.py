@@ -6,8 +6,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import spatula_env  # noqa: F401
+import spatula_env
 from agents.experts import PressExpert
+
+gym.register_envs(spatula_env)
 
 
 def steps_to_success(env: gym.Env[Any, Any], expert: PressExpert, seed: int, limit: int = 60) -> int | None:
@@ -21,14 +23,14 @@ def steps_to_success(env: gym.Env[Any, Any], expert: PressExpert, seed: int, lim
 
 @pytest.mark.parametrize("options", [{}, {"obs_mode": "dict", "reward": "sparse"}])
 def test_the_expert_succeeds_from_observations_alone(options: dict[str, str]) -> None:
-    with gym.make("Spatula/Press-v0", **options) as env:  # type: ignore[arg-type]
+    with gym.make("Spatula/Press-v0", **options) as env:
         expert = PressExpert(env)
         assert None not in [steps_to_success(env, expert, seed) for seed in range(100, 105)]
 
 
 @pytest.mark.parametrize("options", [{"obs_mode": "dict"}, {"reward": "sparse"}])
 def test_the_expert_reads_every_layout_alike(options: dict[str, str]) -> None:
-    with gym.make("Spatula/Press-v0") as flat, gym.make("Spatula/Press-v0", **options) as other:  # type: ignore[arg-type]
+    with gym.make("Spatula/Press-v0") as flat, gym.make("Spatula/Press-v0", **options) as other:
         experts = PressExpert(flat), PressExpert(other)
         first, second = flat.reset(seed=2)[0], other.reset(seed=2)[0]
         for _ in range(12):

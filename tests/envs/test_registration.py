@@ -1,27 +1,14 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import gymnasium as gym
 import pytest
+from fresh_interpreter import ROOT, run_code
 from gymnasium.envs.registration import EnvSpec
 
 import spatula_env
-
-ROOT = Path(spatula_env.__file__).parents[1]
-
-
-def run(code: str) -> str:
-    """Run code in a fresh interpreter, and return what it prints."""
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
 
 
 def test_importing_loads_no_engine_compiler_or_learning_library() -> None:
@@ -29,7 +16,7 @@ def test_importing_loads_no_engine_compiler_or_learning_library() -> None:
         "import sys, json, spatula_env, gymnasium; assert 'Spatula/Press-v0' in gymnasium.registry;"
         "print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))"
     )
-    loaded = json.loads(run(code))
+    loaded = json.loads(run_code(code))
     assert "spatula_env" in loaded
     for heavy in (
         "pybullet",
@@ -49,7 +36,7 @@ def test_gymnasium_imports_the_package_by_the_id() -> None:
         "import gymnasium; env = gymnasium.make('spatula_env:Spatula/Press-v0');"
         "env.reset(seed=0); print(type(env.unwrapped).__name__, env.spec.max_episode_steps); env.close()"
     )
-    assert run(code).split()[-2:] == ["PressEnv", "200"]
+    assert run_code(code).split()[-2:] == ["PressEnv", "200"]
 
 
 def test_many_are_made_by_the_same_id() -> None:
@@ -57,7 +44,7 @@ def test_many_are_made_by_the_same_id() -> None:
         "import gymnasium; env = gymnasium.make_vec('spatula_env:Spatula/Press-v0', num_envs=2);"
         "env.reset(seed=0); print(type(env).__name__, env.num_envs, env.max_episode_steps); env.close()"
     )
-    assert run(code).split()[-3:] == ["PressVectorEnv", "2", "200"]
+    assert run_code(code).split()[-3:] == ["PressVectorEnv", "2", "200"]
 
 
 def test_a_specification_makes_many_again() -> None:
@@ -66,7 +53,7 @@ def test_a_specification_makes_many_again() -> None:
     again = gym.make_vec(env.spec)
     assert again.num_envs == 2
     assert again.metadata["autoreset_mode"] == env.metadata["autoreset_mode"]
-    assert again.max_episode_steps == 7  # type: ignore[attr-defined]
+    assert again.max_episode_steps == 7
     assert again.single_observation_space == env.single_observation_space
     env.close()
     again.close()
@@ -84,7 +71,7 @@ def test_the_specification_can_be_written_to_a_file() -> None:
         assert again.spec is not None
         assert again.spec.kwargs == {"reward": "sparse", "task": {"depth_range": [0.006, 0.01]}}
         again.reset(seed=0)
-        assert 0.006 <= again.unwrapped.goal[2] <= 0.01  # type: ignore[attr-defined]
+        assert 0.006 <= again.unwrapped.goal[2] <= 0.01
 
 
 def test_lazy_names_are_the_real_ones() -> None:
@@ -95,7 +82,7 @@ def test_lazy_names_are_the_real_ones() -> None:
     assert scenes.seed().name == "seed"
     assert {"Simulation", "scenes", "__version__"} <= set(dir(spatula_env))
     with pytest.raises(AttributeError, match="has no attribute 'nonsense'"):
-        spatula_env.nonsense  # noqa: B018
+        _ = spatula_env.nonsense
 
 
 def test_the_version_is_that_of_the_distribution() -> None:

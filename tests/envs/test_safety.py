@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spatula_env.envs import PressEnv, PressVectorEnv
-from spatula_env.envs.episodes import COST_PRESSURE, VIOLATION_PRESSURE
+from spatula_env.envs.safety import COST_PRESSURE, VIOLATION_PRESSURE
 
 GOAL = (0.0, 0.0, 0.018)
 ABOVE = (0.0, 0.0, -0.02)

@@ -1,15 +1,13 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from fresh_interpreter import run_code
 from vector_helpers import (
     ABOVE_GOAL,
     COUNT,
@@ -21,7 +19,6 @@ from vector_helpers import (
     single_envs,
 )
 
-import spatula_env
 from spatula_env.envs import PressVectorEnv
 
 pytest.importorskip("stable_baselines3")
@@ -32,7 +29,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMoni
 
 from spatula_env.envs.sb3 import SpatulaVecEnv, make_sb3_vec_env
 
-ROOT = Path(spatula_env.__file__).parents[1]
 STILL = np.zeros((COUNT, 3), dtype=np.float32)
 
 
@@ -192,7 +188,7 @@ def test_only_environments_of_this_package_in_the_right_mode_are_taken() -> None
     with pytest.raises(ValueError, match="id must be that of an environment of this package, got 'CartPole-v1'"):
         make_sb3_vec_env("CartPole-v1", 2)
     with pytest.raises(ValueError, match="env must be a vector environment of this package, got"):
-        SpatulaVecEnv(gym.make_vec("CartPole-v1", num_envs=1))  # type: ignore[arg-type]
+        SpatulaVecEnv(gym.make_vec("CartPole-v1", num_envs=1))
     with pytest.raises(ValueError, match="env must have been made with autoreset_mode='same_step'"):
         SpatulaVecEnv(PressVectorEnv(COUNT))
 
@@ -228,7 +224,7 @@ def test_sac_learns() -> None:
     assert buffer is not None
     assert buffer.dones[:5, 0].tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
     assert buffer.timeouts[:5, 0].tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
-    position = env.unwrapped.env.observation_builder.slices["tool_position"]  # type: ignore[attr-defined]
+    position = env.unwrapped.env.observation_builder.slices["tool_position"]
     steps = buffer.next_observations[:5, :, position] - buffer.observations[:5, :, position]
     assert np.abs(steps).max() < 0.0051
 
@@ -257,14 +253,6 @@ def test_sac_learns_from_hindsight(obs_mode: str) -> None:
 
 
 # ----------------------------------------------------------------------------------------- importing
-
-
-def run_code(code: str) -> str:
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
 
 
 def test_the_environments_do_not_need_it() -> None:

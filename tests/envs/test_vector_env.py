@@ -361,7 +361,7 @@ def test_the_sparse_reward_is_that_of_compute_reward() -> None:
     seen = set()
     for action in (STILL, 0.3 * DOWN, 0.3 * DOWN):
         observation, rewards, _, _, infos = env.step(action)
-        again = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], [{}] * COUNT)  # type: ignore[call-overload]
+        again = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], [{}] * COUNT)
         assert rewards.dtype == np.float64
         assert again.tolist() == rewards.tolist()
         assert (rewards == 0.0).tolist() == infos["within_tolerance"].tolist()
@@ -383,7 +383,7 @@ def test_a_bad_action_changes_nothing(env: PressVectorEnv) -> None:
         ("left", r"actions must be 3 times 3 numbers in \[-1, 1\], got 'left'"),
     ):
         with pytest.raises(ValueError, match=message):
-            env.step(bad)  # type: ignore[arg-type]
+            env.step(bad)
     assert_alike(run(env, actions), expected, 0.0)
 
 
@@ -416,7 +416,7 @@ def test_a_world_that_breaks_down_leaves_the_others_alone(mode: str) -> None:
     begun = env.reset()[0][1]
     env.reset(seed=3)
     before = run(env, actions[:2])[-1]
-    env.worlds.breaking = 1  # type: ignore[attr-defined]
+    env.worlds.breaking = 1
     with pytest.warns(RuntimeWarning, match=r"physics has diverged in worlds \[1\]: their episodes are cut"):
         observation, rewards, terminated, truncated, infos = env.step(actions[2])
     assert truncated.tolist() == [False, True, False]
@@ -453,7 +453,7 @@ def test_a_breakdown_of_all_worlds_is_survived() -> None:
         1, engine="batch", reward="sparse", obs_mode="dict", render_mode="rgb_array", width=48, height=48
     )
     first, _ = env.reset(seed=0)
-    env.worlds.breaking = 0  # type: ignore[attr-defined]
+    env.worlds.breaking = 0
     with pytest.warns(RuntimeWarning, match="physics has diverged"):
         observation, rewards, _, truncated, infos = env.step(DOWN[:1])
     assert_alike(observation, first, 0.0)
@@ -473,7 +473,7 @@ def test_a_simulation_that_diverges_is_noticed(monkeypatch: pytest.MonkeyPatch) 
     env = make(engine="bullet")
     env.reset(seed=0)
     with monkeypatch.context() as patch:
-        patch.setattr(env.worlds.simulations[2], "step", break_down)  # type: ignore[attr-defined]
+        patch.setattr(env.worlds.simulations[2], "step", break_down)
         with pytest.warns(RuntimeWarning, match=r"worlds \[2\]"):
             assert env.step(DOWN)[3].tolist() == [False, False, True]
     env.step(DOWN)

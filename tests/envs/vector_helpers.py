@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-import spatula_env  # noqa: F401
+import spatula_env
 from spatula_env.envs import PressEnv, vector
 from spatula_env.sim.worlds import Loads, Worlds, make_worlds
+
+gym.register_envs(spatula_env)
 
 ENGINES = ("bullet", "batch")
 COUNT = 3

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spatula_env.render import MATTE, Background, Ground, Lighting, Material, Mesh, Segments
+from spatula_env.render import MATTE, Background, Ground, Lighting, Material, Mesh
 
 VERTICES = np.eye(3)
 TRIANGLES = np.array([[0, 1, 2]])
@@ -45,22 +45,6 @@ def test_moved_keeps_all_but_the_vertices():
     assert (moved.color, moved.opacity, moved.clip_plane) == (mesh.color, 0.5, ((0, 0, 1), (0, 0, 1)))
     with pytest.raises(ValueError, match="triangles"):
         mesh.moved(VERTICES[:2])
-
-
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("starts", {"starts": np.zeros((1, 2))}),
-        ("starts and ends", {"ends": np.zeros((2, 3))}),
-        ("width", {"width": 0.0}),
-        ("unit", {"unit": "mm"}),
-        ("opacity", {"opacity": -0.1}),
-        ("colors", {"colors": np.zeros((2, 3))}),
-    ],
-)
-def test_bad_segments(name, options):
-    with pytest.raises(ValueError, match=name):
-        Segments(**{"starts": np.zeros((1, 3)), "ends": np.ones((1, 3)), **options})
 
 
 @pytest.mark.parametrize(

@@ -7,17 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spatula_env.render import Mesh, Segments, arrow_mesh, box_mesh, disc_mesh, ring_mesh, sphere_mesh, tube_mesh
+from spatula_env.render import Mesh, arrow_mesh, box_mesh, ring_mesh, sphere_mesh, tube_mesh
 
 
 def volume(mesh: Mesh) -> float:
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->i", np.cross(a, b), c).sum() / 6.0)
-
-
-def area(mesh: Mesh) -> float:
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def is_closed(mesh: Mesh) -> bool:
@@ -93,31 +88,12 @@ def test_a_short_arrow_is_all_head_and_no_arrow_is_empty():
     assert len(arrow_mesh((0, 0, 0), (0, 0, 0)).triangles) == 0
 
 
-def test_disc_area_and_side():
-    mesh = disc_mesh((0, 0, 1), 2.0, (0, 0, -1), inner_radius=1.0, sides=200)
-    assert area(mesh) == pytest.approx(3 * np.pi, rel=1e-3)
-    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    assert (np.cross(b - a, c - a)[:, 2] < 0).all()
-    np.testing.assert_allclose(mesh.vertices[:, 2], 1.0)
-
-
 def test_ring_volume():
     mesh = ring_mesh((1, 2, 3), 2.0, (1, 1, 0), width=0.4, sides=200)
     assert is_closed(mesh)
     # A tube of ten sides has a little less than the volume of a round one, 2 pi^2 R r^2.
     ten_sides = 5 * np.sin(2 * np.pi / 10) / np.pi
     assert volume(mesh) == pytest.approx(2 * np.pi**2 * 2.0 * 0.2**2 * ten_sides, rel=1e-3)
-
-
-def test_polyline_and_circle():
-    points = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0)])
-    assert len(Segments.polyline(points).starts) == 2
-    np.testing.assert_array_equal(Segments.polyline(points, closed=True).ends[-1], points[0])
-    assert len(Segments.polyline(points[:1]).starts) == 0
-    circle = Segments.circle((1, 2, 3), 2.0, (1, 0, 0), count=12)
-    np.testing.assert_allclose(np.linalg.norm(circle.starts - (1, 2, 3), axis=1), 2.0)
-    np.testing.assert_allclose(circle.starts[:, 0], 1.0)
-    np.testing.assert_allclose(circle.ends[-1], circle.starts[0])
 
 
 @pytest.mark.parametrize(
@@ -133,11 +109,9 @@ def test_polyline_and_circle():
         ("width", lambda: arrow_mesh((0, 0, 0), (0, 0, 1), width=0.0)),
         ("sides", lambda: arrow_mesh((0, 0, 0), (0, 0, 1), sides=2)),
         ("vector", lambda: arrow_mesh((0, 0, 0), (0, 0, np.nan))),
-        ("inner_radius", lambda: disc_mesh((0, 0, 0), 1.0, inner_radius=1.0)),
-        ("direction", lambda: disc_mesh((0, 0, 0), 1.0, (0, 0, 0))),
+        ("direction", lambda: ring_mesh((0, 0, 0), 1.0, (0, 0, 0))),
         ("width", lambda: ring_mesh((0, 0, 0), 1.0, width=2.0)),
-        ("radius", lambda: Segments.circle((0, 0, 0), -1.0)),
-        ("count", lambda: Segments.circle((0, 0, 0), 1.0, count=2)),
+        ("radius", lambda: ring_mesh((0, 0, 0), -1.0)),
     ],
 )
 def test_bad_shapes(name, make):

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from render_helpers import BLUE, GREY, RED, ahead, is_color, mix, quad, wall
 
-from spatula_env.render import UNLIT, Camera, Ground, Mesh, Renderer, Segments, box_mesh, sphere_mesh
+from spatula_env.render import UNLIT, Camera, Ground, Mesh, Renderer, box_mesh, sphere_mesh
 
 BLACK = (0.0, 0.0, 0.0)
 WHITE = (1.0, 1.0, 1.0)
@@ -17,8 +19,8 @@ def renderer() -> Renderer:
     return Renderer(16, 12)
 
 
-def draw(renderer, meshes, segments=(), camera=None, background=BLACK, **options):
-    return renderer.render(camera or ahead(), meshes, segments, background=background, **options)
+def draw(renderer, meshes, camera=None, background=BLACK, **options):
+    return renderer.render(camera or ahead(), meshes, background=background, **options)
 
 
 def test_every_byte_comes_back_as_itself(renderer):
@@ -122,14 +124,7 @@ def test_clip_plane_removes_the_side_of_its_normal(renderer):
 
 def test_a_clipped_sphere_shows_its_inside():
     sphere = sphere_mesh((0, 4, 0), 2.0, color=RED, material=UNLIT, subdivisions=3)
-    cut = Mesh(
-        sphere.vertices,
-        sphere.triangles,
-        color=RED,
-        back_color=BLUE,
-        material=UNLIT,
-        clip_plane=((0, 4, 0), (0, -1, 0)),
-    )
+    cut = replace(sphere, back_color=BLUE, clip_plane=((0, 4, 0), (0, -1, 0)))
     y, x = np.mgrid[:32, :32] + 0.5 - 16
     for mesh, color, radius in ((sphere, RED, 16 * 2 / np.sqrt(12)), (cut, BLUE, 16 * 2 / 4)):
         # Whole, its outline is where rays touch it; cut in half, its equator.
@@ -179,17 +174,8 @@ def test_no_cap_seen_from_the_kept_side_or_through_a_shape_behind_the_plane():
 
 def test_rind_is_a_band_along_the_border_of_the_section():
     renderer = Renderer(64, 64)
-    sphere = sphere_mesh((0, 4, 0), 2.0, subdivisions=4)
-    mesh = Mesh(
-        sphere.vertices,
-        sphere.triangles,
-        color=RED,
-        back_color=BLUE,
-        material=UNLIT,
-        clip_plane=((0, 4, 0), (0, -1, 0)),
-        capped=True,
-        rind=0.5,
-    )
+    sphere = sphere_mesh((0, 4, 0), 2.0, color=RED, material=UNLIT, subdivisions=4)
+    mesh = replace(sphere, back_color=BLUE, clip_plane=((0, 4, 0), (0, -1, 0)), capped=True, rind=0.5)
     picture = draw(renderer, [mesh])
     # The scale is 8 pixels per unit at depth 4: radius 16, without the rind 12.
     y, x = np.mgrid[:64, :64] + 0.5 - 32
@@ -325,73 +311,19 @@ def test_colors_are_interpolated_in_perspective():
     np.testing.assert_allclose(linear[solid] * 255, expected[solid], atol=1.5)
 
 
-def test_lines_have_their_width_in_pixels():
-    line = Segments(np.array([(-90.0, 9, 0)]), np.array([(90.0, 9, 0)]), color=RED, width=4.0)
-    picture = draw(Renderer(16, 12), [], [line])
-    assert is_color(picture[4:8], RED).all()
-    assert is_color(np.delete(picture, np.s_[4:8], axis=0), BLACK).all()
-
-
-def test_lines_have_their_width_in_the_world():
-    # One pixel is 1/6 u wide at depth 1: 2 u at depth 3 are four pixels, at depth 6 two.
-    for depth, rows in ((3.0, 4), (6.0, 2)):
-        line = Segments(np.array([(-90.0, depth, 0)]), np.array([(90.0, depth, 0)]), color=RED, width=2.0, unit="world")
-        assert is_color(draw(Renderer(16, 12), [], [line])[:, 8], RED).sum() == rows
-
-
-def test_lines_are_hidden_by_what_is_in_front(renderer):
-    line = Segments(np.array([(-90.0, 9, 0)]), np.array([(90.0, 9, 0)]), color=RED, width=4.0)
-    picture = draw(renderer, [wall(5.0, left=0.0, color=BLUE)], [line])
-    assert is_color(picture[4:8, :8], RED).all()
-    assert is_color(picture[:, 8:], BLUE).all()
-
-
-def test_a_line_on_a_surface_is_seen(renderer):
-    line = Segments(np.array([(-90.0, 9, 0)]), np.array([(90.0, 9, 0)]), color=RED, width=4.0)
-    assert is_color(draw(renderer, [wall(9.0, color=BLUE)], [line])[4:8], RED).all()
-
-
-def test_a_line_that_passes_the_eye_is_cut():
-    line = Segments(np.array([(0.0, -5, -1)]), np.array([(0.0, 5, -1)]), color=RED, width=2.0)
-    picture = draw(Renderer(16, 12), [], [line])
-    # It comes from below and ends at the depth 5, one fifth of the way down.
-    assert is_color(picture[8:, 7:9], RED).all()
-    assert is_color(picture[:6], BLACK).all()
-    behind = Segments(np.array([(-1.0, -5, 0)]), np.array([(1.0, -5, 0)]), color=RED)
-    assert is_color(draw(Renderer(16, 12), [], [behind]), BLACK).all()
-
-
-def test_joints_of_a_translucent_line_are_not_darker():
-    points = np.array([(x, 9.0, 0.0) for x in np.linspace(-90, 90, 13)])
-    line = Segments.polyline(points, color=WHITE, width=4.0, opacity=0.5)
-    picture = draw(Renderer(16, 12), [], [line])
-    expected = mix((0.5, WHITE), (0.5, BLACK))[0]
-    np.testing.assert_allclose(picture[4:8], expected, atol=0.51)
-
-
-def test_each_line_has_its_color(renderer):
-    starts = np.array([(-90.0, 9, 4.5), (-90.0, 9, -4.5)])
-    ends = starts * (-1, 1, 1)
-    lines = Segments(starts, ends, colors=np.array([RED, BLUE]), width=4.0)
-    picture = draw(renderer, [], [lines])
-    assert is_color(picture[2:4], RED).all()
-    assert is_color(picture[8:10], BLUE).all()
-
-
 def test_equal_input_gives_equal_bytes_whatever_was_drawn_before():
     camera = Camera.orbit((0, 0, 1), 6.0, 30, 20)
     ball = sphere_mesh((0, 0, 1), 1.0)
     scene = [ball, sphere_mesh((1, 0, 1), 0.7, opacity=0.4), box_mesh((1, 1, 1), (-1, 1, 0.5), bevel=0.1)]
-    lines = [Segments.circle((0, 0, 1), 1.5, opacity=0.7), Segments.circle((0, 0, 1), 1.2)]
-    fresh = Renderer(40, 30).render_rgbd(camera, scene, lines, ground=Ground())
+    fresh = Renderer(40, 30).render_rgbd(camera, scene, ground=Ground())
     used = Renderer(40, 30)
     others = [sphere_mesh(np.random.default_rng(0).normal(size=(60, 3)), 0.3, opacity=0.5)]
     used.render(Camera.orbit((0, 0, 1), 3.0, 80, 40), others, ground=Ground(style="checker"), background=RED)
-    used.render(camera, others, lines, ground=Ground())
-    again = used.render_rgbd(camera, scene, lines, ground=Ground())
+    used.render(camera, others, ground=Ground())
+    again = used.render_rgbd(camera, scene, ground=Ground())
     np.testing.assert_array_equal(fresh[0], again[0])
     np.testing.assert_array_equal(fresh[1], again[1])
-    np.testing.assert_array_equal(fresh[0], used.render(camera, scene, lines, ground=Ground()))
+    np.testing.assert_array_equal(fresh[0], used.render(camera, scene, ground=Ground()))
 
 
 def test_a_picture_is_the_same_in_one_band_and_in_many():

@@ -117,7 +117,7 @@ def wait(seen: dict[str, Any]) -> None:
     triangles, pose = np.array(scene.organs[0].organ.triangles), pose_of(scene)
     clock = Clock()
     real = window_module.time
-    window_module.time = SimpleNamespace(perf_counter=clock.perf_counter, sleep=clock.sleep)  # type: ignore[assignment]
+    window_module.time = SimpleNamespace(perf_counter=clock.perf_counter, sleep=clock.sleep)
     try:
         shown = Window(scene, triangles, SIZE, SIZE, frames_per_second=20.0)
         shown.show(Moment(*pose))
@@ -172,7 +172,7 @@ def main() -> None:
     handle(pictures, seen)
     wait(seen)
     watch(pictures, seen)
-    np.savez(sys.argv[1], **pictures)  # type: ignore[arg-type]
+    np.savez(sys.argv[1], **pictures)
     sys.stdout.write(json.dumps(seen) + "\n")
 
 

@@ -1,19 +1,19 @@
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from task_helpers import setting_of_task
 
 from spatula_env import scenes
-from spatula_env.envs.episodes import place_workspace, setting_of
 from spatula_env.geometry.rotations import from_rotation_vector, multiply, turn
-from spatula_env.tasks.base import Memory, Setting, Situation, Start, weighted_sum
+from spatula_env.tasks.base import Memory, weighted_sum
 from spatula_env.tasks.clamp import GREATEST_SLIP, ClampConfig, ClampTask, ClampWeights
 from spatula_env.tasks.marks import Patch, Path
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 SCENE = scenes.clamp()
 BLOCK = SCENE.organs[0].organ
@@ -23,7 +23,7 @@ JAW_LENGTH, JAW_HEIGHT = 0.024, 0.016
 
 @pytest.fixture(scope="module")
 def setting() -> Setting:
-    return setting_of(SCENE, place_workspace(SCENE, SCENE.organs[0].vertices, 0.025))
+    return setting_of_task("clamp")
 
 
 @pytest.fixture(scope="module")
@@ -273,56 +273,6 @@ def test_marks_show_the_crest_and_its_height(task: ClampTask, setting: Setting) 
     assert patch.nodes.tolist() == BLOCK.crest.tolist()
     assert line.points[:, 2] == pytest.approx(setting.rest_nodes[BLOCK.crest, 2].max() + 0.01)
     assert line.points[1, 0] - line.points[0, 0] > 0.02
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"start_offset": -1.0}, "start_offset must be zero or more"),
-        ({"lift_tolerance": 0.0}, "lift_tolerance must be positive"),
-        ({"hold_time": float("nan")}, "hold_time must be positive"),
-        ({"lift_range": (0.01, 0.005)}, "lift_range must be two finite numbers in ascending order"),
-        ({"lift_range": (0.0005, 0.01)}, "lift_range must begin above lift_tolerance, 0.001"),
-        ({"lift_range": (0.01, 0.2)}, "lift_range must end at 0.08 m at most"),
-        ({"slip_range": (0.0, 0.02)}, "slip_range must lie from 0 to below 0.02 m"),
-        ({"start_height_range": (-0.01, 0.01)}, "start_height_range must not be negative"),
-        ({"start_opening_range": (-0.01, 0.01)}, "start_opening_range must not be negative"),
-        ({"weights": {"speed": 1.0}}, "weights has no speed; allowed are action, force, grip, hold, lift, reach, slip"),
-        ({"weights": {"hold": float("inf")}}, "weights.hold must be finite"),
-    ],
-)
-def test_configurations_are_checked(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ClampConfig(**changes)  # type: ignore[arg-type]
-
-
-def test_a_configuration_survives_a_file() -> None:
-    config = ClampConfig(slip_range=(0.001, 0.003), weights=ClampWeights(force=-0.5))
-    assert ClampConfig(**json.loads(json.dumps(asdict(config)))) == config
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"start_offset": 0.06}, "start_offset must be 0.0508 m at most"),
-        ({"start_height_range": (0.01, 0.09)}, "start_height_range must end at 0.0678 m at most"),
-    ],
-)
-def test_what_is_out_of_reach_is_refused(setting: Setting, changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ClampTask(replace(ClampConfig(), **changes), setting)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("goal", "message"),
-    [
-        ((0.02, 0.001), r"goal must have a lift from 0\.004 to 0\.012 m"),
-        ((0.008, 0.02), "goal must have a slip from 0"),
-    ],
-)
-def test_goals_are_checked(task: ClampTask, goal: tuple[float, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        task.check_goal(np.array(goal))
 
 
 def test_other_scenes_are_refused(setting: Setting) -> None:

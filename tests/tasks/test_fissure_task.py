@@ -1,19 +1,19 @@
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from task_helpers import setting_of_task
 
 from spatula_env import scenes
-from spatula_env.envs.episodes import place_workspace, setting_of
 from spatula_env.geometry.rotations import from_rotation_vector, multiply, turn
-from spatula_env.tasks.base import Setting, Situation, weighted_sum
+from spatula_env.tasks.base import weighted_sum
 from spatula_env.tasks.fissure import FissureConfig, FissureTask, FissureWeights, sight
 from spatula_env.tasks.marks import Path
+from spatula_env.tasks.situation import Setting, Situation
 
 SCENE = scenes.fissure()
 BLOCK = SCENE.organs[0].organ
@@ -24,7 +24,7 @@ HALF_HEIGHT = 0.02
 
 @pytest.fixture(scope="module")
 def setting() -> Setting:
-    return setting_of(SCENE, place_workspace(SCENE, SCENE.organs[0].vertices, 0.025))
+    return setting_of_task("fissure")
 
 
 @pytest.fixture(scope="module")
@@ -240,62 +240,6 @@ def test_marks_show_the_target_and_the_sight(task: FissureTask, setting: Setting
     assert line.points[0] == pytest.approx(middle)
     way = line.points[1] - line.points[0]
     assert way / np.linalg.norm(way) == pytest.approx([0.0, np.sin(0.2), np.cos(0.2)])
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"place_limit": -1.0}, "place_limit must be zero or more"),
-        ({"hold_time": 0.0}, "hold_time must be positive"),
-        ({"target_height": float("nan")}, "target_height must be positive"),
-        ({"view_range": (0.3, 0.2)}, "view_range must be two finite numbers in ascending order"),
-        ({"view_range": (0.1, 1.0)}, "view_range must lie in 0 to 0.6"),
-        ({"exposure_range": (0.0, 0.5)}, "exposure_range must lie above 0 and end at 1"),
-        ({"exposure_range": (0.5, 1.1)}, "exposure_range must lie above 0 and end at 1"),
-        ({"start_height_range": (-0.01, 0.01)}, "start_height_range must not be negative"),
-        ({"start_tilt": 2.0}, "start_tilt must be 0.6 at most"),
-        ({"target_size": 0.01}, "target_size must be two numbers"),
-        ({"target_size": (0.01, 0.0)}, "target_size must be positive"),
-        ({"target_grid": (5, 1)}, "target_grid must be an integer of at least 2"),
-        ({"weights": {"speed": 1.0}}, "weights has no speed; allowed are action, align, exposure, force, hold, reach"),
-        ({"weights": {"hold": float("inf")}}, "weights.hold must be finite"),
-    ],
-)
-def test_configurations_are_checked(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        FissureConfig(**changes)  # type: ignore[arg-type]
-
-
-def test_a_configuration_survives_a_file() -> None:
-    config = FissureConfig(target_grid=(3, 7), weights=FissureWeights(force=-0.5))
-    assert FissureConfig(**json.loads(json.dumps(asdict(config)))) == config
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"place_limit": 0.04}, "place_limit must be 0.0180"),
-        ({"start_offset": 0.06}, "start_offset must be 0.0508 m at most"),
-        ({"start_height_range": (0.01, 0.09)}, "start_height_range must end at 0.0558 m at most"),
-    ],
-)
-def test_what_is_out_of_reach_is_refused(setting: Setting, changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        FissureTask(replace(FissureConfig(), **changes), setting)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("goal", "message"),
-    [
-        ((0.05, 0.2, 0.8), "goal must have a place from -0.0180"),
-        ((0.0, 0.35, 0.8), "goal must have a view from -0.3 to 0.3 rad"),
-        ((0.0, 0.2, 0.0), "goal must have an exposure above 0"),
-        ((0.0, 0.2, 1.01), "goal must have an exposure above 0"),
-    ],
-)
-def test_goals_are_checked(task: FissureTask, goal: tuple[float, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        task.check_goal(np.array(goal))
 
 
 def test_other_scenes_are_refused(setting: Setting) -> None:

@@ -1,0 +1,108 @@
+"""What a task can be configured to ask for: reading it from a file or a call, and checking it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+from spatula_env.geometry.checks import check_not_negative, check_positive
+
+Config = TypeVar("Config")
+
+
+class Weights:
+    """Base of the frozen dataclasses that hold the weight of each reward term, a finite number.
+
+    Attributes:
+        hold: Of being within tolerance, 0 or 1.
+        action: Of the squared length of the action.
+    """
+
+    hold: float
+    action: float
+
+    def __post_init__(self) -> None:
+        """Check the weights."""
+        for name, value in vars(self).items():
+            if not np.isfinite(value):
+                raise ValueError(f"weights.{name} must be finite, got {value!r}")
+
+
+class TaskConfig:
+    """Base of the frozen dataclasses that say what is asked. They check themselves with its methods.
+
+    Attributes:
+        hold_time: How long the goal must be held without a break for success [s].
+        start_height_range: Least and greatest height of the tools' lowest point above the organ's top at the start [m].
+        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
+    """
+
+    hold_time: float
+    start_height_range: tuple[float, float]
+    weights: Weights
+
+    def _check_not_negative(self, *names: str) -> None:
+        """Check that the fields with these names are zero or more."""
+        for name in names:
+            check_not_negative(getattr(self, name), name)
+
+    def _check_positive(self, *names: str) -> None:
+        """Check that the fields with these names are above zero."""
+        for name in names:
+            check_positive(getattr(self, name), name)
+
+    def _read_ranges(self, *names: str, not_negative: bool = False) -> None:
+        """Take two numbers in ascending order, also a list, for each of the fields with these names."""
+        for name in names:
+            ends = check_range(getattr(self, name), name)
+            if not_negative and ends[0] < 0.0:
+                raise ValueError(f"{name} must not be negative, got {ends}")
+            object.__setattr__(self, name, ends)
+
+    def _read_weights(self, kind: type[Weights]) -> None:
+        """Take a mapping from names to weights for the field `weights`."""
+        object.__setattr__(self, "weights", config_from_mapping(kind, self.weights, "weights"))
+
+
+def config_from_mapping(kind: type[Config], values: Mapping[str, Any] | Config | None, name: str) -> Config:
+    """A configuration from what may come from a file or over the wire.
+
+    Args:
+        kind: The dataclass to make.
+        values: Its fields by name, or the configuration itself, or None for the defaults.
+        name: What to call the argument in an error.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        ValueError: If there is no such field, or `values` is something else.
+    """
+    if values is None:
+        return kind()
+    if isinstance(values, kind):
+        return values
+    if not isinstance(values, Mapping):
+        raise ValueError(f"{name} must be a mapping or a {kind.__name__}, got {values!r}")
+    allowed = sorted(kind.__dataclass_fields__)  # type: ignore[attr-defined]
+    unknown = sorted(str(key) for key in values if key not in allowed)
+    if unknown:
+        raise ValueError(f"{name} has no {', '.join(unknown)}; allowed are {', '.join(allowed)}")
+    return kind(**values)
+
+
+def check_range(value: Any, name: str) -> tuple[float, float]:
+    """Two finite numbers in ascending order, as a tuple of floats.
+
+    Raises:
+        ValueError: If `value` is anything else.
+    """
+    try:
+        low, high = (float(number) for number in value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be two numbers (least, greatest), got {value!r}") from error
+    if not -np.inf < low <= high < np.inf:
+        raise ValueError(f"{name} must be two finite numbers in ascending order, got {value!r}")
+    return low, high
