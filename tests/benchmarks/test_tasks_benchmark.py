@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -71,3 +73,23 @@ def test_endurance_tells_what_broke(field: str) -> None:
     assert endurance.Endurance(**fields).passed
     assert not endurance.Endurance(**{**fields, field: 1}).passed
     assert not endurance.Endurance(**{**fields, "memory_growth": 20.0}).passed
+
+
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+def test_a_control_step_is_retraced_and_all_is_as_before(engine: str) -> None:
+    envs: Any = gymnasium.make_vec("Spatula/Press-v0", num_envs=2, engine=engine)
+    envs.reset(seed=1)
+    worlds = envs.unwrapped.worlds
+    retraced = endurance.Retraced(worlds)
+    down = np.tile(np.array([0.0, 0.0, -1.0], dtype=np.float32), (2, 1))
+    for _ in range(12):
+        envs.step(down)
+    nodes, positions = worlds.nodes.copy(), worlds.tool_positions.copy()
+    assert retraced.passages(1, 0) == 0
+    np.testing.assert_array_equal(worlds.tool_positions, positions)
+    np.testing.assert_allclose(worlds.nodes, nodes, atol=1e-9)
+    # From another state it does not come out the same, which is said.
+    worlds.reset(np.arange(2))
+    with pytest.raises(RuntimeError, match="world 1 came out otherwise"):
+        retraced.passages(1, 0)
+    envs.close()
