@@ -218,6 +218,36 @@ class VelocityControl:
         linear = velocity[:, None] + (ends - arms) / period
         return Motion(linear, angular, velocity, rate, coordinate_rate)
 
+    def restrained(self, motion: Motion, forces: FloatArray, positions: FloatArray, greatest: float) -> Motion:
+        """A motion in which no tool pushes on that has met too great a force: the protective stop of robots.
+
+        Args:
+            motion: What was asked for.
+            forces: (W, N, 3) of the organ on the tools in the last control step [N].
+            positions: (W, N, 3) of the tools [m].
+            greatest: Beyond this a tool does not move against the force, and none of its world turns [N].
+
+        Returns:
+            The motion; the same where no force is too great.
+        """
+        sizes = np.sqrt((forces**2).sum(axis=2))
+        over = sizes > greatest
+        stopped = over.any(axis=1)
+        if not stopped.any():
+            return motion
+        linear, angular = motion.linear.copy(), motion.angular.copy()
+        velocity, rate, coordinate_rate = motion.velocity.copy(), motion.rate.copy(), motion.coordinate_rate.copy()
+        direction = forces / np.maximum(sizes, 1e-12)[:, :, None]
+        against = np.minimum((linear * direction).sum(axis=2), 0.0) * over
+        linear -= against[:, :, None] * direction
+        angular[stopped], rate[stopped] = 0.0, 0.0
+        velocity[stopped] = linear[stopped].mean(axis=1)
+        if self.layout.jaws:
+            away = positions[stopped, 1] - positions[stopped, 0]
+            away /= np.sqrt((away**2).sum(axis=1, keepdims=True))
+            coordinate_rate[stopped, 0] = ((linear[stopped, 1] - linear[stopped, 0]) * away).sum(axis=1)
+        return Motion(linear, angular, velocity, rate, coordinate_rate)
+
     def observe(self, situation: Situation) -> list[FloatArray]:
         """The values (W, k) of `parts`."""
         values = []

@@ -294,6 +294,8 @@ class Episodes:
         motion = self.control.motion(
             self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
         )
+        if self.settings.max_force is not None:
+            motion = self.control.restrained(motion, self.forces, positions, self.settings.max_force)
         loads = worlds.advance(
             frames.velocities_to_scene(motion.linear),
             frames.rates_to_scene(motion.angular),

@@ -22,7 +22,8 @@ FISSURE = Definition(
         "velocity": ControlLayout(rotations="x", max_turn=0.6),
         "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6),
     },
-    defaults={"max_speed": 0.05},
+    # A wall is moved aside with 0.15 N.
+    defaults={"max_speed": 0.05, "max_force": 0.5},
 )
 """A blade on edge above a fissure."""
 
@@ -123,11 +124,12 @@ class FissureEnv(SpatulaEnv):
     [m]; and `view_error`, the angle between the blade's tilt and the line of sight's [rad].
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `FissureConfig`. Another default has
+    Those of `SpatulaEnv`; `task` changes fields of `FissureConfig`. Other defaults have
 
-    | Parameter   | Type      | Default | Description                          |
-    | ----------- | --------- | ------- | ------------------------------------ |
-    | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
+    | Parameter   | Type               | Default | Description                          |
+    | ----------- | ------------------ | ------- | ------------------------------------ |
+    | `max_speed` | **float**          | `0.05`  | Greatest speed along each axis [m/s] |
+    | `max_force` | **float \| None**  | `0.5`   | With a greater one no tool pushes on |
 
     ## Version History
     * v0: first version.

@@ -82,6 +82,7 @@ class EnvSettings:
         max_speed: Of the grip along each axis [m/s].
         max_rotation_rate: Of the tools about each axis [rad/s].
         max_jaw_speed: At which jaws open and close [m/s].
+        max_force: A tool that has met a greater force does not push on [N]; None: there is no such stop.
         control_frequency: Control steps in a second [Hz].
         terminate_on_success: Whether success ends an episode.
         damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
@@ -101,6 +102,7 @@ class EnvSettings:
     max_speed: float = 0.1
     max_rotation_rate: float = 1.0
     max_jaw_speed: float = 0.05
+    max_force: float | None = 2.0
     control_frequency: float = 20.0
     terminate_on_success: bool = False
     damage_limit: float | None = None
@@ -118,6 +120,8 @@ class EnvSettings:
             check_choice(self.render_mode, "render_mode", (None, *RENDER_MODES))
         for name in ("max_speed", "max_rotation_rate", "max_jaw_speed", "control_frequency"):
             check_positive(getattr(self, name), name)
+        if self.max_force is not None:
+            check_positive(self.max_force, "max_force")
         if self.damage_limit is not None and not 0.0 <= self.damage_limit < np.inf:
             raise ValueError(f"damage_limit must be None, or zero or more and finite, got {self.damage_limit!r}")
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")

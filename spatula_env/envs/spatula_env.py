@@ -89,7 +89,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is a pressure above 4.0 kPa
     (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15 minutes (J. Rosenorn and
     N. Diemer, J Neurosurg 63:608, 1985): they are doses, not limits for a moment. `damage_limit` ends an episode whose
-    cost exceeds it.
+    cost exceeds it. A tool that has met more than `max_force` in a control step does not move on against that force in
+    the next one, and does not turn: the protective stop that robots have.
 
     ## Episode End
     Success is to have been within tolerance for `hold_time` without a break; `info["is_success"]` stays true until the
@@ -158,6 +159,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `max_speed`            | **float**          | `0.1`        | Greatest speed along each axis [m/s]                |
     | `max_rotation_rate`    | **float**          | `1.0`        | Greatest rate of rotation about each axis [rad/s]   |
     | `max_jaw_speed`        | **float**          | `0.05`       | Greatest speed at which jaws open and close [m/s]   |
+    | `max_force`            | **float \| None**  | `2.0`        | With a greater one no tool pushes on [N]            |
     | `control_frequency`    | **float**          | `20.0`       | Control steps in a second, divides 240 Hz           |
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
     | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |

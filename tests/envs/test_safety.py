@@ -25,6 +25,11 @@ def plunge(env: Any, steps: int = 12, **options: Any) -> list[tuple[float, bool,
     return shown
 
 
+def grip_height(env: PressEnv) -> float:
+    """Of the tool over the workspace's middle [m]."""
+    return float(env.workspace.from_scene(env.simulation.tool_position)[2])
+
+
 @pytest.fixture(scope="module")
 def env() -> Any:
     with PressEnv(engine="batch") as made:
@@ -108,6 +113,33 @@ def test_each_world_is_damaged_by_itself() -> None:
     _, infos = env.reset(options={"reset_mask": np.array([True, False])})
     assert infos["episode_cost"].tolist() == [0.0, 0.0]
     env.close()
+
+
+def test_a_tool_that_meets_too_great_a_force_does_not_push_on() -> None:
+    peaks, depths = [], []
+    for limit in (None, 0.3):
+        with PressEnv(engine="batch", max_force=limit) as env:
+            env.reset(seed=0, options={"goal": GOAL, "tool_position": ABOVE})
+            forces, heights = [], []
+            for _ in range(40):
+                *_, info = env.step(DOWN)
+                forces.append(info["force"])
+                heights.append(grip_height(env))
+            peaks.append(max(forces))
+            depths.append(heights[-1])
+            # It gets away as fast as ever.
+            env.step(UP)
+            assert grip_height(env) - heights[-1] == pytest.approx(0.1 * 0.05, rel=1e-6)
+    assert peaks[0] > 0.8
+    # A step goes 3 mm on, after the force was not yet too great.
+    assert 0.3 < peaks[1] < 0.6
+    assert depths[1] > depths[0] + 0.01
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
+def test_an_impossible_greatest_force_is_refused(value: float) -> None:
+    with pytest.raises(ValueError, match="max_force must be positive and finite"):
+        PressEnv(engine="batch", max_force=value)
 
 
 def test_both_engines_count_alike() -> None:
