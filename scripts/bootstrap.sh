@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
-# Makes .venv ready, from nothing but Python, for one of two profiles:
+# Makes .venv ready, from nothing but Python, for one of these profiles:
 #
 #   scripts/bootstrap.sh demo    the package and what `spatula demo` needs; no torch
-#   scripts/bootstrap.sh test    that, and what tests, checks and training need; torch's CPU build
+#   scripts/bootstrap.sh test    that, and what tests, checks and training need; torch's CPU build, and a browser
+#   scripts/bootstrap.sh ray     .venv-ray instead, with lock-ray.txt: what the tests with Ray need
 #
 # Versions come from requirements/lock.txt. PYTHON=... chooses the interpreter. A finished profile leaves a stamp made
 # of the lock, pyproject.toml, this script, the interpreter and this folder, and is not set up again while the stamp holds.
@@ -11,8 +12,6 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 LOCK=requirements/lock.txt
 VENV=.venv
-LOG=$VENV/bootstrap.log
-UNFINISHED=$VENV/.unfinished # stands from the first change to .venv until the last
 PYENV=${PYENV_ROOT:-${HOME:-}/.pyenv}
 TRIED=""
 STAGE=0
@@ -138,6 +137,27 @@ EOF
     install "torch==$version"
 }
 
+# A browser for the tests of the page: the system's, Debian's where it may be installed, or Playwright's own.
+install_browser() {
+    browser_runs && return
+    if [[ $(id -u) == 0 ]] && type -P apt-get >/dev/null; then
+        apt-get update >"$LOG" 2>&1 </dev/null || true
+        DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends chromium >>"$LOG" 2>&1 </dev/null || true
+        browser_runs && return
+    fi
+    "$VENV/bin/python" -m playwright install --only-shell chromium >>"$LOG" 2>&1 </dev/null && return
+    printf 'none\nwarning: without Chromium, the tests marked "browser" are skipped; install it, and start them again.\n      '
+}
+
+browser_runs() {
+    local name
+    for name in chromium chromium-browser google-chrome google-chrome-stable; do
+        # A stand-in that only says where to get it does not count.
+        "$name" --version >/dev/null 2>&1 </dev/null && return
+    done
+    return 1
+}
+
 # What an installed environment follows from, as one number.
 stamp() {
     "$VENV/bin/python" -I -c '
@@ -174,10 +194,11 @@ set_up() {
         tools+=(setuptools wheel numpy) # numpy first, or PyBullet is built without its fast camera images
     fi
     stage "pip and hatchling, at the locked versions" install "${tools[@]}"
-    if [[ $1 == test ]]; then
+    if [[ $1 != demo ]]; then
         stage "torch for the CPU (200 MB, about half a minute)" install_torch
-        stage "spatula_env with tests, checks and training (300 MB, about a minute$note)" \
+        stage "spatula_env with $CONTENT (300 MB, about a minute$note)" \
             install --no-build-isolation --editable ".[$EXTRAS]"
+        [[ $1 == ray ]] || stage "Chromium for the tests of the page (where it has to be installed, half a minute)" install_browser
     else
         stage "spatula_env and what the demo needs (200 MB, about half a minute$note)" \
             install --no-build-isolation --editable ".[$EXTRAS]"
@@ -189,9 +210,15 @@ set_up() {
 
 case ${1:-} in
     demo) FOR="demo" STAGES=3 EXTRAS="demo" ;;
-    test) FOR="tests and checks" STAGES=4 EXTRAS="data,demo,dev,teleop,train,video" ;;
-    *) fail "usage: scripts/bootstrap.sh demo|test; got '${1:-}'." ;;
+    test) FOR="tests and checks" CONTENT="tests, checks and training" STAGES=5 EXTRAS="data,demo,dev,teleop,train,video,web" ;;
+    ray)
+        FOR="tests with Ray" CONTENT="Ray and tests" STAGES=4 EXTRAS="dev,ray"
+        LOCK=requirements/lock-ray.txt VENV=.venv-ray
+        ;;
+    *) fail "usage: scripts/bootstrap.sh demo|test|ray; got '${1:-}'." ;;
 esac
+LOG=$VENV/bootstrap.log
+UNFINISHED=$VENV/.unfinished # stands from the first change to the environment until the last
 
 # Two set-ups of one folder wait for each other, where the system can lock a file.
 if command -v flock >/dev/null; then

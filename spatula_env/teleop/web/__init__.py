@@ -1,0 +1,38 @@
+"""Teleoperation in a browser: a page with the organ, a tool to drag, and buttons to record.
+
+Modules::
+
+    access      who may open the page
+    gate        serves it, passes viser's messages on, and hears of the keys
+    hands       what is done on all pages that are open
+    page        viser's server with the gate in front
+    bands       pressure on the organ as filled contours
+    stage       organ, tools and goal in the view
+    panel       bars, plot and settings beside it
+    device      all that as a `TeleopDevice`
+    session     tasks to choose from, and recording
+
+Importing this package loads neither viser nor any physics.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from spatula_env.teleop.web.device import WebDevice
+    from spatula_env.teleop.web.session import WebSession, serve
+
+__all__ = ["WebDevice", "WebSession", "serve"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a module when something of it is first asked for."""
+    if name in __all__:
+        return getattr(import_module(f"{__name__}.{'device' if name == 'WebDevice' else 'session'}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,451 @@
+"""Playing and recording on a page, with all that the page's buttons ask for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from spatula_env import __version__
+from spatula_env.data.dataset import DatasetWriteError, DatasetWriter
+from spatula_env.data.episode import EpisodeRecorder
+from spatula_env.teleop.session import DISCARD, FINISH, QUIT, EpisodeSummary, run_episode
+from spatula_env.teleop.web.device import WebDevice
+from spatula_env.teleop.web.panel import Status
+from spatula_env.teleop.wrapper import FalconTeleop
+
+RECORD, SAVE, SUCCESS, RESET, TASK = "record", "save", "success", "reset", "task"
+"""What the page's buttons ask for, beside "discard" and "quit"."""
+VERDICTS = (SAVE, SUCCESS, DISCARD)
+"""What becomes of an episode that is recorded."""
+
+DATASET = "spatula/{task}/web-v0"
+"""The dataset of a task, unless another is named."""
+
+LOOKING = 0.2
+"""How often a session that waits looks whether it is to end [s]."""
+
+
+class WebSession:
+    """A page on which tasks are played, and episodes recorded.
+
+    Physics runs in a thread of its own. It stands still while nobody looks at a page, so that nothing is lost when a
+    browser goes away in the middle of an episode.
+
+    While it is not recorded, a task has no limit of time.
+
+    Attributes:
+        env_id: The task that is played.
+        env: Its environment; None while there is none.
+        saved: How many episodes have been added to datasets.
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        token: str | None = None,
+        dataset: str | Path | None = None,
+        seed: int | None = None,
+        env_kwargs: Mapping[str, Any] | None = None,
+        real_time: bool = True,
+    ) -> None:
+        """Describe it.
+
+        Args:
+            env_id: The task to begin with, one of `task_ids`.
+            host: The address to serve the page at.
+            port: Where; 0 for any that is free.
+            token: What has to be known to open the page; None: nothing, which is allowed on a loopback address only.
+            dataset: Text: the id of the dataset to add to, in which ``{task}`` stands for the task's name; without it,
+                it is that of the first task only. A `Path`: the folder of all datasets. By default
+                ``spatula/{task}/web-v0`` in Minari's own folder.
+            seed: Of the first episode; the others go on from it.
+            env_kwargs: Options of all environments.
+            real_time: Whether simulated time passes as fast as real time, at most.
+
+        Raises:
+            ImportError: If viser is missing.
+            ValueError: If there is no such task, or no token where there has to be one.
+        """
+        self.env_id = find_task(env_id)
+        self.env: Any = None
+        self.saved = 0
+        self._first_id = self.env_id
+        self._dataset = dataset if isinstance(dataset, str) else DATASET
+        self._root = dataset if isinstance(dataset, Path) else None
+        self._seed = 0 if seed is None else seed
+        self._first_seed = seed
+        self._options = dict(env_kwargs or {})
+        self._real_time = real_time
+        keys: dict[str, Callable[[], None]] = {"Enter": self._on_enter, "Backspace": partial(self._ask, DISCARD)}
+        self._device = WebDevice(host=host, port=port, token=token, shortcuts=keys)
+        self._asked = Asked()
+        self._stopping = threading.Event()
+        self._failure: BaseException | None = None
+        self._thread: threading.Thread | None = None
+        self._status = Status("Waiting")
+        self._recording = self._moved = False
+        self._said = ""
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser on this machine, with the token."""
+        return self._device.url
+
+    @property
+    def device(self) -> WebDevice:
+        """The page as a device."""
+        return self._device
+
+    def start(self) -> None:
+        """Serve the page, and begin to play when somebody looks at it.
+
+        Raises:
+            ImportError: If viser is missing.
+            DeviceBusy: If the port is taken.
+        """
+        self._device.open()
+        self._furnish()
+        self._thread = threading.Thread(target=self._run, name="web session", daemon=True)
+        self._thread.start()
+
+    def wait(self, timeout: float | None = None) -> None:
+        """Wait until it ends by itself, which it does only when something is wrong.
+
+        Args:
+            timeout: How long at most [s].
+
+        Raises:
+            Exception: What is wrong.
+        """
+        if self._thread is not None:
+            self._thread.join(timeout)
+        if self._failure is not None:
+            raise self._failure
+
+    def stop(self) -> None:
+        """End it. An episode that is being recorded is saved as far as it has come. Stopping twice is allowed."""
+        self._stopping.set()
+        self._asked.put(QUIT)
+        if self._thread is not None:
+            self._thread.join()
+        self._device.close()
+
+    def __enter__(self) -> WebSession:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    # The page's furniture. Its callbacks come from other threads, and only ask.
+
+    def _furnish(self) -> None:
+        panel = self._device.panel
+        assert panel is not None
+        with panel.commands:
+            self._choice = panel.gui.add_dropdown("Task", task_ids(), initial_value=self.env_id)
+
+        self._choice.on_update(self._on_choice)
+        buttons = (
+            (RECORD, "● Record an episode", "red", "A new one begins (Enter)"),
+            (SAVE, "Save", "blue", "The episode ends here, and is kept (Enter)"),
+            (SUCCESS, "Success", "green", "It ends, is kept, and was a success"),
+            (DISCARD, "Discard", "gray", "It ends, and counts for nothing (Backspace)"),
+            (RESET, "New episode", "gray", "Without recording it"),
+        )
+        self._buttons = {
+            what: panel.add_command(label, partial(self._ask, what), color=color, hint=hint)
+            for what, label, color, hint in buttons
+        }
+        self._offer()
+
+    def _ask(self, what: str) -> None:
+        # A second click on a button that is about to disappear means nothing.
+        if (what in VERDICTS) == self._recording:
+            self._asked.put(what)
+
+    def _on_choice(self, event: Any) -> None:
+        if event.client is not None:
+            self._ask(TASK)
+
+    def _on_enter(self) -> None:
+        self._ask(SAVE if self._recording else RECORD)
+
+    def _offer(self) -> None:
+        """Show the buttons that mean something now."""
+        for name, button in self._buttons.items():
+            button.visible = (name in VERDICTS) == self._recording
+        self._choice.disabled = self._recording
+
+    def _say(self, text: str, detail: str = "") -> None:
+        self._status = Status(text, detail, self._recording)
+        assert self._device.panel is not None
+        self._device.panel.say(self._status)
+
+    def _tell(self, title: str, text: str, color: str | None = None) -> None:
+        self._said = text
+        if self._device.page is not None:
+            self._device.page.notify(title, text, color=color)
+
+    # The session's thread.
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._play_task()
+        except BaseException as error:
+            self._failure = error
+            with suppress(Exception):
+                self._say("It has ended", f"{type(error).__name__}: {error}")
+
+    def _play_task(self) -> None:
+        try:
+            self.env = gymnasium.make(self.env_id, **self._options)
+        except Exception as error:
+            if self.env_id == self._first_id:
+                raise
+            self._tell(self.env_id, str(error), "red")
+            self.env_id = self._choice.value = self._first_id
+            return
+        try:
+            # Without recording, there is no limit of time.
+            practice, timed = (
+                FalconTeleop(env, self._device, real_time=self._real_time) for env in (self.env.unwrapped, self.env)
+            )
+            seed = self._first_seed
+            while not self._stopping.is_set():
+                assert self._device.page is not None
+                self._device.page.take_focus()
+                asked = self._asked.take()
+                if asked == RECORD:
+                    self._record(timed)
+                    continue
+                if asked == TASK:
+                    self.env_id = self._choice.value
+                    break
+                self._say("Practice", self._said or "Nothing is recorded.")
+                with _Mishaps(self):
+                    run_episode(practice, seed=seed, after_step=self._after_practice)
+                seed = None
+        finally:
+            env, self.env = self.env, None
+            env.close()
+
+    def _after_practice(self, observation: Any, info: dict[str, Any]) -> None:
+        self._pause()
+        if self._asked.what is not None:
+            # Nothing happens in a control step but what was asked for before it.
+            self._device.press(QUIT)
+
+    def _pause(self) -> None:
+        """Stand still while nobody looks."""
+        page = self._device.page
+        assert page is not None
+        if page.hands.present:
+            return
+        before = self._status
+        self._say("Paused", "Nobody looks at the page.")
+        while not (self._stopping.is_set() or page.hands.wait(LOOKING)):
+            pass
+        self._say(before.text, before.detail)
+
+    # Recording.
+
+    def _record(self, env: FalconTeleop) -> None:
+        # ImportError where Minari is missing, ValueError where the dataset is of another environment.
+        with _Mishaps(self, DatasetWriteError, ImportError, ValueError):
+            writer = self._writer(env)
+            recorder = EpisodeRecorder(env)
+            last = writer.last_seed
+            seed = self._seed if last is None else max(self._seed, last + 1)
+            self._recording, self._moved = True, False
+            self._asked.take()
+            self._offer()
+            try:
+                summary = run_episode(env, seed=seed, recorder=recorder, after_step=self._after_recorded)
+                verdict = self._verdict()
+                if verdict == DISCARD or not self._moved:
+                    self._tell("Discarded", "The episode was not kept.")
+                else:
+                    self._save(writer, recorder, summary, verdict)
+            finally:
+                self._recording = False
+                self._offer()
+
+    def _writer(self, env: FalconTeleop) -> DatasetWriter:
+        return DatasetWriter(
+            self.dataset_id(self.env_id),
+            env.env,
+            root=self._root,
+            description="Demonstrations by a human operator with the web device.",
+            algorithm_name="teleoperation (human)",
+        )
+
+    def dataset_id(self, env_id: str) -> str:
+        """The dataset that episodes of a task are added to."""
+        task = env_id.partition("/")[2].rpartition("-v")[0].lower()
+        own = "{task}" in self._dataset or env_id == self._first_id
+        return (self._dataset if own else DATASET).replace("{task}", task)
+
+    def _after_recorded(self, observation: Any, info: dict[str, Any]) -> None:
+        limit = getattr(self.env.spec, "max_episode_steps", None)
+        made = self.env.unwrapped
+        end = "" if limit is None else f" of {limit * made.steps_per_action * made.simulation.dt:.0f}"
+        if info["time"] == 0.0:
+            self._say("Ready", "The episode begins when you move the tool.")
+            self._until_moved()
+        self._say(f"Recording {info['time']:.1f}{end} s", f"to {self.dataset_id(self.env_id)}")
+        self._pause()
+        if self._asked.what is not None:
+            self._device.press(FINISH)
+
+    def _until_moved(self) -> None:
+        page = self._device.page
+        assert page is not None
+        while not (self._stopping.is_set() or page.hands.active or self._asked.what is not None):
+            self._asked.wait(0.02)
+        self._moved = page.hands.active
+
+    def _verdict(self) -> str:
+        """What becomes of the episode that has just ended."""
+        self._device.refresh()
+        while True:
+            asked = self._asked.take()
+            if asked in (*VERDICTS, QUIT):
+                return asked
+            self._say("The episode is over", "Keep it? It is recorded to its end.")
+            self._asked.wait(LOOKING)
+
+    def _save(self, writer: DatasetWriter, recorder: EpisodeRecorder, summary: EpisodeSummary, verdict: str) -> None:
+        made = self.env.unwrapped
+        episode = recorder.finish(
+            operator="human",
+            device=self._device.name,
+            success=summary.success,
+            operator_success=verdict == SUCCESS,
+            interrupted=verdict == QUIT,
+            operator_share=summary.operator_share,
+            engine=made.settings.engine,
+            spatula_env_version=__version__,
+        )
+        number = writer.add(episode)
+        self.saved += 1
+        self._tell("Saved", f"Episode {number} of {writer.dataset_id}, {summary.steps} steps.", "green")
+
+
+class Asked:
+    """What the page's buttons have asked for last."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self._condition = threading.Condition()
+        self._what: str | None = None
+
+    @property
+    def what(self) -> str | None:
+        """What is asked for; None: nothing."""
+        with self._condition:
+            return self._what
+
+    def put(self, what: str) -> None:
+        """Ask for something. Nothing takes the place of "quit"."""
+        with self._condition:
+            if self._what != QUIT:
+                self._what = what
+            self._condition.notify_all()
+
+    def take(self) -> str | None:
+        """What is asked for, and from now on nothing; but "quit" stays."""
+        with self._condition:
+            what = self._what
+            if what != QUIT:
+                self._what = None
+            return what
+
+    def wait(self, timeout: float) -> None:
+        """Wait until something is asked for, or some time has passed [s]."""
+        with self._condition:
+            if self._what is None:
+                self._condition.wait(timeout)
+
+
+class _Mishaps:
+    """What can go wrong without an end of the session: it is said on the page."""
+
+    def __init__(self, session: WebSession, *kinds: type[Exception]) -> None:
+        self._session, self._kinds = session, kinds
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> bool:
+        from spatula_env.sim.simulation import SimulationDiverged
+
+        if isinstance(error, (SimulationDiverged, *self._kinds)):
+            self._session._tell("Something went wrong", str(error), "red")
+            return True
+        return False
+
+
+def task_ids() -> list[str]:
+    """The ids of all tasks that are registered."""
+    return [name for name in gymnasium.registry if name.startswith("Spatula/")]
+
+
+def find_task(env_id: str) -> str:
+    """The id of a task, without the module that registers it.
+
+    Args:
+        env_id: As `gymnasium.make` takes it.
+
+    Raises:
+        ValueError: If there is no such task.
+    """
+    name = env_id.rpartition(":")[2]
+    if name not in task_ids():
+        raise ValueError(f"env_id must be one of {task_ids()}, got {env_id!r}")
+    return name
+
+
+def serve(
+    env_id: str,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    token: str | None = None,
+    dataset: str | Path | None = None,
+    seed: int | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+    on_ready: Callable[[str], None] | None = None,
+) -> None:
+    """Serve a page on which a task is played and recorded, until Ctrl-C.
+
+    Args:
+        env_id: The task to begin with.
+        host: The address to serve the page at.
+        port: Where; 0 for any that is free.
+        token: What has to be known to open the page; None: nothing, which is allowed on a loopback address only.
+        dataset: See `WebSession`.
+        seed: Of the first episode; the others go on from it.
+        env_kwargs: Options of the environments.
+        on_ready: Called with the address to open, when the page can be opened.
+
+    Raises:
+        ImportError: If viser is missing.
+        ValueError: If there is no such task, or no token where there has to be one.
+        DeviceBusy: If the port is taken.
+    """
+    session = WebSession(env_id, host=host, port=port, token=token, dataset=dataset, seed=seed, env_kwargs=env_kwargs)
+    with session, suppress(KeyboardInterrupt):
+        if on_ready is not None:
+            on_ready(session.url)
+        session.wait()

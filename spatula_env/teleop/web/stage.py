@@ -1,0 +1,348 @@
+"""The organ, the tools and the goal in the page's three-dimensional view."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.geometry.rotations import turn
+from spatula_env.render.display_surface import DisplaySurface, vertex_normals
+from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, STEEL, TISSUE, Color
+from spatula_env.render.scene_model import ROLE_COLORS, Composition, SceneModel
+from spatula_env.render.viewpoints import fit_camera, viewpoint_of
+from spatula_env.tasks.marks import Patch
+from spatula_env.teleop.device import FloatArray
+from spatula_env.teleop.web.bands import LEVELS, pressure_bands, pressure_field
+
+if TYPE_CHECKING:
+    from spatula_env.envs.spatula_env import SpatulaEnv
+    from spatula_env.render.camera import Camera
+    from spatula_env.render.moment import Moment
+    from spatula_env.render.primitives import Mesh
+
+LIFT = 0.006
+"""How far over the organ what colours it lies [u]."""
+PATCH_LIFT = 0.004
+DYE = 0.85
+"""How much of a marked part's colour is that of the dye."""
+SEEN_THROUGH = 0.45
+"""Opacity of an organ that is to be seen through."""
+ASPECT = 1.25
+"""Width over height of the part of a page that the panel leaves free, about."""
+GROUND_SIZE = 400.0
+"""Edge of the ground [u]."""
+GROUND: Color = (0.62, 0.66, 0.70)
+FOG = (1.3, 4.0)
+"""Where the ground begins to fade, and where it is gone, as parts of the distance from the camera to the organ."""
+ROOM_ABOVE = 0.2
+"""How much of the workspace over the organ is in the first view, beside where the tools start."""
+
+Drag = Callable[[FloatArray | None], None]
+"""Takes where the mouse drags the grip to (3,) [u], and None when it lets go."""
+
+
+class Stage:
+    """Shows one environment; another one needs another stage.
+
+    Everything is in the frame and the unit of the scene, as if nothing of it had been drawn at random.
+    """
+
+    def __init__(self, server: Any, env: SpatulaEnv, on_drag: Drag) -> None:
+        """Build it up.
+
+        Args:
+            server: viser's.
+            env: What to show.
+            on_drag: Told when the mouse drags the tool.
+        """
+        self._server, self._on_drag = server, on_drag
+        episodes = env._episodes
+        scene, triangles = episodes.worlds.scene, episodes.worlds.triangles
+        self._model = SceneModel(scene, triangles)
+        nodes = np.concatenate([placed.vertices for placed in scene.organs])
+        self._surface = DisplaySurface(nodes, triangles)
+        self._count = len(nodes)
+        self._contact_nodes = [(np.array(placed.tool.nodes), np.array(placed.tool.normals)) for placed in scene.tools]
+        self._shapes = [(np.array(placed.tool.vertices), np.array(placed.tool.triangles)) for placed in scene.tools]
+        # What the mouse has grabbed of the tool, and where the grip was then.
+        self._grabbed: FloatArray | None = None
+        self._held: FloatArray = np.zeros(3)
+        self._on_gizmo = False
+        self._grip = np.zeros(3)
+        self._scale = 1.0
+        self._patches: list[tuple[Patch, Any, NDArray[np.intp]]] = []
+        self._signs: list[Any] = []
+        self._arrows: list[Any] = []
+        self._camera = first_camera(env)
+        with server.atomic():
+            server.scene.reset()
+            self._light_up()
+            height = float(nodes[:, 2].min()) if scene.ground is None else scene.ground.height
+            self._lay_ground(height, 0.5 * (nodes.min(axis=0) + nodes.max(axis=0)))
+            add = server.scene.add_mesh_simple
+            self._organ = add("/organ", _single(self._surface.rest), self._surface.triangles, color=_bytes(TISSUE))
+            nothing = np.zeros((3, 3), dtype=np.float32), np.zeros((1, 3), dtype=np.uint32)
+            colors = PRESSURE(np.array(_middles(LEVELS)), 0.0, HIGHEST_PRESSURE)
+            self._bands = [
+                add(f"/pressure/{index}", *nothing, color=_bytes(color), cast_shadow=False, visible=False)
+                for index, color in enumerate(colors)
+            ]
+            self._tools = [self._add_tool(index) for index in range(len(self._shapes))]
+            self._gizmo = server.scene.add_transform_controls(
+                "/grip", scale=0.9, line_width=3.0, disable_rotations=True, depth_test=False, opacity=0.75
+            )
+        self._gizmo.on_update(self._gizmo_moved)
+        self.look()
+
+    def look(self, client: Any = None) -> None:
+        """Go to the first view.
+
+        Args:
+            client: On one page; None: on all of them, and on those to come.
+        """
+        camera = self._camera
+        field = math.radians(camera.vertical_field_of_view)
+        if client is None:
+            first = self._server.initial_camera
+            first.position, first.look_at, first.up, first.fov = camera.position, camera.target, camera.up, field
+            first.near, first.far = 0.1, 200.0
+        for each in self._server.get_clients().values() if client is None else (client,):
+            each.camera.position, each.camera.look_at = camera.position, camera.target
+            each.camera.up_direction, each.camera.fov = camera.up, field
+
+    def set_gizmo(self, visible: bool) -> None:
+        """Show the arrows by which the tool can be dragged along one axis, or not."""
+        self._gizmo.visible = visible
+
+    def set_see_through(self, wanted: bool) -> None:
+        """Let the organ be seen through, or not."""
+        self._organ.opacity = SEEN_THROUGH if wanted else None
+
+    def show(self, moment: Moment) -> None:
+        """Show a moment.
+
+        Args:
+            moment: Of the environment.
+        """
+        with self._server.atomic():
+            self._show(moment)
+        self._server.flush()
+
+    def _show(self, moment: Moment) -> None:
+        points = self._surface.place(np.asarray(moment.nodes))
+        normals = vertex_normals(points, self._surface.triangles)
+        self._organ.vertices = _single(points)
+        positions = np.asarray(moment.tool_positions, dtype=np.float64)
+        orientations = np.asarray(moment.tool_orientations, dtype=np.float64)
+        self._place_tools(positions, orientations, moment.tool_scale)
+        self._color(points, normals, moment, positions, orientations)
+        composition = self._model.compose(replace(moment, pressures=None))
+        self._point(composition)
+        self._dye(points, normals, [mark for mark in moment.marks if isinstance(mark, Patch)])
+        self._grip = positions.mean(axis=0)
+        if not self._on_gizmo:
+            self._gizmo.position = self._grip
+
+    # What there is.
+
+    def _light_up(self) -> None:
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        scene.configure_default_lights(enabled=False)
+        scene.configure_environment_map("studio", environment_intensity=0.25)
+        scene.add_light_directional(
+            "/light/key", color=(255, 244, 230), intensity=1.05, cast_shadow=True, position=(-6.0, -4.0, 12.0)
+        )
+        scene.add_light_hemisphere(
+            "/light/room", sky_color=(225, 235, 255), ground_color=(170, 150, 140), intensity=0.5
+        )
+        away = math.dist(self._camera.position, self._camera.target)
+        scene.configure_fog(FOG[0] * away, FOG[1] * away, color=(255, 255, 255))
+
+    def _lay_ground(self, height: float, middle: FloatArray) -> None:
+        scene = self._server.scene
+        place = (float(middle[0]), float(middle[1]), height)
+        half = 0.5 * GROUND_SIZE
+        corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
+        scene.add_mesh_simple(
+            "/ground",
+            _single(corners),
+            np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32),
+            color=_bytes(GROUND),
+            position=(place[0], place[1], place[2] - 0.01),
+            cast_shadow=False,
+        )
+
+    def _add_tool(self, index: int) -> Any:
+        handle = self._server.scene.add_mesh_simple(
+            f"/tool/{index}", *_flat(*self._shapes[index]), color=_bytes(STEEL), flat_shading=True
+        )
+        handle.on_drag("left")(self._make_drag(level=False))
+        handle.on_drag("left", modifier="shift")(self._make_drag(level=True))
+        return handle
+
+    def _place_tools(self, positions: FloatArray, orientations: FloatArray, scale: float) -> None:
+        if scale != self._scale:
+            self._scale = scale
+            for handle, (vertices, triangles) in zip(self._tools, self._shapes, strict=True):
+                handle.vertices = _flat(scale * vertices, triangles)[0]
+        for handle, position, orientation in zip(self._tools, positions, orientations, strict=True):
+            handle.position = position
+            handle.wxyz = orientation[[3, 0, 1, 2]]
+
+    def _color(
+        self, points: FloatArray, normals: FloatArray, moment: Moment, positions: FloatArray, orientations: FloatArray
+    ) -> None:
+        """The organ by the pressure on it."""
+        field = np.zeros(len(points))
+        for tool, pressures in enumerate(moment.pressures or ()):
+            nodes, out = self._contact_nodes[tool]
+            places = positions[tool] + turn(orientations[tool], moment.tool_scale * nodes)
+            felt = pressure_field(points, normals, places, turn(orientations[tool], out), np.asarray(pressures))
+            field = np.maximum(field, felt)
+        pieces = pressure_bands(points, normals, self._surface.triangles, field, LIFT)
+        for band, piece in zip(self._bands, pieces, strict=True):
+            _replace(band, piece)
+
+    def _point(self, composition: Composition) -> None:
+        """Forces and goals."""
+        arrows = composition.meshes[1 + len(self._tools) :]
+        self._arrows = self._draw("/force", self._arrows, arrows)
+        self._signs = self._draw("/goal", self._signs, composition.marks)
+
+    def _draw(self, name: str, handles: list[Any], meshes: list[Mesh]) -> list[Any]:
+        add = self._server.scene.add_mesh_simple
+        for index, mesh in enumerate(meshes):
+            vertices, faces = _single(mesh.vertices), mesh.triangles.astype(np.uint32)
+            if index == len(handles):
+                color = _bytes(mesh.color)
+                handles.append(add(f"{name}/{index}", vertices, faces, color=color, cast_shadow=False))
+            else:
+                _replace(handles[index], (vertices, faces))
+        for handle in handles[len(meshes) :]:
+            _replace(handle, None)
+        return handles
+
+    def _dye(self, points: FloatArray, normals: FloatArray, patches: list[Patch]) -> None:
+        """Parts of the organ that a task is about."""
+        same = len(patches) == len(self._patches) and all(
+            patch.role == before.role and np.array_equal(patch.nodes, before.nodes)
+            for patch, (before, _, _) in zip(patches, self._patches, strict=True)
+        )
+        if not same:
+            for _, handle, _ in self._patches:
+                handle.remove()
+            self._patches = [(patch, *self._add_patch(index, patch)) for index, patch in enumerate(patches)]
+        for _, handle, used in self._patches:
+            handle.vertices = _single(points[used] + PATCH_LIFT * normals[used])
+
+    def _add_patch(self, index: int, patch: Patch) -> tuple[Any, NDArray[np.intp]]:
+        inside = np.zeros((self._count, 1))
+        inside[patch.nodes] = 1.0
+        # Up to the middle of the edges that leave the patch, where they are split.
+        share = self._surface.interpolate(inside)[:, 0]
+        chosen = self._surface.triangles[(share[self._surface.triangles] > 0.499).all(axis=1)]
+        if len(chosen) == 0:
+            chosen = np.zeros((1, 3), dtype=np.int32)
+        used, local = np.unique(chosen, return_inverse=True)
+        color = _bytes(DYE * np.array(ROLE_COLORS[patch.role]) + (1.0 - DYE) * np.array(TISSUE))
+        faces = local.reshape(-1, 3).astype(np.uint32)
+        vertices = _single(self._surface.rest[used])
+        add = self._server.scene.add_mesh_simple
+        return add(f"/patch/{index}", vertices, faces, color=color, cast_shadow=False), used.astype(np.intp)
+
+    # The mouse. These are called by viser's thread, in order.
+
+    def _make_drag(self, *, level: bool) -> Any:
+        async def drag(event: Any) -> None:
+            eye = np.asarray(event.client.camera.position)
+            if event.phase == "start":
+                self._grabbed = np.array(event.start_position)
+                self._held = self._grip.copy()
+            if self._grabbed is None:
+                return
+            if event.phase == "end":
+                self._grabbed = None
+                self._on_drag(None)
+                return
+            place = on_drag_plane(eye, np.asarray(event.end_position), self._grabbed, level=level)
+            if place is not None:
+                self._on_drag(self._held + place - self._grabbed)
+
+        return drag
+
+    async def _gizmo_moved(self, event: Any) -> None:
+        self._on_gizmo = event.phase != "end"
+        self._on_drag(np.asarray(event.target.position) if self._on_gizmo else None)
+
+
+def first_camera(env: SpatulaEnv) -> Camera:
+    """A camera that has the organ and the tools in the view, and room above them."""
+    scene, workspace = env._episodes.worlds.scene, env.workspace
+    viewpoint = replace(viewpoint_of(scene), room=0.05)
+    seen = []
+    for placed in scene.organs:
+        points = placed.vertices
+        low, high = points[:, 2].min(), points[:, 2].max()
+        seen.append(points[points[:, 2] >= low + viewpoint.base * (high - low)])
+    top = float(workspace.to_scene(ROOM_ABOVE * workspace.high)[2])
+    for tool in scene.tools:
+        corners = turn(tool.orientation, tool.tool.vertices) + tool.position
+        seen += [corners, np.column_stack([corners[:, :2], np.full(len(corners), top)])]
+    return fit_camera(np.concatenate(seen), viewpoint, ASPECT)
+
+
+def on_drag_plane(eye: FloatArray, point: FloatArray, grabbed: FloatArray, *, level: bool) -> FloatArray | None:
+    """Where a mouse drags what it has grabbed.
+
+    Args:
+        eye: (3,) the camera.
+        point: (3,) any point that is seen where the mouse is.
+        grabbed: (3,) the point that was grabbed.
+        level: Whether it stays at its height; else it stays in the upright plane that faces the camera.
+
+    Returns:
+        (3,) the point of this plane that is seen where the mouse is; None if it is at infinity or behind the camera.
+    """
+    ray = point - eye
+    normal = np.array([0.0, 0.0, 1.0]) if level else np.array([grabbed[0] - eye[0], grabbed[1] - eye[1], 0.0])
+    toward = float(ray @ normal)
+    size = float(np.linalg.norm(ray) * np.linalg.norm(normal))
+    if not abs(toward) > 1e-3 * size:
+        return None
+    share = float((grabbed - eye) @ normal) / toward
+    return eye + share * ray if share > 0.0 else None
+
+
+def _replace(handle: Any, piece: tuple[Any, Any] | None) -> None:
+    if piece is None:
+        if handle.visible:
+            handle.visible = False
+        return
+    handle.vertices, handle.faces = _single(piece[0]), piece[1].astype(np.uint32)
+    if not handle.visible:
+        handle.visible = True
+
+
+def _single(points: FloatArray) -> Any:
+    return np.ascontiguousarray(points, dtype=np.float32)
+
+
+def _flat(vertices: FloatArray, triangles: Any) -> tuple[Any, Any]:
+    """Vertices of their own for each triangle."""
+    return _single(vertices[triangles].reshape(-1, 3)), np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
+
+
+def _bytes(color: Any) -> tuple[int, int, int]:
+    red, green, blue = (round(255.0 * float(value)) for value in color)
+    return red, green, blue
+
+
+def _middles(levels: tuple[float, ...]) -> list[float]:
+    ends = [*levels[1:], HIGHEST_PRESSURE]
+    return [0.5 * (low + high) for low, high in zip(levels, ends, strict=True)]

@@ -1,0 +1,107 @@
+"""Pages for tests: a browser without a screen, and a script that only says which keys are held."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+import threading
+import time
+from urllib.parse import urlsplit
+
+import pytest
+
+PATIENCE = 200.0
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+SWITCHES = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-quic",
+    "--disable-sync",
+    "--no-first-run",
+)
+
+
+def until(holds, what: str, patience: float = PATIENCE):
+    """Wait until something holds, and return what it says."""
+    end = time.monotonic() + patience
+    while not (answer := holds()):
+        if time.monotonic() > end:
+            pytest.fail(f"{what}: did not happen within {patience:.0f} s")
+        time.sleep(0.02)
+    return answer
+
+
+def find_browser() -> str | None:
+    """A Chromium that runs; None for Playwright's own."""
+    for name in BROWSERS:
+        path = shutil.which(name)
+        if path and subprocess.run([path, "--version"], capture_output=True, check=False).returncode == 0:
+            return path
+    return None
+
+
+@contextlib.contextmanager
+def open_browser():
+    """A browser, or a skipped test where there is none; on CI a failed one."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="pip install 'spatula-env[dev]'")
+    with playwright.sync_playwright() as started:
+        path = find_browser()
+        if path is None and not os.path.exists(started.chromium.executable_path):
+            answer = pytest.fail if os.environ.get("CI") else pytest.skip
+            answer("there is no Chromium: make test installs it, or apt-get install chromium")
+        browser = started.chromium.launch(executable_path=path, args=list(SWITCHES))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Script:
+    """What the script in a page does, without a page: says all the time which keys are held."""
+
+    def __init__(self, url: str):
+        from websockets.sync.client import connect
+
+        self._line = connect(f"ws://{urlsplit(url).netloc}/spatula/hand", proxy=None)
+        self.wanted = json.loads(self._line.recv())["keys"]
+        self._keys: list[str] = []
+        self._again: str | None = None
+        self.frames: int | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._talk, daemon=True)
+        self._thread.start()
+
+    def hold(self, *keys: str) -> None:
+        self._keys = list(keys)
+        self._say()
+
+    def press_again(self, key: str) -> None:
+        """Press and release a key again and again, until something else is held."""
+        self._again = key
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        self._line.close()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.close()
+
+    def _talk(self):
+        while not self._ended.wait(0.05):
+            if self._again is not None:
+                self._keys = [] if self._keys else [self._again]
+            self._say()
+
+    def _say(self):
+        with contextlib.suppress(Exception):
+            self._line.send(json.dumps({"keys": self._keys, "hidden": False, "frames": self.frames}))
