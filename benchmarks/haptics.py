@@ -20,7 +20,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import spatula_env  # noqa: F401 - registers the environments
+import spatula_env
 from benchmarks import measure
 from spatula_env.teleop.device import TeleopDevice
 from spatula_env.teleop.emulator import ElasticHand, GuidedHand, RealClock
@@ -29,6 +29,8 @@ from spatula_env.teleop.haptics import HapticDevice, HapticSettings
 from spatula_env.teleop.haptics.device import Where
 from spatula_env.teleop.scripted import EmulatedFalcon
 from spatula_env.teleop.wrapper import FalconTeleop
+
+gymnasium.register_envs(spatula_env)
 
 CYCLE = 4.0
 """One press and its release [s]."""

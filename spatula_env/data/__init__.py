@@ -3,10 +3,15 @@
 Modules::
 
     episode     one episode in memory
+    layout      what the numbers of a dataset are called
     dataset     a dataset on disk, written episode by episode
     recording   `record`: an operator, a device, a dataset
     replaying   `replay`: by actions, checked, or by states
     catalog     what datasets there are and what is in them; copies without failures, several in one
+    statistics  what the episodes are like; plots draws it
+    scripted    demonstrations by a program at an emulated Falcon
+    drawing     pictures of recorded states
+    lerobot_export    the same in the layout of LeRobot's datasets
 
 Importing this package loads neither Minari nor h5py; writing and reading datasets needs both.
 """
@@ -20,19 +25,31 @@ if TYPE_CHECKING:
     from spatula_env.data.catalog import DatasetSummary, copy_episodes, list_datasets, summarize
     from spatula_env.data.dataset import DatasetWriteError, DatasetWriter
     from spatula_env.data.episode import Episode, EpisodeRecorder
+    from spatula_env.data.layout import Layout
+    from spatula_env.data.lerobot_export import LeRobotExport, export_lerobot
+    from spatula_env.data.plots import plot_statistics
     from spatula_env.data.recording import RecordingSummary, record
     from spatula_env.data.replaying import EpisodeReplay, replay
+    from spatula_env.data.scripted import ScriptedDataset, make_scripted
+    from spatula_env.data.statistics import DatasetStatistics
 
 __all__ = [
+    "DatasetStatistics",
     "DatasetSummary",
     "DatasetWriteError",
     "DatasetWriter",
     "Episode",
     "EpisodeRecorder",
     "EpisodeReplay",
+    "Layout",
+    "LeRobotExport",
     "RecordingSummary",
+    "ScriptedDataset",
     "copy_episodes",
+    "export_lerobot",
     "list_datasets",
+    "make_scripted",
+    "plot_statistics",
     "record",
     "replay",
     "summarize",
@@ -45,6 +62,11 @@ def __getattr__(name: str) -> Any:
         ("catalog", ("DatasetSummary", "copy_episodes", "list_datasets", "summarize")),
         ("dataset", ("DatasetWriteError", "DatasetWriter")),
         ("episode", ("Episode", "EpisodeRecorder")),
+        ("layout", ("Layout",)),
+        ("lerobot_export", ("LeRobotExport", "export_lerobot")),
+        ("plots", ("plot_statistics",)),
+        ("scripted", ("ScriptedDataset", "make_scripted")),
+        ("statistics", ("DatasetStatistics",)),
         ("recording", ("RecordingSummary", "record")),
         ("replaying", ("EpisodeReplay", "replay")),
     ):

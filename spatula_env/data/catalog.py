@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env.data.dataset import METADATA_FILE, DatasetWriter, dataset_folder
+from spatula_env.data.dataset import METADATA_FILE, DatasetWriter, dataset_folder, read_layout
 from spatula_env.data.episode import Episode
 from spatula_env.data.replaying import open_dataset
 
@@ -117,20 +117,39 @@ def copy_episodes(
         ImportError: If Minari is missing.
         FileNotFoundError: If there is no such source.
         FileExistsError: If the target exists.
-        ValueError: If the sources are of different environments.
+        ValueError: If there is no source, or they are of different environments; nothing is then written.
         DatasetWriteError: If it cannot be written.
     """
+    if not sources:
+        raise ValueError("sources must name a dataset at least")
     if (dataset_folder(target, root) / "data" / METADATA_FILE).exists():
         raise FileExistsError(f"there is a dataset {target!r} already; take another name")
-    for source in sources:
-        dataset = open_dataset(source, root)
+    opened = [open_dataset(source, root) for source in sources]
+    # Before anything is written.
+    kinds = {source: dataset.spec.env_spec.id for source, dataset in zip(sources, opened, strict=True)}
+    if len(set(kinds.values())) > 1:
+        raise ValueError(
+            f"sources must be of one environment, got {', '.join(f'{k} of {v}' for k, v in kinds.items())}"
+        )
+    for source, dataset in zip(sources, opened, strict=True):
+        spaces = (dataset.observation_space, dataset.action_space)
+        if spaces != (opened[0].observation_space, opened[0].action_space):
+            raise ValueError(f"sources must have the same observations and actions, those of {source!r} are others")
+    for source, dataset in zip(sources, opened, strict=True):
         # What a writer wants to know of an environment, without the physics.
         env: Any = SimpleNamespace(
             spec=dataset.spec.env_spec,
             observation_space=dataset.observation_space,
             action_space=dataset.action_space,
         )
-        writer = DatasetWriter(target, env, root=root, description=f"Episodes of {', '.join(sources)}.")
+        writer = DatasetWriter(
+            target,
+            env,
+            root=root,
+            description=f"Episodes of {', '.join(sources)}.",
+            algorithm_name=dataset.storage.metadata.get("algorithm_name", "teleoperation"),
+            layout=read_layout(source, root),
+        )
         for number in range(dataset.total_episodes):
             (attributes,) = dataset.storage.get_episode_metadata([number])
             if keep is None or keep(attributes):

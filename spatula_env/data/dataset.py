@@ -11,6 +11,7 @@ they are lossless.
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 from collections.abc import Mapping
@@ -22,6 +23,7 @@ import numpy as np
 
 from spatula_env import __version__
 from spatula_env.data.episode import Episode
+from spatula_env.data.layout import KEY, Layout
 
 if TYPE_CHECKING:
     import gymnasium
@@ -63,18 +65,21 @@ class DatasetWriter:
         algorithm_name: str = "teleoperation",
         author_email: str = AUTHOR,
         code_permalink: str = "",
+        layout: Layout | None = None,
     ) -> None:
         """Make the dataset, or go on with it.
 
         Args:
             dataset_id: "namespace/name-v0"; the namespace may have several parts.
-            env: What the episodes are of; its `spec` is stored, so that Minari can make it again.
+            env: What the episodes are of; its `spec` is stored, without its mode of rendering, so that Minari can make
+                it again.
             root: Folder of all datasets; Minari's own by default, ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``.
             author: Who made it.
             description: What it is.
             algorithm_name: How it was made.
             author_email: Where to reach the author.
             code_permalink: Where the code is.
+            layout: What the numbers are called; None takes it from `env`.
 
         Raises:
             ImportError: If Minari or h5py is missing.
@@ -107,7 +112,7 @@ class DatasetWriter:
             "data_format": "hdf5",
             "jpeg_encoding": False,
             **spaces,
-            "env_spec": env.spec.to_json(),
+            "env_spec": _without_pictures(env.spec).to_json(),
             "dataset_id": dataset_id,
             "algorithm_name": algorithm_name,
             "author": [author],
@@ -117,6 +122,7 @@ class DatasetWriter:
             "minari_version": minari.__version__,
             "requirements": [f"spatula-env=={__version__}"],
             "dataset_size": 0.0,
+            KEY: (layout if layout is not None else Layout.of(env)).as_record(),
         }
         try:
             (data / EPISODES).mkdir(parents=True, exist_ok=True)
@@ -213,6 +219,20 @@ def dataset_folder(dataset_id: str, root: str | Path | None = None) -> Path:
     return Path(root) / dataset_id
 
 
+def read_layout(dataset_id: str, root: str | Path | None = None) -> Layout:
+    """What a dataset's numbers are called; empty if it does not say.
+
+    Args:
+        dataset_id: Its id.
+        root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        FileNotFoundError: If there is no such dataset.
+    """
+    file = dataset_folder(dataset_id, root) / "data" / METADATA_FILE
+    return Layout.from_record(json.loads(file.read_text()).get(KEY))
+
+
 def require_minari() -> tuple[ModuleType, ModuleType]:
     """Import Minari and h5py.
 
@@ -225,6 +245,13 @@ def require_minari() -> tuple[ModuleType, ModuleType]:
     except ImportError as error:
         raise ImportError("datasets need Minari and h5py: pip install 'spatula-env[data]'") from error
     return minari, h5py
+
+
+def _without_pictures(spec: Any) -> Any:
+    """A specification without the mode of rendering: whoever watched a recording, its environment opens no windows."""
+    plain = copy.deepcopy(spec)
+    plain.kwargs.pop("render_mode", None)
+    return plain
 
 
 def _episode_image(episode: Episode, number: int) -> bytes:

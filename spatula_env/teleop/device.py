@@ -164,7 +164,7 @@ class TeleopDevice(ABC):
             ImportError: If a library is missing; the message says what to install.
         """
 
-    def calibrate(self, progress: Progress | None = None) -> None:  # noqa: B027
+    def calibrate(self, progress: Progress | None = None) -> None:  # noqa: B027 - most devices need nothing
         """Find out where the grip is, with the operator's help. Waits until it is done; most devices need nothing.
 
         Args:

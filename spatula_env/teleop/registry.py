@@ -17,6 +17,7 @@ DEVICES = (
     "keyboard",
     "gamepad",
     "spacemouse",
+    "web",
     "scripted",
     "scripted-falcon",
 )
@@ -43,7 +44,7 @@ def make_device(
         index: Which one, if there are several.
         settings: Gains of the haptic loop.
         **options: For the device: `reaction_delay`, `tremor`, `gain`, `generator` of a scripted operator, `keys` of a
-            keyboard ….
+            keyboard, `host`, `port`, `token` of the web device ….
 
     Returns:
         The device.
@@ -73,6 +74,10 @@ def make_device(
         from spatula_env.teleop.gamepad import Gamepad
 
         return Gamepad(index, **options)
+    if name == "web":
+        from spatula_env.teleop.web import WebDevice
+
+        return WebDevice(**options)
     from spatula_env.teleop.spacemouse import SpaceMouse
 
     return SpaceMouse(index, **options)

@@ -34,7 +34,7 @@ def test_lengths_and_frames():
         "s": kinematics.TANGENT,
     }
     for name, length in lengths.items():
-        number = f"{1000.0 * length:g}".replace("-", "−")  # noqa: RUF001
+        number = f"{1000.0 * length:g}".replace("-", "\N{MINUS SIGN}")
         assert re.search(rf"\b{name} {number} mm", PAGE), name
     assert f"{CENTRE:g} m - z" in PAGE
     assert f"cube of ±{1000 * HALF_WIDTH:g} mm" in PAGE

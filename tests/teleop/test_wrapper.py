@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 from teleop_helpers import Puppet, SixPuppet
 
-import spatula_env  # noqa: F401 - registers the environments
+import spatula_env
 from spatula_env.teleop import DeviceLost
 from spatula_env.teleop.emulator import GuidedHand
 from spatula_env.teleop.falcon.frames import position_to_falcon
 from spatula_env.teleop.haptics import HapticDevice, HapticSettings
 from spatula_env.teleop.scripted import EmulatedFalcon
 from spatula_env.teleop.wrapper import FalconTeleop
+
+gym.register_envs(spatula_env)
 
 PERIOD = 0.05
 

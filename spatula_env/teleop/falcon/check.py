@@ -20,6 +20,22 @@ LISTENING_TIME = 0.5
 LEAST_SHARE = 0.5
 """Packets that must be answered, of those that could be at 1 kHz."""
 
+FAR_ENOUGH_MOVED = 0.015
+"""So far the operator has to move the grip to tell a direction [m]."""
+LEAST_ALONG = 0.7
+"""Share of that way that has to go in the direction that was asked for."""
+STILL = 0.002
+STILL_TIME = 0.3
+"""The grip is still when it has moved less [m] for so long [s]."""
+PATIENCE = 20.0
+"""How long the operator has for each move [s]."""
+MIDDLE_REQUEST = "Bring the grip to about the middle of its range, and hold it still."
+MOVES = (
+    ("Move the grip 2 cm to the right.", (1.0, 0.0, 0.0)),
+    ("Move the grip 2 cm away from you.", (0.0, 1.0, 0.0)),
+    ("Move the grip 2 cm up.", (0.0, 0.0, 1.0)),
+)
+
 TEST_FORCE = 1.0
 """Of the gentle test, about what an apple weighs [N]."""
 TEST_RISE = 0.2
@@ -55,7 +71,7 @@ class CheckStep:
     """One step of the check.
 
     Attributes:
-        name: ``"found"``, ``"firmware"``, ``"packets"``, ``"homed"`` or ``"force"``.
+        name: ``"found"``, ``"firmware"``, ``"packets"``, ``"homed"``, ``"frames"`` or ``"force"``.
         passed: Whether it went well; None if it was left out.
         message: What came of it, for the operator.
     """
@@ -66,7 +82,11 @@ class CheckStep:
 
 
 def check_falcon(
-    falcon: Falcon, say: Say, ask: Ask, find: Callable[[], Sequence[object]] | None = find_falcons
+    falcon: Falcon,
+    say: Say,
+    ask: Ask,
+    find: Callable[[], Sequence[object]] | None = find_falcons,
+    patience: float = PATIENCE,
 ) -> list[CheckStep]:
     """Check a Falcon from the cable to the motors. The first step that fails is the last.
 
@@ -75,6 +95,7 @@ def check_falcon(
         say: Takes sentences for the operator.
         ask: Takes a question for the operator, returns whether the answer was yes. Without a yes, no motor moves.
         find: Lists the devices on the USB; None to leave that step out.
+        patience: How long the operator has to move the grip as asked, each time [s].
 
     Returns:
         The steps that were made.
@@ -97,6 +118,7 @@ def check_falcon(
             make("firmware", lambda: _open(falcon))
             and make("packets", lambda: _listen(falcon))
             and make("homed", lambda: _home(falcon, say))
+            and make("frames", lambda: _look_at_frames(falcon, say, patience))
             and make("force", lambda: _push(falcon, say, ask))
         )
     finally:
@@ -137,6 +159,45 @@ def _home(falcon: Falcon, say: Say) -> tuple[bool, str]:
     falcon.calibrate(say)
     x, y, z = (1000.0 * value for value in _position(falcon).tolist())
     return True, f"homed; the grip is {x:.1f} mm right of the middle, {y:.1f} mm beyond it, {z:.1f} mm above it"
+
+
+def _look_at_frames(falcon: Falcon, say: Say, patience: float) -> tuple[bool | None, str]:
+    """Find out whether the grip is seen to move the way it is moved."""
+    told = []
+    say(MIDDLE_REQUEST)
+    for request, direction in MOVES:
+        if not _wait_until_still(falcon, patience):
+            return None, f"the grip was not still within {patience:g} s; directions were not checked"
+        say(request)
+        origin, until = _position(falcon), falcon.now() + patience
+        moved = np.zeros(3)
+        while (distance := float(np.linalg.norm(moved))) < FAR_ENOUGH_MOVED:
+            if falcon.now() >= until:
+                return None, f"the grip was not moved within {patience:g} s; directions were not checked"
+            falcon.wait_for_sample()
+            moved = _position(falcon) - origin
+        x, y, z = (1000.0 * moved).tolist()
+        told.append(f"{x:.0f}, {y:.0f}, {z:.0f} mm")
+        if float(moved @ np.array(direction)) < LEAST_ALONG * distance:
+            return False, (
+                f"asked to: {request.lower()[:-1]!r}, and saw it move {told[-1]} (right, away, up). If it was moved as "
+                "asked, stand the Falcon upright, with the grip towards you"
+            )
+    return True, f"directions are right: {'; '.join(told)} (right, away, up)"
+
+
+def _wait_until_still(falcon: Falcon, patience: float) -> bool:
+    """Wait until the grip is held still; False if it is not."""
+    until = falcon.now() + patience
+    place, since = _position(falcon), falcon.now()
+    while falcon.now() - since < STILL_TIME:
+        if falcon.now() >= until:
+            return False
+        falcon.wait_for_sample()
+        position = _position(falcon)
+        if float(np.linalg.norm(position - place)) > STILL:
+            place, since = position, falcon.now()
+    return True
 
 
 def _push(falcon: Falcon, say: Say, ask: Ask) -> tuple[bool | None, str]:

@@ -81,12 +81,12 @@ class RemoteLoop(Runner):
             self._run()
 
     @property
-    def is_calibrated(self) -> bool:  # type: ignore[override]
+    def is_calibrated(self) -> bool:
         """See `Runner`."""
         return self._is_running
 
     @property
-    def force(self) -> Vector:  # type: ignore[override]
+    def force(self) -> Vector:
         """See `Runner`."""
         report = self._outbox.read()
         return ZERO if report is None else report[9:12]

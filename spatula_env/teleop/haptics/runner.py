@@ -48,13 +48,19 @@ class Runner(ABC):
 
     Attributes:
         description: What there is to tell of the device.
-        is_calibrated: Whether the loop runs.
-        force: What the hand was last made to feel [N].
     """
 
     description: Description
-    is_calibrated: bool
-    force: Vector
+
+    @property
+    @abstractmethod
+    def is_calibrated(self) -> bool:
+        """Whether the loop runs."""
+
+    @property
+    @abstractmethod
+    def force(self) -> Vector:
+        """What the hand was last made to feel [N]."""
 
     @abstractmethod
     def calibrate(self, progress: Progress | None) -> None:
@@ -105,8 +111,8 @@ class LocalLoop(Runner):
         check_haptic(device)
         device.open()
         self.description = describe(device)
-        self.force: Vector = ZERO
         self._device = device
+        self._force: Vector = ZERO
         self._settings, self._exchange, self._threaded = settings, exchange, threaded
         self._contact: Contact | None = None
         self._sample: DeviceSample | None = None
@@ -117,9 +123,14 @@ class LocalLoop(Runner):
             self._begin()
 
     @property
-    def is_calibrated(self) -> bool:  # type: ignore[override]
+    def is_calibrated(self) -> bool:
         """See `Runner`."""
         return self._device.is_calibrated
+
+    @property
+    def force(self) -> Vector:
+        """See `Runner`."""
+        return self._force
 
     def calibrate(self, progress: Progress | None) -> None:
         """See `Runner`."""
@@ -186,7 +197,7 @@ class LocalLoop(Runner):
             self._thread.start()
 
     def _take(self, sample: DeviceSample, force: Vector) -> None:
-        self._sample, self.force = sample, force
+        self._sample, self._force = sample, force
 
     def _cycle(self) -> None:
         assert self._loop is not None
@@ -197,7 +208,7 @@ class LocalLoop(Runner):
         except DeviceError as error:
             # As in a thread: the one who sleeps does not hear of it, but whoever reads or tells does.
             self._loop.error = error
-            self.force = ZERO
+            self._force = ZERO
 
 
 def check_haptic(device: TeleopDevice) -> None:

@@ -1,0 +1,223 @@
+"""What the commands share: errors, options, how results are printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+import spatula_env
+
+if TYPE_CHECKING:
+    Parsers = argparse._SubParsersAction[argparse.ArgumentParser]
+
+assert spatula_env.TASKS
+
+FAILURE = 1
+INTERRUPTED = 130
+ENGINES = ("bullet", "batch")
+
+
+class CommandError(Exception):
+    """Something that the user can mend; the message says what."""
+
+
+class Stopped(Exception):
+    """The user has stopped a command that can go on later; the message says how."""
+
+
+def fail(message: str, status: int = FAILURE) -> int:
+    """Say on standard error what is wrong.
+
+    Returns:
+        The exit status.
+    """
+    print(f"spatula: {message}", file=sys.stderr)
+    return status
+
+
+def note(message: str) -> None:
+    """Tell something that is no result, on standard error, so that results can be piped."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def new_parser(commands: Parsers, name: str, help_text: str, description: str) -> argparse.ArgumentParser:
+    """A parser for a command.
+
+    Args:
+        commands: To which it is added.
+        name: Of the command.
+        help_text: A few words.
+        description: What it does; paragraphs are kept.
+    """
+    return commands.add_parser(
+        name, help=help_text, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """Add --json."""
+    parser.add_argument("--json", action="store_true", help="end with the result as one JSON object")
+
+
+def add_root_option(parser: argparse.ArgumentParser) -> None:
+    """Add --root."""
+    parser.add_argument(
+        "--root",
+        type=Path,
+        metavar="DIR",
+        help="folder of all datasets (default: MINARI_DATASETS_PATH, or .minari/datasets in the home folder)",
+    )
+
+
+def add_environment_options(parser: argparse.ArgumentParser) -> None:
+    """Add an environment's id and options."""
+    parser.add_argument("env", metavar="ID", help="environment, such as Spatula/Press-v0, or press for short")
+    parser.add_argument(
+        "--engine", choices=ENGINES, default="bullet", help="what integrates the organ (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="changes",
+        help="an option of the environment, such as randomization=default or max_episode_steps=100; values are YAML",
+    )
+    parser.add_argument(
+        "--seed", metavar="N", type=at_least(0), default=0, help="of the first episode (default: %(default)s)"
+    )
+
+
+def at_least(least: int) -> Any:
+    """A type of argument: an integer not below a limit."""
+
+    def integer(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"must be an integer, got {text!r}") from None
+        if value < least:
+            raise argparse.ArgumentTypeError(f"must be {least} or more, got {value}")
+        return value
+
+    return integer
+
+
+def resolve_env(text: str) -> str:
+    """The id of an environment of this package.
+
+    Args:
+        text: An id in any case, or the task's name alone.
+
+    Raises:
+        CommandError: If there is no such environment; says which there are.
+    """
+    ids = env_ids()
+    names: dict[str, str] = {}
+    for each in ids:
+        short = each.partition("/")[2]
+        names |= {each.lower(): each, short.lower(): each, short.rpartition("-v")[0].lower(): each}
+    found = names.get(text.removeprefix("spatula_env:").lower())
+    if found is None:
+        raise CommandError(f"there is no environment {text!r}; there are {', '.join(ids)}")
+    return found
+
+
+def env_ids() -> list[str]:
+    """Ids of the environments of this package."""
+    return sorted(key for key, spec in gymnasium.registry.items() if spec.namespace == "Spatula")
+
+
+def make_environment(
+    chosen: argparse.Namespace, options: Mapping[str, Any] | None = None, **more: Any
+) -> gymnasium.Env[Any, Any]:
+    """Make the environment that the command line asks for.
+
+    Args:
+        chosen: From `add_environment_options`.
+        options: What is to be so unless the command line says otherwise.
+        **more: What is to be so in any case, such as the mode of rendering.
+
+    Raises:
+        CommandError: If there is no such environment or option.
+    """
+    env_id = resolve_env(chosen.env)
+    wanted = {"engine": chosen.engine, **(options or {}), **read_changes(chosen.changes), **more}
+    try:
+        return gymnasium.make(env_id, **wanted)
+    except (TypeError, ValueError) as error:
+        # Gymnasium adds where it was raised, which is here.
+        reason = str(error).partition(" was raised from the environment creator")[0]
+        raise CommandError(f"{env_id} cannot be made so: {reason}") from error
+
+
+def read_changes(changes: Iterable[str]) -> dict[str, Any]:
+    """Options from the command line.
+
+    Args:
+        changes: Each "key=value" or "key.sub=value", the value in YAML.
+
+    Raises:
+        CommandError: If one is not of that form.
+    """
+    import yaml
+
+    result: dict[str, Any] = {}
+    for change in changes:
+        name, equals, text = change.partition("=")
+        keys = name.strip().split(".")
+        if not equals or not all(keys):
+            raise CommandError(f"--set must be KEY=VALUE, got {change!r}")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise CommandError(f"--set {name.strip()} must have a value in YAML, got {text!r}") from error
+        place = result
+        for key in keys[:-1]:
+            inner = place.setdefault(key, {})
+            if not isinstance(inner, dict):
+                raise CommandError(f"--set {name.strip()} must not follow a value for {key!r}")
+            place = inner
+        place[keys[-1]] = value
+    return result
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Print a result as one line, strictly JSON: what is no number is null."""
+    print(json.dumps(_strict(result), allow_nan=False))
+
+
+def print_table(rows: Sequence[Sequence[str]], right: Iterable[int] = ()) -> None:
+    """Print rows in columns.
+
+    Args:
+        rows: The first is the heading.
+        right: Columns that are aligned to the right.
+    """
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    aligned = set(right)
+    for row in rows:
+        cells = [
+            text.rjust(width) if column in aligned else text.ljust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  ".join(cells).rstrip())
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(name): _strict(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(each) for each in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,190 @@
+"""Options of devices, and an open device."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
+from spatula_env.cli.common import CommandError, at_least, note, read_changes, resolve_env
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from spatula_env.teleop.device import TeleopDevice
+
+DEVICES = (
+    "keyboard",
+    "gamepad",
+    "spacemouse",
+    "falcon",
+    "forcedimension",
+    "emulated-falcon",
+    "scripted",
+    "scripted-falcon",
+    "replay",
+    "web",
+)
+"""What can be named. All but the last two are `spatula_env.teleop.registry`'s."""
+SCRIPTED = ("scripted", "scripted-falcon")
+
+
+def add_device_options(parser: argparse.ArgumentParser) -> None:
+    """Add what a device needs."""
+    group = parser.add_argument_group("device")
+    group.add_argument(
+        "--device",
+        required=True,
+        choices=DEVICES,
+        metavar="NAME",
+        help=f"what the operator holds, or who acts instead: {', '.join(DEVICES)}",
+    )
+    group.add_argument(
+        "--index", metavar="N", type=at_least(0), default=0, help="which one, if there are several (default: 0)"
+    )
+    group.add_argument(
+        "--firmware", type=Path, metavar="FILE", help="the Falcon's firmware, if it has forgotten it (docs/falcon.md)"
+    )
+    group.add_argument("--recording", metavar="DATASET", help="what --device replay does again")
+    group.add_argument("--episode", metavar="N", type=at_least(0), default=0, help="which episode of it (default: 0)")
+    group.add_argument("--policy", help=f"what a scripted operator wants, or what acts in between: {POLICY_HELP}")
+    group.add_argument("--reaction-delay", type=float, metavar="S", help="of a scripted operator")
+    group.add_argument("--tremor", type=float, metavar="SHARE", help="of a scripted operator, of the greatest speed")
+    group.add_argument("--gain", type=float, metavar="FACTOR", help="of a scripted operator, up to 1")
+    web = parser.add_argument_group("web page (--device web)")
+    web.add_argument("--host", default="127.0.0.1", help="address to serve at (default: %(default)s)")
+    web.add_argument("--port", metavar="N", type=at_least(0), default=8080, help="(default: %(default)s)")
+    web.add_argument("--token", help="what a visitor has to know; needed where other machines reach the page")
+    hand = parser.add_argument_group("from the hand to the tool")
+    hand.add_argument(
+        "--mode",
+        choices=("auto", "position", "rate"),
+        default="auto",
+        help="whether the tool is where the grip is, or moves as fast as it is deflected (default: %(default)s)",
+    )
+    hand.add_argument(
+        "--scale", metavar="FACTOR", type=float, default=1.0, help="way of the tool over way of the grip (default: 1)"
+    )
+    hand.add_argument(
+        "--intervention",
+        choices=("always", "button", "motion"),
+        default="always",
+        help="when the operator acts, and not --policy (default: %(default)s)",
+    )
+    hand.add_argument(
+        "--no-wait", action="store_true", help="run as fast as the machine can, and not in time with the clock"
+    )
+
+
+def teleop_options(chosen: argparse.Namespace) -> dict[str, Any]:
+    """What `FalconTeleop` is made with."""
+    # Nobody watches the clock of what is no hand.
+    waits = not chosen.no_wait and chosen.device not in (*SCRIPTED, "replay")
+    return {
+        "mode": chosen.mode,
+        "scale": chosen.scale,
+        "intervention": chosen.intervention,
+        "real_time": waits,
+    }
+
+
+def check_device(chosen: argparse.Namespace) -> Actor | None:
+    """Check the options of a device before anything is loaded.
+
+    Returns:
+        Who acts by itself, if anybody does.
+
+    Raises:
+        CommandError: If one is missing.
+    """
+    if chosen.device == "replay" and chosen.recording is None:
+        raise CommandError("--device replay needs --recording DATASET")
+    if chosen.intervention != "always" and chosen.policy is None:
+        raise CommandError(f"--intervention {chosen.intervention} needs --policy: who acts otherwise")
+    name = chosen.policy if chosen.policy is not None else "expert" if chosen.device in SCRIPTED else None
+    return None if name is None else find_actor(name, resolve_env(chosen.env))
+
+
+@contextmanager
+def opened_device(
+    chosen: argparse.Namespace, env: gymnasium.Env[Any, Any], actor: Actor | None, seed: int
+) -> Iterator[TeleopDevice]:
+    """The device that the command line asks for, open and calibrated, for as long as a ``with`` block lasts.
+
+    Args:
+        chosen: From `add_device_options`.
+        env: What it acts in.
+        actor: From `check_device`.
+        seed: Of the first episode.
+    """
+    with _make(chosen, env, actor, seed) as device:
+        if not device.is_calibrated:
+            device.calibrate(note)
+        yield device
+
+
+def _make(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any], actor: Actor | None, seed: int) -> TeleopDevice:
+    from spatula_env.teleop.registry import make_device
+
+    if chosen.device == "replay":
+        from spatula_env.teleop.replay_device import ReplayDevice
+
+        _check_recording(chosen, env)
+        return ReplayDevice.from_dataset(chosen.recording, chosen.episode, chosen.root)
+    options: dict[str, Any] = {"index": chosen.index, "firmware": chosen.firmware}
+    if chosen.device in SCRIPTED:
+        import numpy as np
+
+        assert actor is not None
+        options["policy"] = actor.make(env, seed)
+        options["generator"] = np.random.default_rng(seed)
+        for name in ("reaction_delay", "tremor", "gain"):
+            if getattr(chosen, name) is not None:
+                options[name] = getattr(chosen, name)
+    return make_device(chosen.device, **options)
+
+
+def _check_recording(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -> None:
+    """Check that a recording fits, so that its numbers do not mean something else."""
+    from spatula_env.data.replaying import open_dataset
+
+    dataset = open_dataset(chosen.recording, chosen.root)
+    wanted = resolve_env(chosen.env)
+    if dataset.spec.env_spec.id != wanted:
+        raise CommandError(f"{chosen.recording!r} was recorded in {dataset.spec.env_spec.id}, not in {wanted}")
+    if chosen.episode >= dataset.total_episodes:
+        raise CommandError(f"{chosen.recording!r} has {dataset.total_episodes} episodes, there is no {chosen.episode}")
+    if dataset.action_space.shape != env.action_space.shape:
+        raise CommandError(f"{chosen.recording!r} was recorded with other actions; give the same --set control=...")
+
+
+def serve_page(chosen: argparse.Namespace, dataset: str | None = None) -> int:
+    """Serve the page on which a task is played and recorded, until Ctrl-C.
+
+    Args:
+        chosen: The command line.
+        dataset: To which episodes are added; None: the page's own choice.
+
+    Returns:
+        The exit status.
+    """
+    from spatula_env.teleop.web import serve
+
+    if chosen.policy is not None or chosen.intervention != "always":
+        raise CommandError("--policy and --intervention do not go with --device web")
+    if chosen.root is not None and dataset is not None:
+        raise CommandError("--root does not go with --device web; set MINARI_DATASETS_PATH instead")
+    serve(
+        resolve_env(chosen.env),
+        host=chosen.host,
+        port=chosen.port,
+        token=chosen.token,
+        dataset=dataset if dataset is not None else chosen.root,
+        seed=chosen.seed,
+        env_kwargs={"engine": chosen.engine, **read_changes(chosen.changes)},
+        on_ready=lambda url: note(f"Open {url} in a browser. Ctrl-C ends it."),
+    )
+    return 0

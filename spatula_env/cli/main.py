@@ -1,0 +1,67 @@
+"""Which command is meant, and what becomes of its errors."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+import gymnasium
+
+from spatula_env import __version__
+from spatula_env.cli import bench, datasets, demo, envs, falcon, forward, play, record, replay, view
+from spatula_env.cli.common import FAILURE, INTERRUPTED, CommandError, Stopped, fail
+
+COMMANDS = (demo, envs, play, record, replay, datasets, falcon, view, forward, bench)
+"""In the order in which help lists them."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Args:
+        arguments: What follows the command's name; None takes them from the command line.
+
+    Returns:
+        The exit status: 0 if all went well.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    # Their options are none of this parser's business.
+    if given and given[0] in forward.TARGETS:
+        return _run(lambda: forward.run(given[0], given[1:]))
+    parser = make_parser()
+    chosen = parser.parse_args(given)
+    run: Callable[[argparse.Namespace], int] = chosen.run
+    return _run(lambda: run(chosen))
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="spatula",
+        description="Learning tool-tissue manipulation with a thin rigid spatula.",
+        epilog="spatula COMMAND --help tells about a command.",
+    )
+    parser.add_argument("--version", action="version", version=f"spatula_env {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for command in COMMANDS:
+        command.add_parser(commands)
+    return parser
+
+
+def _run(run: Callable[[], int]) -> int:
+    # Looked up here: importing it brings NumPy, which `spatula --version` can do without.
+    from spatula_env.teleop.device import DeviceError
+
+    try:
+        return run()
+    except Stopped as stopped:
+        return fail(str(stopped), INTERRUPTED)
+    except KeyboardInterrupt:
+        return fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read the output, `head` for example, has seen enough. The interpreter would complain at its end.
+        sys.stdout = None
+        return FAILURE
+    except (CommandError, DeviceError, gymnasium.error.Error, ImportError, OSError, ValueError) as error:
+        return fail(str(error))

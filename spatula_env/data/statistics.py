@@ -1,0 +1,234 @@
+"""What the episodes of a dataset are like: returns, lengths, success, force and pressure over time, where the tool was.
+
+`spatula_env.data.plots` draws it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.data.catalog import DatasetSummary, summarize
+from spatula_env.data.dataset import read_layout
+from spatula_env.data.layout import VECTOR, Layout
+from spatula_env.data.replaying import open_dataset
+
+FloatArray = NDArray[np.float64]
+
+CELLS = 10
+"""Into so many parts each edge of the workspace is divided, to see how much of it was visited."""
+QUARTILES = (0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A quantity over the time of many episodes, as long as any lasts.
+
+    Attributes:
+        times: (T,) since the reset [s].
+        low: (T,) of a quarter of the episodes it is not greater.
+        median: (T,).
+        high: (T,) of three quarters it is not greater.
+        greatest: (T,) of all episodes.
+        episodes: (T,) how many last so long.
+    """
+
+    times: FloatArray
+    low: FloatArray
+    median: FloatArray
+    high: FloatArray
+    greatest: FloatArray
+    episodes: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, times: Sequence[FloatArray], values: Sequence[FloatArray]) -> Curve:
+        """From the courses of episodes, (T_k,) each; their control steps are equally long."""
+        longest = max(times, key=len)
+        table = np.full((len(values), len(longest)), np.nan)
+        for row, course in zip(table, values, strict=True):
+            row[: len(course)] = course
+        low, median, high = np.nanquantile(table, QUARTILES, axis=0)
+        counts = np.count_nonzero(~np.isnan(table), axis=0)
+        return cls(np.asarray(longest), low, median, high, np.nanmax(table, axis=0), counts)
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetStatistics:
+    """What E episodes are like. What was not recorded is None.
+
+    Attributes:
+        summary: What is in the dataset.
+        returns: (E,) sums of the rewards.
+        lengths: (E,) control steps.
+        durations: (E,) [s]; None if the dataset does not say how long a step is.
+        successes: (E,) whether the goal was reached.
+        operators: (E) who did it, "human" or "scripted".
+        success_interval: Wilson's 95 % interval of the success rate.
+        force: Magnitude of the contact force, averaged over a control step [N].
+        pressure: Greatest contact pressure in a control step [Pa].
+        peak_forces: (E,) the greatest force on a tool [N].
+        peak_pressures: (E,) the greatest contact pressure [Pa].
+        costs: (E,) [Pa s].
+        violations: (E,) whether there was one.
+        positions: (S, 3) where the tool was in each step, as it was observed [m].
+        workspace: (2, 3) the corners of the workspace [m].
+        coverage: Share of the workspace's `CELLS`³ cells in which the tool has been.
+    """
+
+    summary: DatasetSummary
+    returns: FloatArray
+    lengths: NDArray[np.int64]
+    durations: FloatArray | None
+    successes: NDArray[np.bool_]
+    operators: tuple[str, ...]
+    success_interval: tuple[float, float]
+    force: Curve | None
+    pressure: Curve | None
+    peak_forces: FloatArray | None
+    peak_pressures: FloatArray | None
+    costs: FloatArray | None
+    violations: NDArray[np.bool_] | None
+    positions: FloatArray | None
+    workspace: FloatArray | None
+    coverage: float | None
+
+    def as_record(self) -> dict[str, Any]:
+        """The figures without the courses over time, as JSON has them."""
+        count = len(self.returns)
+        record: dict[str, Any] = {
+            "dataset": self.summary.dataset_id,
+            "env": self.summary.env_id,
+            "episodes": count,
+            "steps": int(self.lengths.sum()),
+            "operators": dict(self.summary.operators),
+            "success_rate": float(self.successes.mean()) if count else None,
+            "success_interval": list(self.success_interval) if count else None,
+            "return": _spread(self.returns),
+            "length": _spread(self.lengths),
+            "duration": _spread(self.durations),
+            "peak_force": _spread(self.peak_forces),
+            "peak_pressure": _spread(self.peak_pressures),
+            "cost": _spread(self.costs),
+            "violation_rate": None if self.violations is None or not count else float(self.violations.mean()),
+            "coverage": self.coverage,
+        }
+        return record
+
+
+def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatistics:
+    """Go through all episodes of a dataset.
+
+    Args:
+        dataset_id: Its id.
+        root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        ImportError: If Minari is missing.
+        FileNotFoundError: If there is no such dataset.
+    """
+    dataset = open_dataset(dataset_id, root)
+    layout = read_layout(dataset_id, root)
+    attributes = list(dataset.storage.get_episode_metadata(range(dataset.total_episodes)))
+    returns, lengths = [], []
+    courses: dict[str, list[FloatArray]] = {"time": [], "force": [], "peak_pressure": []}
+    ends: dict[str, list[float]] = {"episode_peak_force": [], "episode_peak_pressure": [], "episode_cost": []}
+    violations: list[bool] = []
+    positions: list[FloatArray] = []
+    for episode in dataset.iterate_episodes():
+        returns.append(float(episode.rewards.sum()))
+        lengths.append(len(episode.rewards))
+        infos: Mapping[str, Any] = episode.infos or {}
+        for name, values in courses.items():
+            if name in infos:
+                values.append(np.asarray(infos[name], dtype=np.float64))
+        for name, found in ends.items():
+            if name in infos:
+                found.append(float(infos[name][-1]))
+        if "violation" in infos:
+            violations.append(bool(np.any(infos["violation"])))
+        places = tool_positions(episode.observations, layout)
+        if places is not None:
+            positions.append(places)
+    count = len(returns)
+    complete = {name: values for name, values in courses.items() if count and len(values) == count}
+
+    def course(name: str) -> Curve | None:
+        return Curve.of(complete["time"], complete[name]) if {"time", name} <= complete.keys() else None
+
+    def ending(name: str) -> FloatArray | None:
+        return np.array(ends[name]) if count and len(ends[name]) == count else None
+
+    successes = np.array([bool(each.get("success", False)) for each in attributes], dtype=np.bool_)
+    where = np.concatenate(positions) if count and len(positions) == count else None
+    known = len(layout.workspace_low) == 3
+    box = np.array([layout.workspace_low, layout.workspace_high]) if known else None
+    frequency = layout.control_frequency
+    return DatasetStatistics(
+        summary=summarize(dataset_id, root),
+        returns=np.array(returns),
+        lengths=np.array(lengths, dtype=np.int64),
+        durations=None if frequency is None else np.array(lengths) / frequency,
+        successes=successes,
+        operators=tuple(str(each.get("operator", "unknown")) for each in attributes),
+        success_interval=success_interval(int(successes.sum()), count),
+        force=course("force"),
+        pressure=course("peak_pressure"),
+        peak_forces=ending("episode_peak_force"),
+        peak_pressures=ending("episode_peak_pressure"),
+        costs=ending("episode_cost"),
+        violations=np.array(violations) if count and len(violations) == count else None,
+        positions=where,
+        workspace=box,
+        coverage=None if where is None or box is None else coverage(where, box),
+    )
+
+
+def tool_positions(observations: Any, layout: Layout) -> FloatArray | None:
+    """Where the tool was observed (T + 1, 3) in an episode, workspace frame [m]; None if that is not in there."""
+    found = layout.find("tool_position")
+    if found is None:
+        return None
+    entry, columns = found
+    values = observations if entry == VECTOR and not isinstance(observations, Mapping) else observations[entry]
+    array = np.asarray(values, dtype=np.float64)
+    # Of several frames the last is the newest.
+    return array[..., columns].reshape(len(array), -1, 3)[:, -1]
+
+
+def coverage(positions: FloatArray, box: FloatArray) -> float:
+    """The share of a box's cells in which there is a position.
+
+    Args:
+        positions: (S, 3) [m].
+        box: (2, 3) its corners [m].
+    """
+    cells = np.floor((positions - box[0]) / (box[1] - box[0]) * CELLS).astype(np.int64)
+    return len(np.unique(np.clip(cells, 0, CELLS - 1), axis=0)) / CELLS**3
+
+
+def success_interval(successes: int, count: int) -> tuple[float, float]:
+    """Wilson's 95 % interval of a rate (E. B. Wilson, J Am Stat Assoc 22:209, 1927); (0, 1) of nothing."""
+    if count == 0:
+        return 0.0, 1.0
+    z = 1.959964
+    share, scale = successes / count, 1.0 + z * z / count
+    middle = (share + 0.5 * z * z / count) / scale
+    half = z / scale * math.sqrt(share * (1.0 - share) / count + 0.25 * (z / count) ** 2)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def _spread(values: NDArray[Any] | None) -> dict[str, float] | None:
+    if values is None or len(values) == 0:
+        return None
+    return {
+        "mean": float(values.mean()),
+        "least": float(values.min()),
+        "median": float(np.median(values)),
+        "greatest": float(values.max()),
+    }
