@@ -4,9 +4,11 @@ body           PyBullet's own `stepSimulation` of the seed's sphere, nothing els
                body.
 press          A press with ground, contact and report, a quarter of it in the air: `Simulation` with both engines, and
                `BatchSimulation` with its tools at slightly different places.
-environment    Control steps of Spatula/Press-v0: of PyBullet's environment alone and in a process per core, of the
-               batch engine's alone, and of `make_vec`. In half of the worlds a script presses towards the goal; in the
-               others it does so at first, untimed, and chance from then on.
+environment    Control steps of Spatula/Press-v0 in contact: of PyBullet's environment alone and in a process per core,
+               of the batch engine's alone, and of `make_vec`. In half of the worlds a script presses towards the goal;
+               in the others it does so at first, untimed, and chance from then on.
+episodes       The same environments through whole episodes, resets and all: under a random policy, which is mostly in
+               the air, and under the expert, which goes to the place, presses, and holds until the episode is over.
 parts          Where the time of 64 environments on one thread goes.
 
 All sides take turns, and do the same work in every turn: the time of a call is the median over the turns. More than 64
@@ -33,7 +35,8 @@ import gymnasium as gym
 import numba
 import numpy as np
 
-import spatula_env  # noqa: F401 - registers the environments
+import spatula_env
+from agents.experts import PressExpert
 from benchmarks.measure import finish, parser
 from benchmarks.parallel import available_cores
 from benchmarks.parity import DEPTH, HOLD, place_above, press_velocities
@@ -50,7 +53,12 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
+gym.register_envs(spatula_env)
+
 ENVIRONMENT = "Spatula/Press-v0"
+
+POLICIES = ("random", "expert")
+"""Who acts in whole episodes."""
 
 CONTROL_STEP = 12
 """Physics steps in a timed call of a body or a press, as in a control step of the environment by default."""
@@ -85,11 +93,20 @@ LIMITS = {
     "press_64_worlds": 10.0,
     "press_one_world": 1.3,
     "environment_64_worlds": 10.0,
+    "random_episodes_64_worlds": 10.0,
+    "expert_episodes_64_worlds": 10.0,
     "two_threads": 1.7,
 }
 """How many times as fast as PyBullet, or as one thread."""
 
-STRETCH = {"body_64_worlds": 20.0, "press_64_worlds": 20.0, "environment_64_worlds": 20.0, "simulated_seconds": 100.0}
+STRETCH = {
+    "body_64_worlds": 20.0,
+    "press_64_worlds": 20.0,
+    "environment_64_worlds": 20.0,
+    "random_episodes_64_worlds": 20.0,
+    "expert_episodes_64_worlds": 20.0,
+    "simulated_seconds": 100.0,
+}
 """What is hoped for beyond that; the last is simulated seconds of environments in a second of one core."""
 
 COLD_LIMITS = {"compiling": 60.0, "from_cache": 5.0}
@@ -560,6 +577,100 @@ def vector_driver(worlds: int, threads: int, script: Script, env: Any = None) ->
     return Driver(worlds, worlds, script, reset, step, env.close, threads)
 
 
+@dataclass
+class EpisodeDriver:
+    """Plays whole episodes under a policy; see `Side`. A reset counts as a timed call, and its steps do not.
+
+    Attributes:
+        worlds: How many play at a time.
+        total: How many episodes there are; they are played group by group, and their number is their seed.
+        length: Control steps in an episode.
+        begin: Makes a policy for some episodes: from observations (W, D) to actions (W, 3).
+        reset: Begins episodes, and returns their observations (W, D).
+        step: Makes a control step with actions (W, 3), and returns observations and forces (W,).
+        close: Frees what is held.
+        threads: How many are used.
+        contact_share: Share of the control steps in which the tool felt a force.
+    """
+
+    worlds: int
+    total: int
+    length: int
+    begin: Callable[[Sequence[int]], Callable[[NDArray[np.float32]], NDArray[np.float32]]]
+    reset: Callable[[Sequence[int]], NDArray[np.float32]]
+    step: Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], FloatArray]]
+    close: Callable[[], None]
+    threads: int = 1
+    contact_share: float = 0.0
+    steps: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Count."""
+        self.steps = self.total * self.length
+
+    def turn(self, calls: int | None = None) -> FloatArray:
+        """See `Side`."""
+        seconds: list[float] = []
+        forces: list[FloatArray] = []
+        with numba_threads(self.threads):
+            for first in range(0, self.total if calls is None else 1, self.worlds):
+                seeds = range(first, first + self.worlds)
+                act = self.begin(seeds)
+                start = time.perf_counter()
+                observations = self.reset(seeds)
+                seconds.append(time.perf_counter() - start)
+                for _ in range(self.length if calls is None else calls - 1):
+                    actions = act(observations)
+                    start = time.perf_counter()
+                    observations, force = self.step(actions)
+                    seconds.append(time.perf_counter() - start)
+                    forces.append(force)
+        self.contact_share = float(np.mean(np.array(forces) > 0.0))
+        return np.array(seconds)
+
+
+def policy_of(name: str, env: Any) -> Callable[[Sequence[int]], Callable[[NDArray[np.float32]], NDArray[np.float32]]]:
+    """What begins episodes of a policy in an environment: "random", or "expert"."""
+    if name == "expert":
+        expert = PressExpert(env)
+        return lambda seeds: expert
+
+    def begin(seeds: Sequence[int]) -> Callable[[NDArray[np.float32]], NDArray[np.float32]]:
+        generators = [np.random.default_rng([seed, 2]) for seed in seeds]
+        return lambda _: np.array([generator.uniform(-1.0, 1.0, 3) for generator in generators], dtype=np.float32)
+
+    return begin
+
+
+def single_episodes(engine: str, policy: str, total: int, length: int) -> EpisodeDriver:
+    """One environment that plays episodes one after the other."""
+    env = gym.make(ENVIRONMENT, engine=engine, disable_env_checker=True)
+
+    def reset(seeds: Sequence[int]) -> NDArray[np.float32]:
+        return np.asarray(env.reset(seed=seeds[0])[0])[None]
+
+    def step(actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], FloatArray]:
+        observation, _, _, _, info = env.step(actions[0])
+        return np.asarray(observation)[None], np.array([info["force"]])
+
+    return EpisodeDriver(1, total, length, policy_of(policy, env), reset, step, env.close)
+
+
+def vector_episodes(worlds: int, policy: str, length: int) -> EpisodeDriver:
+    """An episode in each world of `make_vec`, on one thread."""
+    with numba_threads(1):
+        env: Any = gym.make_vec(ENVIRONMENT, num_envs=worlds)
+
+    def reset(seeds: Sequence[int]) -> NDArray[np.float32]:
+        return np.asarray(env.reset(seed=list(seeds))[0])
+
+    def step(actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], FloatArray]:
+        observations, _, _, _, infos = env.step(actions)
+        return np.asarray(observations), np.asarray(infos["force"])
+
+    return EpisodeDriver(worlds, worlds, length, policy_of(policy, env), reset, step, env.close)
+
+
 class Watch:
     """A function, with the time spent in it added up."""
 
@@ -633,6 +744,8 @@ class Size:
         press_depth: How deep the press goes [u].
         press_places: Of a single simulation in a turn.
         episodes: Of single environments in a turn.
+        whole_episodes: The same of whole episodes, of each policy.
+        episode_length: Control steps in those.
         down: Untimed control steps of an episode.
         calls: Timed control steps of an episode.
     """
@@ -644,6 +757,8 @@ class Size:
     press_depth: float = DEPTH
     press_places: int = 2
     episodes: int = 8
+    whole_episodes: int = 2
+    episode_length: int = 200
     down: int = 6
     calls: int = 16
 
@@ -669,6 +784,7 @@ def measure(size: Size, tell: Callable[[str], None]) -> dict[str, Any]:
         _make_bodies(scene, size, sides)
         _make_presses(scene, size, threads, sides)
         _make_environments(size, script, cores, threads, sides)
+        _make_episodes(size, sides)
         tell("warming up")
         for side in (*sides.values(), parts.driver):
             side.turn(WARM_UP_CALLS)
@@ -687,9 +803,14 @@ def measure(size: Size, tell: Callable[[str], None]) -> dict[str, Any]:
             part: _rows({name: timing for (owner, name), timing in timings.items() if owner == part})
             for part in ("body", "press", "environment")
         }
+        result["episodes"] = {
+            policy: _rows({name: timing for (owner, name), timing in timings.items() if owner == f"{policy} episodes"})
+            for policy in POLICIES
+        }
         period = script.physics_steps * scene.dt
-        for row in result["environment"].values():
-            row["simulated_seconds_per_second"] = row["steps_per_second"] * period
+        for rows in (result["environment"], *result["episodes"].values()):
+            for row in rows.values():
+                row["simulated_seconds_per_second"] = row["steps_per_second"] * period
         for part in ("body", "press"):
             for row in result[part].values():
                 row["simulated_seconds_per_second"] = row["steps_per_second"] * scene.dt
@@ -746,6 +867,15 @@ def _make_environments(
         for count in sorted({1, threads}):
             name = f"batch {worlds}" + ("" if count == 1 else f" on {count} threads")
             sides["environment", name] = vector_driver(worlds, count, script)
+
+
+def _make_episodes(size: Size, sides: dict[tuple[str, str], Side]) -> None:
+    for policy in POLICIES:
+        part = f"{policy} episodes"
+        for engine in ("bullet", "batch"):
+            sides[part, engine] = single_episodes(engine, policy, size.whole_episodes, size.episode_length)
+        worlds = MANY if MANY in size.vectors else size.vectors[0]
+        sides[part, f"batch {worlds}"] = vector_episodes(worlds, policy, size.episode_length)
 
 
 def _rows(timings: Mapping[str, Timing]) -> dict[str, dict[str, Any]]:
@@ -818,9 +948,11 @@ def judge(result: Mapping[str, Any], cold: Mapping[str, float] | None = None) ->
     ratios = {
         (part, name): row["ratio"] for part in ("body", "press", "environment") for name, row in result[part].items()
     }
+    episodes = {policy: rows.get(many, {}).get("ratio") for policy, rows in result["episodes"].items()}
     speeds = [
         row["simulated_seconds_per_second"]
-        for name, row in result["environment"].items()
+        for rows in (result["environment"], *result["episodes"].values())
+        for name, row in rows.items()
         if name.startswith("batch") and row["threads"] == 1
     ]
     values: dict[str, float | None] = {
@@ -829,6 +961,8 @@ def judge(result: Mapping[str, Any], cold: Mapping[str, float] | None = None) ->
         "press_64_worlds": ratios.get(("press", many)),
         "press_one_world": ratios.get(("press", "batch simulation")),
         "environment_64_worlds": ratios.get(("environment", many)),
+        "random_episodes_64_worlds": episodes["random"],
+        "expert_episodes_64_worlds": episodes["expert"],
         "two_threads": result["two_threads"]["ratio"],
         "simulated_seconds": max(speeds, default=None),
     }
@@ -898,7 +1032,9 @@ def show(result: Mapping[str, Any]) -> None:
     """Print tables."""
     _print_rows("body: physics steps of one world; PyBullet's stepSimulation and BatchBody.step", result["body"])
     _print_rows("press: physics steps of one world, with ground, contact and report", result["press"])
-    _print_rows(f"environment: control steps of one world of {ENVIRONMENT}", result["environment"])
+    _print_rows(f"environment: control steps of one world of {ENVIRONMENT}, in contact", result["environment"])
+    for policy, rows in result["episodes"].items():
+        _print_rows(f"episodes: control steps of one world of {ENVIRONMENT}, {policy} policy, resets included", rows)
     parts = result["parts"]
     print(f"\nparts: a control step of one of {parts['worlds']} worlds on one thread")
     for name, value in parts["microseconds"].items():
@@ -907,12 +1043,12 @@ def show(result: Mapping[str, Any]) -> None:
     threads = result["two_threads"]
     if threads["reason"]:
         print(f"\ntwo threads: not measured, {threads['reason']}")
-    print(f"\n{'asked for':32}{'value':>10}{'limit':>10}")
+    print(f"\n{'asked for':40}{'value':>10}{'limit':>10}")
     for title, rows in (("", result["thresholds"]), ("hoped for: ", result["stretch"])):
         for name, row in rows.items():
             value = "-" if row["value"] is None else f"{row['value']:.2f}"
             verdict = {None: "not measured", True: "passed", False: "FAILED" if not title else "not yet"}[row["passed"]]
-            print(f"  {title + name.replace('_', ' '):30}{value:>10}{row['limit']:10g}  {verdict}")
+            print(f"  {title + name.replace('_', ' '):38}{value:>10}{row['limit']:10g}  {verdict}")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel_on_demand
 from spatula_env.contact.path import ON_PLANE, entry_plane
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.rigid import opposes_best, turn
@@ -227,6 +227,13 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
 
 
 @inline_kernel
+def remember_flags(states: np.ndarray) -> None:
+    """Note the flags before they are decided anew; see `PairMemory`."""
+    for i in range(states.shape[1]):
+        states[3, i] = states[0, i]
+
+
+@inline_kernel
 def decide_flags(
     tool: Any, memory: Any, triangles: np.ndarray, first_step: int, exclusive: bool, grade: int
 ) -> tuple[int, int]:
@@ -320,7 +327,7 @@ def fill_record(
             _fill_weights(record[i], vertices, corners)
 
 
-@kernel(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
+@kernel_on_demand(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
 def detect_contacts(
     position: np.ndarray,
     orientation: np.ndarray,
@@ -353,7 +360,7 @@ def detect_contacts(
     status: int = cast_columns(position, rotation, vertices, triangles, tool, memory)
     if status != 0:
         return status
-    memory.states[3] = memory.states[0]
+    remember_flags(memory.states)
     lead_by_velocity(tool, memory, rotation, linear_velocity, angular_velocity)
     decide_flags(tool, memory, triangles, first_step, exclusive, 0)
     fill_record(tool, memory, vertices, 0, triangles, position, rotation, False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from spatula_env.contact import step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
-from spatula_env.contact.pressure import contact_table
+from spatula_env.contact.pressure import contact_table, tool_pressures
 from spatula_env.contact.structures import surface_list
 from spatula_env.contact.world import Workspace, World
 
@@ -46,6 +46,21 @@ class Motions:
 
 
 @dataclass(frozen=True)
+class Pressures:
+    """How tools are pressed in a step.
+
+    Attributes:
+        peak: Greatest on a contact node of any tool [kg/(u s2)].
+        faces: (F,) mean on each face with nodes, of one tool after the other [kg/(u s2)].
+        nodes: (n,) for each tool, on its contact nodes [kg/(u s2)].
+    """
+
+    peak: float
+    faces: FloatArray
+    nodes: tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True)
 class ContactMemory:
     """What a contact model remembers from one step to the next.
 
@@ -71,6 +86,7 @@ class ContactModel:
         nodal_impulses: (V, 3) what the tools gave the organs' nodes in the last step [kg u/s].
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
         ground_force: (3,) what the ground does to the organs, averaged over the last step [kg u/s2].
+        reach: How far a push is spread over a tool's contact nodes, the mean edge of the organ with the smallest [u].
     """
 
     def __init__(self, scene: Scene, inverse_masses: FloatArray, first_step: FirstStep = "inside") -> None:
@@ -104,6 +120,10 @@ class ContactModel:
         count = len(scene.tools)
         self._nothing = Motions(*(np.zeros((0, width)) for width in (3, 4, 3, 4, 3, 3)))
         self._impulses = np.zeros((count + 1, 6))
+        tools = [placed.tool for placed in scene.tools]
+        self._pressures = [np.zeros(len(tool.nodes)) for tool in tools]
+        self._face_pressures = [np.zeros(len(tool.face_normals)) for tool in tools]
+        self.reach = float(self._world.settings[step.MEAN_EDGE])
         self._result = np.zeros(step.RESULT_LENGTH)
         self._contact_count = 0
         self.penetration = 0.0
@@ -121,6 +141,7 @@ class ContactModel:
         self.wrenches = np.zeros_like(self.wrenches)
         self.ground_force = np.zeros(3)
         self.penetration = self.residual = 0.0
+        self._contact_count = 0
         self._world.forget_solves()
 
     def forget(self, tool: int) -> None:
@@ -160,6 +181,7 @@ class ContactModel:
                 deepest = max(deepest, float(found.depth.max()))
         self.queries = 1
         self.residual = self.penetration = deepest
+        self._contact_count = 0
 
     def resolve(
         self, start: FloatArray, free_nodes: FloatArray, free_velocities: FloatArray, motions: Motions | None
@@ -215,3 +237,23 @@ class ContactModel:
         """(C, 8) where something pushed in the last step; see `pressure.contact_table`."""
         table: FloatArray = contact_table(self._world.workspace.constraints, self._contact_count)
         return table
+
+    def pressures(self, motions: Motions) -> Pressures:
+        """The contact pressures of the last step, in which the tools did what they are said to have done."""
+        peak = 0.0
+        for index, (nodes, faces) in enumerate(zip(self._pressures, self._face_pressures, strict=True)):
+            faces[:] = 0.0
+            if self.wrenches[index].any():
+                on_tool = tool_pressures(
+                    self._world.structure,
+                    index,
+                    self._contact_count,
+                    motions.positions[index],
+                    motions.orientations[index],
+                    nodes,
+                    faces,
+                )
+                peak = max(peak, on_tool)
+            else:
+                nodes[:] = 0.0
+        return Pressures(peak, np.concatenate(self._face_pressures), tuple(nodes.copy() for nodes in self._pressures))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from spatula_env._kernels import inline_kernel
+from spatula_env.contact.motion import copy_points
 from spatula_env.contact.structures import (
     DISPLACEMENT,
     FRICTION,
@@ -18,6 +19,7 @@ from spatula_env.contact.structures import (
     OWNER,
     POINT,
     WEIGHTS,
+    copy_constraint,
     reserve,
 )
 
@@ -101,7 +103,7 @@ def expect_vertices(
         thrown: (V, 3) where the vertices come without contact [u].
         expected: (V, 3) written [u].
     """
-    expected[:] = thrown
+    copy_points(thrown, expected)
     for e in range(known):
         _push_part(warm, e, 1.0, inverse_mass, expected)
     for e in range(known):
@@ -119,7 +121,7 @@ def expect_vertices(
         elif after > 0.0:
             share = part * before / (before - after)
         row[GAP] = share
-    expected[:] = thrown
+    copy_points(thrown, expected)
     for e in range(known):
         _push_part(warm, e, warm.rows[e, GAP], inverse_mass, expected)
 
@@ -131,9 +133,7 @@ def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndar
     kept = 0
     for c in range(count):
         if rows[c, DISPLACEMENT] != 0.0 or rows[c, DISPLACEMENT + 1] != 0.0 or rows[c, DISPLACEMENT + 2] != 0.0:
-            warm.names[kept] = names[c]
-            warm.features[kept] = features[c]
-            warm.rows[kept] = rows[c]
+            copy_constraint(rows, features, names, c, warm, kept)
             kept += 1
     return kept
 
@@ -159,9 +159,7 @@ def add_passed(
                 known = True
                 break
         if not known:
-            rows[count] = earlier.rows[e]
-            features[count] = earlier.features[e]
-            names[count] = earlier.names[e]
+            copy_constraint(earlier.rows, earlier.features, earlier.names, e, constraints, count)
             rows[count, FRICTION] = 0.0
             for axis in range(3):
                 rows[count, IMPULSE + axis] = 0.0
@@ -190,9 +188,7 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
                 break
         if place == MOST_PASSED:
             continue
-        earlier.rows[place] = rows[c]
-        earlier.features[place] = features[c]
-        earlier.names[place] = names[c]
+        copy_constraint(rows, features, names, c, earlier, place)
         for axis in range(3):
             earlier.rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
         passed = max(passed, place + 1)

@@ -8,11 +8,15 @@ and grow with a node's share of the face. Nodes in contact come first; forces su
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
-from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, POINT
+from spatula_env.contact.flags import fill_rotation
+from spatula_env.contact.step import DT, MEAN_EDGE
+from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, POINT, WORLD_CONTACTS
 
 F8, F8_2, I4 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4"]
 
@@ -137,50 +141,44 @@ def spread_forces(
                     forces[i, axis] -= table[c, 3 + axis] * shares[i] / (total * dt)
 
 
-@inline_kernel
-def node_pressures(
-    rows: np.ndarray,
-    features: np.ndarray,
-    push_count: int,
+@kernel(types.float64(WORLD_CONTACTS, types.int64, types.int64, F8, F8, F8, F8))
+def tool_pressures(
+    world: Any,
     tool: int,
+    push_count: int,
     position: np.ndarray,
-    rotation: np.ndarray,
-    nodes: np.ndarray,
-    normals: np.ndarray,
-    face: np.ndarray,
-    areas: np.ndarray,
-    flags: np.ndarray,
-    reach: float,
-    dt: float,
-    shares: np.ndarray,
+    orientation: np.ndarray,
     pressures: np.ndarray,
+    face_pressures: np.ndarray,
 ) -> float:
-    """The pressure on a tool's nodes: what `spread_forces` gives, as far as it is against the faces, by their areas.
+    """The pressure on a tool after a physics step.
 
     Args:
-        rows: (C, 24) of `Constraints` after a step.
-        features: (C, 5) of them.
-        push_count: How many of them count.
+        world: `WorldContacts`.
         tool: Its index.
+        push_count: How many constraints count.
         position: (3,) of the tool [u].
-        rotation: (9,) of the tool.
-        nodes: (n, 3) tool frame [u].
-        normals: (n, 3) of their faces, tool frame.
-        face: (n,).
-        areas: (n,) or more [u2].
-        flags: (n,) or more, nodes in contact.
-        reach: How far a push is spread [u].
-        dt: Length of the step [s].
-        shares: (n,) or more, workspace.
-        pressures: (n,) or more, written [kg/(u s2)].
+        orientation: (4,) of the tool.
+        pressures: (n,) or more, written: on each node, what `spread_forces` gives as far as it is against the node's
+            face, by the node's share of the face [kg/(u s2)].
+        face_pressures: (F,) or more, the mean pressure on each face with nodes is added [kg/(u s2)].
 
     Returns:
-        The greatest [kg/(u s2)].
+        The greatest pressure on a node [kg/(u s2)].
     """
-    count = nodes.shape[0]
+    shape, reach, dt = world.tools[tool], world.settings[MEAN_EDGE], world.settings[DT]
+    nodes, normals, face, areas = shape.nodes, shape.normals, shape.face, shape.areas
+    rows, features = world.constraints.rows, world.constraints.features
+    count, organs = nodes.shape[0], world.first_vertices.shape[0]
+    touching = np.zeros(count, np.bool_)
+    for organ in range(organs):
+        flags = world.memories[tool * organs + organ].states[0]
+        for i in range(count):
+            touching[i] |= flags[i]
+    rotation, shares, point, impulse = np.empty(9), np.empty(count), np.empty(3), np.empty(3)
+    fill_rotation(orientation, 1.0, rotation)
     for i in range(count):
         pressures[i] = 0.0
-    point, impulse = np.empty(3), np.empty(3)
     plane, first, end = -1, 0, count
     for c in range(push_count):
         if features[c, OWNER] != tool:
@@ -197,14 +195,23 @@ def node_pressures(
                 if face[i] == plane:
                     first, end = min(first, i), i + 1
         into_tool_frame(rows[c, POINT : POINT + 3], position, rotation, point)
-        total = share_push(point, plane, nodes, face, areas, flags, reach, first, end, shares)
+        total = share_push(point, plane, nodes, face, areas, touching, reach, first, end, shares)
         low, high = (first, end) if first < end else (0, count)
+        scale = 1.0 / (total * dt)
         for i in range(low, high):
             if shares[i] > 0.0:
                 against = impulse[0] * normals[i, 0] + impulse[1] * normals[i, 1] + impulse[2] * normals[i, 2]
-                pressures[i] += against * shares[i] / (total * dt * areas[i])
-    greatest = 0.0
-    for i in range(count):
-        pressures[i] = max(pressures[i], 0.0)
-        greatest = max(greatest, pressures[i])
+                pressures[i] += against * shares[i] * scale / areas[i]
+    greatest, begin = 0.0, 0
+    while begin < count:
+        # Nodes of a face follow each other; where they do not, a face comes in several pieces.
+        force, area, index = 0.0, 0.0, begin
+        while index < count and face[index] == face[begin]:
+            pressures[index] = max(pressures[index], 0.0)
+            greatest = max(greatest, pressures[index])
+            force += pressures[index] * areas[index]
+            area += areas[index]
+            index += 1
+        face_pressures[face[begin]] += force / area
+        begin = index
     return greatest

@@ -1,7 +1,8 @@
 """From contacts to motion: the organ is moved out of the tool, and the momentum that takes is what the tool feels.
 
-Both halves are projected Gauss-Seidel sweeps over unilateral constraints. A constraint holds one point of the organ's
-surface, s = sum of weight x vertex, on the far side of a plane with normal n through a point p:
+Both halves are projected Gauss-Seidel sweeps over unilateral constraints, over-relaxed (Young, Transactions of the
+American Mathematical Society 76, 1954; for inequalities Cryer, SIAM Journal on Control 9, 1971). A constraint holds one
+point of the organ's surface, s = sum of weight x vertex, on the far side of a plane with normal n through a point p:
 
 - positions: (s - p) . n >= 0, by mass-weighted displacements. This is the enforced displacement of Fukuhara et al.
   (ROBOMECH Journal 1:6, 2014). It gives no velocity, so it adds no kinetic energy, however deep the tool came.
@@ -38,6 +39,10 @@ WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
 LEDGER_LENGTH = 4
 """Columns of an organ's ledger: work of the tools on it so far and the greatest it was [kg u2/s2], the sum of mass
 times height where counting began [kg u], and whether it has begun."""
+
+OVER_RELAXATION = 1.4
+"""Factor on what a sweep changes. Projected Gauss-Seidel converges with less than 2; where many constraints hold the
+same few vertices, as under a spatula, it is after 25 sweeps with this factor where it would be after 50 with 1."""
 
 ENERGY_TOLERANCE = 0.002
 """Part of the greatest work so far that an organ may have more than was put in: rounding and friction of a solve."""
@@ -166,6 +171,7 @@ def solve_positions(
     lone: int,
     sweeps: int,
     tolerance: float,
+    over_relaxation: float = OVER_RELAXATION,
 ) -> int:
     """Move the vertices until a sweep moves no constrained point by more than `tolerance`.
 
@@ -178,11 +184,14 @@ def solve_positions(
         lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u].
+        over_relaxation: Factor on what a sweep changes.
 
     Returns:
         How many sweeps it took.
     """
     for sweep in range(sweeps):
+        # The first sweep settles what stands alone, and the last one leaves nothing overdone.
+        relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
         moved = 0.0
         for c in range(lone if sweep > 0 else 0, count):
             row = rows[c]
@@ -198,12 +207,12 @@ def solve_positions(
             inertia = row[INERTIA]
             if (violation <= 0.0 and before <= 0.0) or inertia == 0.0:
                 continue
-            along = max(before + violation * inertia, 0.0)
+            along = max(before + relaxation * violation * inertia, 0.0)
             if row[FRICTION] > 0.0:
                 x, y, z = _project_onto_cone(
-                    ox - (sx - row[ORIGIN]) * inertia,
-                    oy - (sy - row[ORIGIN + 1]) * inertia,
-                    oz - (sz - row[ORIGIN + 2]) * inertia,
+                    ox - relaxation * (sx - row[ORIGIN]) * inertia,
+                    oy - relaxation * (sy - row[ORIGIN + 1]) * inertia,
+                    oz - relaxation * (sz - row[ORIGIN + 2]) * inertia,
                     nx, ny, nz, along, row[FRICTION],
                 )  # fmt: skip
             else:
@@ -228,6 +237,7 @@ def solve_velocities(
     lone: int,
     sweeps: int,
     tolerance: float,
+    over_relaxation: float = OVER_RELAXATION,
 ) -> int:
     """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`.
 
@@ -241,11 +251,14 @@ def solve_velocities(
         lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u/s].
+        over_relaxation: Factor on what a sweep changes.
 
     Returns:
         How many sweeps it took.
     """
     for sweep in range(sweeps):
+        # The first sweep settles what stands alone, and the last one leaves nothing overdone.
+        relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
         moved = 0.0
         for c in range(lone if sweep > 0 else 0, count):
             row = rows[c]
@@ -261,11 +274,14 @@ def solve_velocities(
             inertia = row[INERTIA]
             if (closing <= 0.0 and before <= 0.0) or inertia == 0.0:
                 continue
-            along = max(before + closing * inertia, 0.0)
+            along = max(before + relaxation * closing * inertia, 0.0)
             if row[FRICTION] > 0.0:
                 x, y, z = _project_onto_cone(
-                    ox - vx * inertia, oy - vy * inertia, oz - vz * inertia, nx, ny, nz, along, row[FRICTION]
-                )
+                    ox - relaxation * vx * inertia,
+                    oy - relaxation * vy * inertia,
+                    oz - relaxation * vz * inertia,
+                    nx, ny, nz, along, row[FRICTION],
+                )  # fmt: skip
             else:
                 x, y, z = along * nx, along * ny, along * nz
             dx, dy, dz = x - ox, y - oy, z - oz

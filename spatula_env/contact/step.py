@@ -15,12 +15,14 @@ from spatula_env.contact.flags import (
     fill_record,
     fill_rotation,
     lead_by_motion,
+    remember_flags,
 )
-from spatula_env.contact.motion import largest_shift, tool_passes, turn_between
+from spatula_env.contact.motion import copy_points, largest_shift, tool_passes, turn_between
 from spatula_env.contact.multipliers import add_passed, expect_vertices, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
     GREATEST_WORK,
+    OVER_RELAXATION,
     WORK,
     count_lone,
     keep_ledger,
@@ -54,12 +56,16 @@ RESIDUAL_TOLERANCE = 1e-3
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
-MOST_SWEEPS = 200
-"""Most sweeps in one solve of a tool that holds still: with fewer the force of some held presses swings more."""
+MOST_SWEEPS = 60
+"""Most sweeps in one solve of a tool that holds still. Where these are too few, friction at more points than the organ
+has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
 
-MOST_SWEEPS_MOVING = 50
+MOST_SWEEPS_MOVING = 25
 """The same where a tool moves farther than `SLOW` in a step: what it touches changes from step to step, and each solve
 goes on from where the last one ended."""
+
+MOST_SWEEPS_DIVIDED = 50
+"""The same in a step that is divided into several queries."""
 
 SLOW = 1e-3
 """Motion of a tool in a step that counts as holding still [u]."""
@@ -96,7 +102,11 @@ RESULT_LENGTH = 5
 @inline_kernel
 def greatest_speed(tool: Any, linear_velocity: np.ndarray, angular_velocity: np.ndarray) -> float:
     """Of any point of a tool [u/s]."""
-    speed: float = np.sqrt((linear_velocity**2).sum()) + tool.extent[6] * np.sqrt((angular_velocity**2).sum())
+    linear, angular = 0.0, 0.0
+    for axis in range(3):
+        linear += linear_velocity[axis] * linear_velocity[axis]
+        angular += angular_velocity[axis] * angular_velocity[axis]
+    speed: float = np.sqrt(linear) + tool.extent[6] * np.sqrt(angular)
     return speed
 
 
@@ -275,10 +285,13 @@ def resolve_step(
     reference = start
     shift = start
     if queries > 1:
-        shift = expected - start
-        vertices[:] = start
+        shift = np.empty_like(start)
+        for i in range(vertex_count):
+            for axis in range(3):
+                shift[i, axis] = expected[i, axis] - start[i, axis]
+                vertices[i, axis] = start[i, axis]
     elif predicts:
-        vertices[:] = expected
+        copy_points(expected, vertices)
     position, rotation, last_position, last_rotation = (
         np.empty((tool_count, 3)),
         np.empty((tool_count, 9)),
@@ -301,7 +314,12 @@ def resolve_step(
     touched = np.zeros(vertex_count, np.bool_)
     count, passed = 0, 0
     organ_done = 0.0
+    # In a step that is divided more may be asked than can be had, and what is overdone in one place is then missing in
+    # another.
+    relaxation = OVER_RELAXATION if queries == 1 else 1.0
     sweeps = MOST_SWEEPS if fastest * dt <= SLOW else MOST_SWEEPS_MOVING
+    if queries > 1:
+        sweeps = MOST_SWEEPS_DIVIDED
     for query in range(queries):
         # The organs move first, against the tools where they were; then the tools.
         organ_part = min((query + 1) / organ_parts, 1.0) if query < organ_parts else 1.0
@@ -319,7 +337,10 @@ def resolve_step(
         # The flags are decided where the organs would be without contact, as published.
         thrown = vertices
         if predicts and query == queries - 1:
-            thrown = vertices + (free_vertices - expected)
+            thrown = np.empty_like(vertices)
+            for i in range(vertex_count):
+                for axis in range(3):
+                    thrown[i, axis] = vertices[i, axis] + (free_vertices[i, axis] - expected[i, axis])
         quiet[:] = False
         for k in range(tool_count):
             tool = tools[k]
@@ -348,7 +369,7 @@ def resolve_step(
                     return status
                 for i in range(memory.hits.shape[0]):
                     memory.states[6, i] = memory.hits[i, 0, 1] <= 0
-                memory.states[3] = memory.states[0]
+                remember_flags(memory.states)
                 lead_by_motion(tool, memory, surfaces[o])
                 decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
         for attempt in range(MOST_PASSES):
@@ -386,7 +407,8 @@ def resolve_step(
                                 if decide_flags(tool, memory, triangles, first_step, exclusive, grade)[0] > 0:
                                     break
                         fill_record(tool, memory, thrown, first, triangles, position[k], rotation[k], True)
-                        result[PENETRATION] = max(result[PENETRATION], memory.record[:, 3].max())
+                        for i in range(memory.record.shape[0]):
+                            result[PENETRATION] = max(result[PENETRATION], memory.record[i, 3])
                     reserve(constraints, count, count + tool.nodes.shape[0])
                     count = gather_nodes(
                         constraints.rows, constraints.features, constraints.names, count, tool, memory, triangles,
@@ -400,20 +422,22 @@ def resolve_step(
             if attempt == 0 and query == queries - 1 and (predicts or queries == 1):
                 # From here on the organs are where they would be without contact, and what pushes them is known.
                 if predicts:
-                    vertices[:] = thrown
+                    copy_points(thrown, vertices)
                 start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
             if attempt > 0:
                 # What has pushed already may give way again.
                 start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
             lone = count_lone(count, features, touched)
-            solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE)
+            solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE, relaxation)
             warm_count[0] = keep_warm(count, rows, features, constraints.names, warm)
             if query < queries - 1:
                 passed = note_passed(count, passed, constraints, earlier, position)
         for k in range(tool_count):
-            last_position[k] = position[k]
-            last_rotation[k] = rotation[k]
+            for axis in range(3):
+                last_position[k, axis] = position[k, axis]
+            for entry in range(9):
+                last_rotation[k, entry] = rotation[k, entry]
     result[RESIDUAL] = measure_gaps(
         count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices
     )
@@ -428,7 +452,7 @@ def resolve_step(
         start_warm(count, rows, features, constraints.names, IMPULSE, warm_count[0], warm, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
     lone = count_lone(count, features, touched)
-    solve_velocities(count, rows, features, inverse_mass, velocities, dt, lone, sweeps, VELOCITY_TOLERANCE)
+    solve_velocities(count, rows, features, inverse_mass, velocities, dt, lone, sweeps, VELOCITY_TOLERANCE, relaxation)
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:

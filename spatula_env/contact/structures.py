@@ -13,7 +13,7 @@ from numba import types
 from numba.experimental import structref
 from numba.typed import List
 
-from spatula_env._kernels import ARRAYS, kernel
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.columns import RayColumns
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ class ToolShape(structref.StructRefProxy):
 
     Fields:
         nodes (n, 3) [u], normals (n, 3), opposite (n,).
+        areas (n,): each node's share of its face [u2].
         face (n,): each node's face. Faces with nodes come first among the planes, in the tool's order.
         plane_normals (P, 3), plane_offsets (P,) [u]: of all faces, those with nodes and those without.
         corners (K, 3) [u].
@@ -115,7 +116,7 @@ class WorldContacts(structref.StructRefProxy):
 WEIGHTS, NORMAL, POINT, VELOCITY, ORIGIN = 0, 3, 6, 9, 12
 FRICTION, INERTIA, GAP, DISPLACEMENT, IMPULSE = 15, 16, 17, 18, 21
 ROW_LENGTH = 24
-OWNER, PLANE = 3, 4
+OWNER, PLANE, FEATURE_LENGTH = 3, 4, 5
 
 GROUND = -1
 """Owner of a constraint that is not a tool's."""
@@ -124,6 +125,7 @@ TOOL_FIELDS = [
     ("nodes", ARRAYS["f8_2"]),
     ("normals", ARRAYS["f8_2"]),
     ("opposite", ARRAYS["i4"]),
+    ("areas", ARRAYS["f8"]),
     ("face", ARRAYS["i4"]),
     ("plane_normals", ARRAYS["f8_2"]),
     ("plane_offsets", ARRAYS["f8"]),
@@ -184,12 +186,12 @@ WORLDS = types.ListType(WORLD_CONTACTS)
 
 @kernel(TOOL(*[kind for _, kind in TOOL_FIELDS]))
 def _make_tool(
-    nodes: Any, normals: Any, opposite: Any, face: Any, plane_normals: Any, plane_offsets: Any, corners: Any,
-    ridges: Any, extent: Any, frames: Any, bounds: Any, group_rows: Any, row_u: Any, row_columns: Any, column_v: Any,
-    column_nodes: Any, node_height: Any,
+    nodes: Any, normals: Any, opposite: Any, areas: Any, face: Any, plane_normals: Any, plane_offsets: Any,
+    corners: Any, ridges: Any, extent: Any, frames: Any, bounds: Any, group_rows: Any, row_u: Any, row_columns: Any,
+    column_v: Any, column_nodes: Any, node_height: Any,
 ) -> Any:  # fmt: skip
     return ToolShape(
-        nodes, normals, opposite, face, plane_normals, plane_offsets, corners, ridges, extent, frames, bounds,
+        nodes, normals, opposite, areas, face, plane_normals, plane_offsets, corners, ridges, extent, frames, bounds,
         group_rows, row_u, row_columns, column_v, column_nodes, node_height,
     )  # fmt: skip
 
@@ -220,8 +222,22 @@ def make_world_contacts(
 def make_constraints(capacity: int) -> Any:
     """Room for so many constraints."""
     return Constraints(
-        np.zeros((capacity, ROW_LENGTH)), np.zeros((capacity, 5), np.int32), np.zeros(capacity, np.int64)
+        np.zeros((capacity, ROW_LENGTH)), np.zeros((capacity, FEATURE_LENGTH), np.int32), np.zeros(capacity, np.int64)
     )
+
+
+@inline_kernel
+def copy_constraint(
+    rows: np.ndarray, features: np.ndarray, names: np.ndarray, index: int, into: Any, place: int
+) -> None:
+    """Copy one constraint of some to a place among others, a `Constraints`."""
+    # Element by element: an assignment of array to array compiles checks of their shapes, for seconds.
+    into_rows, into_features = into.rows, into.features
+    for column in range(ROW_LENGTH):
+        into_rows[place, column] = rows[index, column]
+    for column in range(FEATURE_LENGTH):
+        into_features[place, column] = features[index, column]
+    into.names[place] = names[index]
 
 
 @kernel(types.void(CONSTRAINTS, types.int64, types.int64))
@@ -230,25 +246,26 @@ def reserve(constraints: Any, count: int, capacity: int) -> None:
     if capacity <= constraints.names.shape[0]:
         return
     more = make_constraints(max(capacity, 2 * constraints.names.shape[0]))
-    more.rows[:count] = constraints.rows[:count]
-    more.features[:count] = constraints.features[:count]
-    more.names[:count] = constraints.names[:count]
+    for c in range(count):
+        copy_constraint(constraints.rows, constraints.features, constraints.names, c, more, c)
     constraints.rows, constraints.features, constraints.names = more.rows, more.features, more.names
 
 
 @kernel(types.Tuple((ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))(CONSTRAINTS, types.int64))
 def copy_constraints(constraints: Any, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Names, features and rows of the first `count` constraints, copied."""
-    return constraints.names[:count].copy(), constraints.features[:count].copy(), constraints.rows[:count].copy()
+    copied = make_constraints(count)
+    for c in range(count):
+        copy_constraint(constraints.rows, constraints.features, constraints.names, c, copied, c)
+    return copied.names, copied.features, copied.rows
 
 
 @kernel(types.void(CONSTRAINTS, ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))
 def restore_constraints(constraints: Any, names: np.ndarray, features: np.ndarray, rows: np.ndarray) -> None:
     """Write constraints that were copied."""
     reserve(constraints, 0, names.shape[0])
-    constraints.names[: names.shape[0]] = names
-    constraints.features[: names.shape[0]] = features
-    constraints.rows[: names.shape[0]] = rows
+    for c in range(names.shape[0]):
+        copy_constraint(rows, features, names, c, constraints, c)
 
 
 @kernel(TOOLS())
@@ -339,6 +356,7 @@ def tool_shape(tool: Tool) -> Any:
         np.array(tool.nodes),
         np.array(tool.normals),
         np.array(tool.opposite),
+        np.array(tool.areas, dtype=np.float64),
         np.array(tool.face),
         normals,
         offsets,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numba
 import numpy as np
@@ -19,6 +19,7 @@ from spatula_env.sim import batch_step
 from spatula_env.sim.batch_body import NARROW, WIDE, BatchBody
 from spatula_env.sim.simulation import LONGEST_SETTLING, SETTLED_SPEED, Simulation, SimulationDiverged
 from spatula_env.sim.soft_body import join, soft_body
+from spatula_env.sim.threads import share_out
 from spatula_env.sim.worlds import Loads
 
 if TYPE_CHECKING:
@@ -107,8 +108,8 @@ class BatchSimulation:
             contact: "flags" or "second_step"; see `Simulation`.
             first_step: What the flags method's first step looks for; see `FlaggedDetector`.
             dtype: In which organs are integrated, float32 or float64. Contact is always float64.
-            parallel: Whether worlds are shared out among Numba's threads, in blocks; by default if it has more than
-                one. `numba.set_num_threads` says how many are used.
+            parallel: Whether worlds are shared out among threads, in blocks; by default if Numba has more than one.
+                `numba.set_num_threads` says how many are used.
 
         Raises:
             ValueError: If an argument is not as it should be.
@@ -144,10 +145,7 @@ class BatchSimulation:
         self._loads = np.zeros((worlds, count, batch_step.LOAD_LENGTH))
         self._summaries = np.zeros((worlds, batch_step.SUMMARY_LENGTH))
         tools = [placed.tool for placed in scene.tools]
-        self._areas = np.ones((worlds, count, max(len(tool.nodes) for tool in tools)))
-        for index, tool in enumerate(tools):
-            self._areas[:, index, : len(tool.nodes)] = tool.areas
-        self._pressures = np.zeros_like(self._areas)
+        self._pressures = np.zeros((worlds, count, max(len(tool.nodes) for tool in tools)))
         self._face_pressures = np.zeros((worlds, count, max(len(tool.face_normals) for tool in tools)))
         self._no_limits = np.full(worlds, np.inf)
         self._diverged = np.zeros(worlds, dtype=np.bool_)
@@ -372,7 +370,6 @@ class BatchSimulation:
             contacts = self._contacts[world]
             chosen = row if len(shapes) > 1 else 0
             contacts.set_tool(index, shapes[chosen])
-            self._areas[world, index, :wanted] = tools[chosen].areas
             for memory in contacts.memories[index * organs : (index + 1) * organs]:
                 memory.states[:] = False
 
@@ -454,33 +451,33 @@ class BatchSimulation:
         with_tools: bool,
         limits: FloatArray | None = None,
     ) -> None:
-        blocks = len(self._body.arrays["positions"])
-        # The threads of Numba are not started for nothing: a process that has them must not fork.
-        parallel = self._parallel and blocks > 1
-        advance: Any = batch_step.advance_in_parallel if parallel else batch_step.advance_serially
+        arguments = (
+            *self._body.arrays.values(),
+            self._structures,
+            with_tools,
+            self._mode,
+            self._first_step,
+            self.dt,
+            steps,
+            self._nodes,
+            self._velocities,
+            self._tool_positions,
+            self._tool_orientations,
+            linear,
+            angular,
+            self._no_limits if limits is None else limits,
+            self._loads,
+            self._summaries,
+            self._face_pressures,
+            self._pressures,
+            self._diverged,
+        )
+        blocks, threads = len(self._body.arrays["positions"]), numba.get_num_threads() if self._parallel else 1
         with announce_compilation("the batch engine"):
-            advance(
-                *self._body.arrays.values(),
-                self._structures,
-                with_tools,
-                self._mode,
-                self._first_step,
-                self.dt,
-                steps,
-                self._nodes,
-                self._velocities,
-                self._tool_positions,
-                self._tool_orientations,
-                linear,
-                angular,
-                self._areas,
-                self._no_limits if limits is None else limits,
-                self._loads,
-                self._summaries,
-                self._face_pressures,
-                self._pressures,
-                self._diverged,
-            )
+            if min(blocks, threads) == 1:
+                batch_step.advance_blocks(0, blocks, *arguments)
+            else:
+                share_out(lambda block: batch_step.advance_blocks(block, block + 1, *arguments), blocks, threads)
 
     def _flags(self) -> tuple[NDArray[np.bool_], ...]:
         organs = len(self._scene.organs)

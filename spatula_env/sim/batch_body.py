@@ -35,6 +35,7 @@ from numba.extending import intrinsic
 
 from spatula_env._kernels import inline_kernel
 from spatula_env.geometry.checks import check_positive
+from spatula_env.sim.threads import share_out
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -332,9 +333,11 @@ _ADD_SIGNATURES = [_add_signature(real) for real in _REALS]
 _WRITE_SIGNATURES = [_copy_signature(real, readonly=True) for real in _REALS]
 
 
-# Compiled when first called, which for the two precisions and both ways is rarely all of them.
+# Compiled when first called, which for the two precisions is rarely both of them.
 @numba.njit(cache=True, error_model="numpy", nogil=True)
-def _advance_serially(
+def _advance_blocks(
+    first_block: int,
+    end_block: int,
     positions: np.ndarray,
     velocities: np.ndarray,
     predicted: np.ndarray,
@@ -347,30 +350,8 @@ def _advance_serially(
     inverse_dt: float,
     finite: np.ndarray,
 ) -> None:
-    """Advance all blocks by one step; arguments as of `advance_block`, those of a block with a leading axis."""
-    for b in range(positions.shape[0]):
-        advance_block(
-            positions[b], velocities[b], predicted[b], movable, links, factors, gravity[b], stiffness[b], dt,
-            inverse_dt, finite[b],
-        )  # fmt: skip
-
-
-@numba.njit(cache=True, error_model="numpy", parallel=True)
-def _advance_in_parallel(
-    positions: np.ndarray,
-    velocities: np.ndarray,
-    predicted: np.ndarray,
-    movable: np.ndarray,
-    links: np.ndarray,
-    factors: np.ndarray,
-    gravity: np.ndarray,
-    stiffness: np.ndarray,
-    dt: float,
-    inverse_dt: float,
-    finite: np.ndarray,
-) -> None:
-    """Do what `_advance_serially` does, the blocks shared out among Numba's threads."""
-    for b in numba.prange(positions.shape[0]):
+    """Advance some blocks by one step; arguments as of `advance_block`, those of a block with a leading axis."""
+    for b in range(first_block, end_block):
         advance_block(
             positions[b], velocities[b], predicted[b], movable, links, factors, gravity[b], stiffness[b], dt,
             inverse_dt, finite[b],
@@ -437,7 +418,7 @@ class BatchBody:
             dt: Length of a step [s].
             gravity: Downward acceleration, for all worlds or (W,) for each [u/s2].
             dtype: float32, or float64 to follow Bullet more closely.
-            parallel: Whether blocks are shared out among Numba's threads; `numba.set_num_threads` says how many.
+            parallel: Whether blocks are shared out among threads; `numba.set_num_threads` says how many.
             lanes: Worlds in a block: 1, 8 or 16; by default as suits their number. It makes no difference but in time.
 
         Raises:
@@ -551,9 +532,12 @@ class BatchBody:
                         f"{name} must have shape {(self.worlds, len(self.body.vertices), 3)}, got {array.shape}"
                     )
                 _add_to_worlds(self.arrays[target], self.arrays["movable"], array)
-        # The threads of Numba are not started for nothing: a process that has them must not fork.
-        advance = _advance_in_parallel if self._parallel and len(self.arrays["positions"]) > 1 else _advance_serially
-        advance(*self.arrays.values())
+        arguments, blocks = tuple(self.arrays.values()), len(self.arrays["positions"])
+        threads = numba.get_num_threads() if self._parallel else 1
+        if min(blocks, threads) == 1:
+            _advance_blocks(0, blocks, *arguments)
+        else:
+            share_out(lambda block: _advance_blocks(block, block + 1, *arguments), blocks, threads)
 
     def set_state(self, positions: ArrayLike, velocities: ArrayLike = 0.0, worlds: ArrayLike | None = None) -> None:
         """Replace the state of all nodes in some worlds; what follows depends on nothing that was there before.

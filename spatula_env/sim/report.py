@@ -55,6 +55,7 @@ class Report:
         penetration: Greatest depth of a contact node before correction [u].
         residual: How far the tools are still in the organs after correction [u].
         queries: How many times each detector was asked: more than once where something moved too far at once.
+        reach: How far a push is spread over contact nodes [u].
     """
 
     scene: Scene
@@ -67,6 +68,7 @@ class Report:
     penetration: float
     residual: float
     queries: int
+    reach: float
 
     @property
     def force(self) -> FloatArray:
@@ -108,29 +110,12 @@ class Report:
         """Greatest contact pressure on any node of any tool [Pa]."""
         return max(float(wrench.pressures.max()) for wrench in self.wrenches) * self.scene.scale.pressure
 
-    @cached_property
-    def pressure_summary(self) -> tuple[float, FloatArray]:
-        """Greatest pressure on a node of any tool, and the mean one on each face of each tool (F,) [kg/(u s2)].
-
-        Zero with `contact="bullet"`.
-        """
-        faces = sum(len(placed.tool.face_normals) for placed in self.scene.tools)
-        if self.table is None or not self.loads.any():
-            return 0.0, np.zeros(faces)
-        peak, means = 0.0, []
-        for wrench, placed in zip(self.wrenches, self.scene.tools, strict=True):
-            tool = placed.tool
-            peak = max(peak, float(wrench.pressures.max()))
-            means.append(np.bincount(tool.face, wrench.pressures * tool.areas) / np.bincount(tool.face, tool.areas))
-        return peak, np.concatenate(means)
-
     def _wrench(self, index: int) -> Wrench:
         tool = self.scene.tools[index].tool
         forces = np.full((len(tool.nodes), 3), np.nan)
         rotation = rotation_matrix(self.motions.orientations[index])
         if self.table is not None:
             flags = np.any([contacts.flags for contacts in self.all_contacts[index]], axis=0)
-            reach = min(float(placed.organ.edge_lengths.mean()) for placed in self.scene.organs)
             spread_forces(
                 self.table,
                 index,
@@ -140,7 +125,7 @@ class Report:
                 np.array(tool.face),
                 np.array(tool.areas),
                 flags,
-                reach,
+                self.reach,
                 self.scene.dt,
                 forces,
             )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from spatula_env.contact.model import ContactMemory, ContactModel, Motions
+from spatula_env.contact.model import ContactMemory, ContactModel, Motions, Pressures
 from spatula_env.contact.motion import turned_by
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.batch_world import BatchWorld
@@ -138,6 +138,7 @@ class Simulation:
         self._velocities: FloatArray = np.zeros_like(self._nodes)
         self._tool_positions: FloatArray = np.zeros((len(scene.tools), 3))
         self._tool_orientations: FloatArray = np.zeros((len(scene.tools), 4))
+        self._motions: Motions | None = None
         self._time = 0.0
         self._rest: FloatArray | None = None
         self.reset()
@@ -156,6 +157,7 @@ class Simulation:
         for index, placed in enumerate(self.scene.tools):
             self.place_tool(placed.position, placed.orientation, index=index)
         self._model.reset()
+        self._motions = None
         self._time = 0.0
 
     def place_tool(self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0) -> None:
@@ -234,6 +236,7 @@ class Simulation:
             model.wrenches = np.array([np.concatenate(pair) for pair in impulses]) / self.dt
             model.nodal_impulses = np.full_like(self._nodes, np.nan)
         self._tool_positions, self._tool_orientations = motions.positions, motions.orientations
+        self._motions = motions
         self._time += self.dt
         return Report(
             scene=self.scene,
@@ -246,7 +249,20 @@ class Simulation:
             penetration=model.penetration,
             residual=model.residual,
             queries=model.queries,
+            reach=model.reach,
         )
+
+    def pressures(self) -> Pressures:
+        """The contact pressures of the last step; zero with `contact="bullet"`.
+
+        They are those of the step's report, all at once and in a fraction of the time.
+
+        Raises:
+            RuntimeError: If no step has been made since the last `reset`, `restore` or exchange of tools.
+        """
+        if self._motions is None:
+            raise RuntimeError("there are no pressures before the first step")
+        return self._model.pressures(self._motions)
 
     def save(self) -> SimulationState:
         """Everything needed to go on from here later, as arrays of its own."""
@@ -290,6 +306,7 @@ class Simulation:
             self.place_tool(state.tool_positions[index], state.tool_orientations[index], index=index)
         self._model.restore(state.contact)
         self._set_nodes(state.nodes, state.node_velocities)
+        self._motions = None
         self._time = state.time
 
     def close(self) -> None:

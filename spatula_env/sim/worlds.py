@@ -248,13 +248,10 @@ class SeparateWorlds:
         self, world: int, linear: FloatArray, angular: FloatArray, steps: int, limit: float, loads: Loads
     ) -> None:
         simulation = self.simulations[world]
-        reports, peaks = [], np.zeros(steps)
-        face_pressures: FloatArray = np.zeros(1)
-        for step in range(steps):
-            report = simulation.step(linear, angular)
-            reports.append(report)
-            peaks[step], on_faces = report.pressure_summary
-            face_pressures = face_pressures + on_faces
+        reports, pressures = [], []
+        for _ in range(steps):
+            reports.append(simulation.step(linear, angular))
+            pressures.append(simulation.pressures())
         # Reduced all at once: a little of NumPy after every step adds up.
         wrenches = np.array([report.loads for report in reports])
         mean = wrenches.mean(axis=0)
@@ -262,16 +259,16 @@ class SeparateWorlds:
         loads.peak_forces[world] = np.sqrt((wrenches[:, :, :3] ** 2).sum(axis=2).max(axis=0))
         loads.ground_forces[world] = np.array([report.ground_force for report in reports]).mean(axis=0)
         loads.residuals[world] = max(report.residual for report in reports)
+        peaks = np.array([pressure.peak for pressure in pressures])
         loads.peak_pressures[world] = peaks.max()
-        loads.mean_pressures[world] = np.max(face_pressures) / steps
+        loads.mean_pressures[world] = np.array([pressure.faces for pressure in pressures]).mean(axis=0).max()
         loads.overpressures[world] = np.maximum(peaks - limit, 0.0).sum() * simulation.dt
         report = reports[-1]
         loads.penetrations[world] = report.penetration
         for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):
             flags[world] = np.any([found.flags for found in contacts], axis=0)
-        if peaks[-1] > 0.0:
-            for pressures, wrench in zip(loads.node_pressures, report.wrenches, strict=True):
-                pressures[world] = wrench.pressures
+        for on_nodes, last in zip(loads.node_pressures, pressures[-1].nodes, strict=True):
+            on_nodes[world] = last
 
     def close(self) -> None:
         """See `Worlds`."""

@@ -19,8 +19,9 @@ from spatula_env.sim.soft_body import soft_body
 
 SCENE = scenes.seed()
 SMALL = Size(
-    rounds=2, worlds=(1, 2), vectors=(2,), body_calls=2, press_depth=0.1, press_places=1, episodes=2, down=1, calls=2
-)
+    rounds=2, worlds=(1, 2), vectors=(2,), body_calls=2, press_depth=0.1, press_places=1, episodes=2, down=1, calls=2,
+    whole_episodes=1, episode_length=3,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,8 @@ def figures(ratio, threads=1.8):
     row["simulated_seconds_per_second"] = 5.0 * ratio
     names = ("bullet", "batch simulation", "batch 1", "batch 64")
     parts = {part: dict.fromkeys(names, row) for part in ("body", "press", "environment")}
-    return {**parts, "two_threads": {"ratio": threads}}
+    episodes = {policy: dict.fromkeys(names, row) for policy in throughput.POLICIES}
+    return {**parts, "episodes": episodes, "two_threads": {"ratio": threads}}
 
 
 @pytest.mark.parametrize(
@@ -88,6 +90,15 @@ def test_figures_are_held_against_what_is_asked(ratio, threads, passed, stretch)
     assert verdict["thresholds"]["body_64_worlds"]["passed"] == (ratio >= 10.0)
     assert verdict["thresholds"]["two_threads"]["passed"] == (None if threads is None else threads >= 1.7)
     assert all(row["passed"] for row in verdict["stretch"].values()) == stretch
+
+
+@pytest.mark.parametrize("policy", throughput.POLICIES)
+def test_whole_episodes_count_each_by_itself(policy):
+    slow = figures(11.0)
+    slow["episodes"][policy] = {name: {**row, "ratio": 9.0} for name, row in slow["episodes"][policy].items()}
+    thresholds = throughput.judge(slow)["thresholds"]
+    failed = [name for name, row in thresholds.items() if not row["passed"]]
+    assert failed == [f"{policy}_episodes_64_worlds"]
 
 
 @pytest.mark.parametrize(("cached", "passed"), [(4.0, True), (6.0, False)])
@@ -270,6 +281,50 @@ def test_odd_worlds_leave_the_script_when_time_is_taken(script):
     np.testing.assert_array_equal(np.array(seen)[script.down :, 1], script.by_chance([1])[0])
 
 
+@pytest.mark.parametrize("policy", throughput.POLICIES)
+def test_whole_episodes_are_those_that_a_seed_begins(policy):
+    length, ends = 8, []
+    drivers = [
+        throughput.single_episodes("batch", policy, 2, length),
+        throughput.vector_episodes(2, policy, length),
+        throughput.single_episodes("bullet", policy, 2, length),
+    ]
+    for driver in drivers:
+        assert driver.steps == 2 * length
+        step, rows = driver.step, []
+
+        def watched(actions, step=step, rows=rows):
+            result = step(actions)
+            rows.append(result[0])
+            return result
+
+        driver.step = watched
+        seconds = driver.turn()
+        assert seconds.shape == (2 // driver.worlds * (length + 1),) and (seconds > 0.0).all()
+        assert 0.0 <= driver.contact_share <= 1.0
+        ends.append(np.array(rows).reshape(-1, length, driver.worlds, rows[0].shape[1]).swapaxes(1, 2))
+        assert driver.turn(3).shape == (3,)
+        driver.close()
+    one_by_one, together, with_bullet = (end.reshape(2, length, -1) for end in ends)
+    np.testing.assert_allclose(together, one_by_one, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(with_bullet[:, :, :3], one_by_one[:, :, :3], atol=1e-6)
+    # Two seeds, two episodes.
+    assert np.abs(one_by_one[0, -1] - one_by_one[1, -1]).max() > 0.005
+
+
+def test_chance_is_each_seeds_own_and_the_expert_goes_down():
+    begin = throughput.policy_of("random", None)
+    act, again, other = begin([3, 5]), begin([3, 5]), begin([5])
+    first = act(None)
+    np.testing.assert_array_equal(first, again(None))
+    np.testing.assert_array_equal(first[1], other(None)[0])
+    assert first.shape == (2, 3) and np.abs(first).max() <= 1.0 and (act(None) != first).all()
+    driver = throughput.vector_episodes(2, "expert", 40)
+    driver.turn()
+    assert driver.contact_share > 0.2
+    driver.close()
+
+
 def test_the_baseline_is_not_slowed_by_checks(script):
     env = throughput.make_single("batch", script)
     assert "PassiveEnvChecker" not in str(env)
@@ -316,12 +371,15 @@ def test_last_line_is_json(monkeypatch, capsys):
     assert result["body"].keys() == {"bullet", "batch 1", "batch 2"}
     assert result["press"].keys() == {"bullet", "batch simulation", "batch 1", "batch 2"}
     assert result["environment"].keys() == {"bullet", "batch", "batch 2"}
-    for part in ("body", "press", "environment"):
-        for row in result[part].values():
+    assert result["episodes"].keys() == {"random", "expert"}
+    for rows in (result["body"], result["press"], result["environment"], *result["episodes"].values()):
+        for row in rows.values():
             assert row["steps_per_second"] > 0.0 and row["threads"] == 1
             assert row["simulated_seconds_per_second"] > 0.0
     assert result["two_threads"]["reason"] == "there is one core only"
     assert result["thresholds"]["press_64_worlds"]["passed"] is None
     assert result["thresholds"]["body_one_world"]["passed"] is not None
     assert sum(result["parts"]["share"].values()) == pytest.approx(1.0)
+    assert all(rows.keys() == {"bullet", "batch", "batch 2"} for rows in result["episodes"].values())
     assert "round 2 of 2: environment, batch 2" in captured.err
+    assert "round 2 of 2: expert episodes, batch 2" in captured.err

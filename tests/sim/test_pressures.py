@@ -98,6 +98,33 @@ def test_in_the_air_there_is_no_pressure(simulation):
     assert report.peak_pressure_pascals == 0.0
 
 
+def test_pressures_all_at_once_are_those_of_the_report(simulation):
+    tool = simulation.scene.tools[0].tool
+    driver, touched = press(simulation, 0.8, 5.0, 0.05), 0
+    for motion in ((0.0, 0.0, 0.0), (2.0, 1.0, 0.0), (0.0, 0.0, 8.0)):
+        for _ in range(30):
+            report = driver.step(motion)
+            found, on_nodes = simulation.pressures(), report.wrenches[0].pressures
+            np.testing.assert_allclose(found.nodes[0], on_nodes, rtol=1e-9, atol=1e-9)
+            assert found.peak == pytest.approx(on_nodes.max(), rel=1e-9, abs=1e-9)
+            forces, areas = (np.bincount(tool.face, values) for values in (on_nodes * tool.areas, tool.areas))
+            np.testing.assert_allclose(found.faces, forces / areas, rtol=1e-9, atol=1e-9)
+            touched += found.peak > 0.0
+    # The last motion took the tool off the organ.
+    assert 60 <= touched < 90 and found.peak == 0.0
+
+
+def test_pressures_are_those_of_a_step(simulation):
+    simulation.reset()
+    with pytest.raises(RuntimeError, match="before the first step"):
+        simulation.pressures()
+    simulation.step()
+    assert simulation.pressures().peak == 0.0
+    simulation.restore(simulation.save())
+    with pytest.raises(RuntimeError, match="before the first step"):
+        simulation.pressures()
+
+
 def test_bullets_own_contact_tells_no_pressures():
     simulation = Simulation(scenes.seed(), contact="bullet")
     start_above(simulation)
@@ -108,6 +135,7 @@ def test_bullets_own_contact_tells_no_pressures():
     assert np.isnan(wrench.node_forces).all()
     assert np.isnan(wrench.pressures).all()
     assert np.isnan(report.peak_pressure_pascals)
+    assert simulation.pressures().peak == 0.0 and not simulation.pressures().nodes[0].any()
     simulation.close()
 
 
