@@ -5,8 +5,8 @@ organ, and memory may not grow. After every control step each world is inspected
 no contact node flagged was missed, and an organ's surface on the far side of a tool has been tunnelled through.
 
 A surface that slips off a tool goes round its rim within a control step, which looks, seen only before and after, as if
-it had gone through. Where a vertex is found on the other side the step is therefore done once more, from the same state to
-the same end, and inspected after every physics step.
+it had gone through. Where a vertex is found on the other side the step is therefore done once more, from the same
+state to the same end, and inspected after every physics step.
 """
 
 from __future__ import annotations

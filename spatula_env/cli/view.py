@@ -76,7 +76,7 @@ def run(chosen: argparse.Namespace) -> int:
                 ended = terminated or truncated or bool(info["is_success"])
                 if film is not None:
                     film.take(env)
-                elif getattr(env.unwrapped, "window_closed", False):
+                elif env.unwrapped.window_closed:
                     return 0
             seed += 1
             over = film is not None or shown == chosen.steps

@@ -103,6 +103,11 @@ class EpisodePictures:
             (moment,) = self._moments([world])
             self._window.show(moment)
 
+    @property
+    def closed(self) -> bool:
+        """Whether there was a window that is closed now, whoever closed it."""
+        return self._window is not None and self._window.closed
+
     def close(self) -> None:
         """Close the window, if there is one. Closing twice is allowed."""
         if self._window is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from spatula_env.envs.control import as_action
 from spatula_env.envs.episodes import Episodes, EpisodesEnv
+from spatula_env.envs.listening import PhysicsListener, PhysicsStep
 from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
@@ -21,6 +23,7 @@ from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
+    from spatula_env.sim.report import Report
 
 
 class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -279,6 +282,41 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._closed = True
         self._pictures.close()
         self._episodes.close()
+
+    @property
+    def grip(self) -> FloatArray:
+        """(3,) where the middle of the tools is now, workspace frame [m]."""
+        points = self._episodes.frames.points_from_scene(self.simulation.tool_positions[None], np.zeros(1, np.int64))
+        return np.asarray(points[0].mean(axis=0))
+
+    def listen(self, listener: PhysicsListener) -> Callable[[], None]:
+        """Have something called after every physics step, for what a control step is too long for: a haptic device.
+
+        Args:
+            listener: Takes a `PhysicsStep`. An exception of it ends the control step in the middle and is passed on.
+
+        Returns:
+            What ends the calls. Calling it twice is allowed.
+        """
+        listeners = self.simulation.listeners
+
+        def hear(report: Report) -> None:
+            frames = self._episodes.frames
+            force = report.loads[:, :3].sum(axis=0)
+            felt = frames.vectors_from_scene(force[None, None], frames.force)[0, 0]
+            listener(PhysicsStep(self.simulation.time, self.grip, felt))
+
+        def stop() -> None:
+            if hear in listeners:
+                listeners.remove(hear)
+
+        listeners.append(hear)
+        return stop
+
+    @property
+    def window_closed(self) -> bool:
+        """Whether there was a window, with `render_mode="human"`, and the user has closed it."""
+        return self._pictures.closed
 
     @property
     def goal(self) -> FloatArray:

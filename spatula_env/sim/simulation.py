@@ -16,7 +16,7 @@ from spatula_env.sim.bullet import BulletWorld
 from spatula_env.sim.report import Report
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -84,6 +84,12 @@ class Simulation:
         >>> simulation.reset(seed=0)
         >>> report = simulation.step(linear_velocity=(0.0, 0.0, -5.0))
         >>> simulation.close()
+
+    Attributes:
+        scene: What is in it.
+        contact: What resolves contact.
+        listeners: Called with the report of every `step`, in order, before it returns. When one raises, the step has
+            been done all the same.
     """
 
     def __init__(
@@ -120,6 +126,7 @@ class Simulation:
             raise ValueError("contact must be 'flags' or 'second_step' with engine 'batch', got 'bullet'")
         self.scene = scene
         self.contact: ContactName = contact
+        self.listeners: list[Callable[[Report], None]] = []
         self._closed = False
         self._tools: BulletTools | None = None
         self._world: SoftWorld
@@ -238,7 +245,7 @@ class Simulation:
         self._tool_positions, self._tool_orientations = motions.positions, motions.orientations
         self._motions = motions
         self._time += self.dt
-        return Report(
+        report = Report(
             scene=self.scene,
             motions=motions,
             loads=model.wrenches,
@@ -251,6 +258,10 @@ class Simulation:
             queries=model.queries,
             reach=model.reach,
         )
+        # A copy: who listens may stop listening.
+        for listener in tuple(self.listeners):
+            listener(report)
+        return report
 
     def pressures(self) -> Pressures:
         """The contact pressures of the last step; zero with `contact="bullet"`.

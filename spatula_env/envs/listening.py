@@ -1,0 +1,27 @@
+"""What there is to feel between the physics steps of a control step, for those for whom a control step is too long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from spatula_env.tasks.situation import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicsStep:
+    """What there is to feel after a physics step, in the workspace frame.
+
+    Attributes:
+        time: Since the reset [s].
+        grip: (3,) where the middle of the tools is [m].
+        force: (3,) of the organ on all tools, averaged over the physics step [N].
+    """
+
+    time: float
+    grip: FloatArray
+    force: FloatArray
+
+
+PhysicsListener: TypeAlias = Callable[[PhysicsStep], None]
