@@ -8,6 +8,7 @@ sums.
 
 from __future__ import annotations
 
+import functools
 import logging
 import threading
 from collections.abc import Callable, Iterator
@@ -45,6 +46,31 @@ def kernel(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., 
         A decorator that keeps the function's Python type for the type checker.
     """
     return cast("Callable[[Function], Function]", numba.njit(list(signatures), cache=True, error_model="numpy"))
+
+
+def kernel_on_demand(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., Any]]:
+    """Compile a function for the given Numba signatures when it is first called, and only for those; see `kernel`.
+
+    Args:
+        *signatures: As of `kernel`.
+
+    Returns:
+        A decorator. What it gives is called from Python, not from other kernels.
+    """
+
+    def decorate(function: Callable[..., object]) -> Callable[..., Any]:
+        compiled: list[Callable[..., Any]] = []
+
+        @functools.wraps(function)
+        def call(*arguments: Any) -> Any:
+            if not compiled:
+                with announce_compilation():
+                    compiled.append(kernel(*signatures)(function))
+            return compiled[0](*arguments)
+
+        return call
+
+    return decorate
 
 
 def late_kernel(function: Function) -> Function:

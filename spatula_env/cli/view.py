@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.acting import POLICY_HELP, find_actor
 from spatula_env.cli.common import (
@@ -61,6 +61,7 @@ def run(chosen: argparse.Namespace) -> int:
         {"width": chosen.size, "height": chosen.size, **actor.options},
         render_mode="human" if output is None else "rgb_array",
     )
+    base: Any = env.unwrapped
     try:
         film = None if output is None else Film(output, env.metadata["render_fps"])
         policy = actor.make(env, chosen.seed)
@@ -76,7 +77,7 @@ def run(chosen: argparse.Namespace) -> int:
                 ended = terminated or truncated or bool(info["is_success"])
                 if film is not None:
                     film.take(env)
-                elif env.unwrapped.window_closed:
+                elif base.window_closed:
                     return 0
             seed += 1
             over = film is not None or shown == chosen.steps
