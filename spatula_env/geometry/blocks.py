@@ -89,7 +89,9 @@ def fissured_block(
     """A piece of an organ with a deep, narrow fissure in its top, as between two folds of a brain.
 
     Seen from above, block and fissure are rounded rectangles, so that the walls are nearly parallel. The fissure's
-    floor is half round and its ends lean outwards a little on the way up; rounded lips lead over to the top.
+    floor is half round and its ends lean outwards a little on the way up; rounded lips lead over to the top. The walls
+    may be as close as one likes: where the floor is narrower than its triangles are long, it is a line that both walls
+    stand on.
 
     Args:
         size: Extents of the block along x, y and z, shape (3,) [u].

@@ -181,21 +181,30 @@ def _mirror(halves: list[FloatArray]) -> tuple[FloatArray, list[NDArray[np.int64
 
 
 def _zip_strip(inner: FloatArray, outer: FloatArray) -> list[tuple[int, int, bool]]:
-    """Divide the strip between two rows (n, 3) and (k, 3) into triangles, always by the shorter diagonal.
+    """Divide the strip between two half rows (n, 3) and (k, 3) into triangles, by the shorter diagonal if it may be.
+
+    The ends of a row are in the plane y = 0, and so are all nodes of a line. A diagonal between two such nodes would be
+    in that plane too and the same as its mirror image, an edge of four triangles. Where the walls of a fissure are
+    nearly in the plane it can be the shorter one, but it is never drawn. As a half row has an interior node, unless it
+    is a line, there always is another way.
 
     Returns:
         For each triangle the node of the inner row and the node of the outer row that it begins with, and whether its
         third corner is the inner row's next node or the outer row's.
     """
     first, second = inner.tolist(), outer.tolist()
+    last = (len(first) - 1, len(second) - 1)
+
+    def may_join(i: int, j: int) -> bool:
+        if i > last[0] or j > last[1]:
+            return False
+        return (i, j) == last or first[i][1] != 0.0 or second[j][1] != 0.0
+
     strip: list[tuple[int, int, bool]] = []
     i = j = 0
-    while i + 1 < len(first) or j + 1 < len(second):
-        if i + 1 == len(first):
-            on_inner = False
-        elif j + 1 == len(second):
-            on_inner = True
-        else:
+    while (i, j) != last:
+        on_inner = may_join(i + 1, j)
+        if on_inner and may_join(i, j + 1):
             forward = math.dist(first[i + 1], second[j])
             on_inner = forward <= math.dist(first[i], second[j + 1]) * (1.0 + TIE)
         strip.append((i, j, on_inner))

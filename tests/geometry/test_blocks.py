@@ -8,7 +8,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from intersections import self_intersections
 
@@ -181,20 +181,53 @@ def test_volume_of_a_ridged_block():
 
 @settings(max_examples=15)
 @given(
-    width=st.floats(0.1, 0.6),
+    width=st.floats(0.1, 0.6) | st.floats(1e-6, 0.1),
     depth=st.floats(1.0, 2.5),
     length=st.floats(1.5, 4.0),
     extent=st.tuples(st.floats(5.0, 8.0), st.floats(4.0, 6.0), st.floats(2.8, 4.0)),
     edge_length=st.floats(0.3, 0.5),
     lip=st.floats(0.05, 0.4),
 )
+# Walls so close that the shorter diagonal at an end of the floor is in the plane y = 0.
+@example(width=0.109375, depth=1.0, length=1.5, extent=(5.0, 4.0, 3.0), edge_length=0.5, lip=0.25)
+# Lips that nearly reach the ends of the block.
+@example(width=1e-6, depth=1.8, length=4.0, extent=(5.0, 6.0, 2.8), edge_length=0.3, lip=0.4)
 def test_every_fissured_block_is_sound(width, depth, length, extent, edge_length, lip):
-    # Walls much closer than their triangles are long meet at the fissure's ends, which is refused as no manifold.
-    assume(width > 0.3 * edge_length)
     block = fissured_block(extent, depth, length, width, edge_length, lip=lip)
     assert len(self_intersections(block.vertices, block.triangles)) == 0
     np.testing.assert_allclose(np.ptp(block.vertices, axis=0), extent, rtol=0.05)
-    assert corner_angles(block).min() > 15.0
+    # Beyond the ends of the fissure the rows have less room than beside it, and triangles are flatter. Where not even
+    # an edge has room there, they are much flatter.
+    room = 0.5 * (extent[0] - length) - lip
+    assert corner_angles(block).min() > (15.0 if room > edge_length else 4.0)
+
+
+@settings(max_examples=15)
+@given(
+    make=st.sampled_from([fissured_block, ridged_block]),
+    extent=st.tuples(st.floats(3.5, 7.0), st.floats(3.0, 5.0), st.floats(1.8, 4.0)),
+    width=st.floats(1e-6, 0.6),
+    edge_length=st.floats(0.6, 6.0),
+)
+# Shorter diagonals in the plane y = 0: at an end of the floor, of the crest, and of the line in the base.
+@example(make=fissured_block, extent=(6.0, 5.0, 3.0), width=0.1, edge_length=0.99)
+@example(make=ridged_block, extent=(4.0, 3.2, 1.2), width=0.05, edge_length=0.72)
+@example(make=fissured_block, extent=(3.6, 3.7, 3.0), width=0.05, edge_length=2.3)
+def test_a_block_of_few_triangles_is_sound(make, extent, width, edge_length):
+    block = make(extent, width=width, edge_length=edge_length)
+    assert len(block.vertices) - len(block.triangles) // 2 == 2
+    assert len(self_intersections(block.vertices, block.triangles)) == 0
+
+
+@pytest.mark.parametrize("width", [1e-9, 1e-3, 0.05])
+def test_walls_are_as_far_apart_as_wanted_where_their_triangles_are_much_longer(width):
+    block = fissured_block(width=width, edge_length=0.4)
+    for wall, side in zip(block.walls, (-1.0, 1.0), strict=True):
+        middle = block.vertices[wall][np.abs(block.vertices[wall, 0]) < 0.75]
+        assert len(middle) > 8
+        np.testing.assert_allclose(middle[:, 1], side * 0.5 * width, rtol=0.05)
+    np.testing.assert_allclose(block.vertices[block.floor, 2], block.floor_height, atol=width)
+    assert set(block.triangles[block.target].ravel()) & set(block.floor)
 
 
 # The regions -----------------------------------------------------------------------------------------------------
