@@ -2,7 +2,7 @@
 
     python -m agents.clone --dataset spatula/press/expert-v0
     python -m agents.clone --env Spatula/Press-v0 --expert 50
-    python -m agents.clone --config configs/press_sac.yaml --expert 50
+    python -m agents.clone --config press_sac --expert 50
 
 What is cloned is the actor of Stable-Baselines3's SAC or PPO. It is saved as training saves policies, so that
 `agents.evaluate` and `agents.export` take it. The last line of the output is where it is.
@@ -15,52 +15,36 @@ import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.configuration import (
     ALGORITHMS,
     ENGINES,
     EnvironmentConfig,
     TrainingConfig,
+    find_config,
     read_training,
 )
 
+if TYPE_CHECKING:
+    from agents.demonstrations import Demonstration
+    from agents.imitation import CloneConfig
 
-@dataclasses.dataclass(frozen=True)
-class CloneConfig:
-    """How cloning goes.
-
-    Attributes:
-        gradient_steps: How many.
-        batch_size: Samples in each.
-        learning_rate: Of Adam at the beginning; it falls to zero along a half wave.
-        seed: Of networks and batches.
-    """
-
-    gradient_steps: int = 6_000
-    batch_size: int = 256
-    learning_rate: float = 1e-3
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for name in ("gradient_steps", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)!r}")
-        if not 0.0 < self.learning_rate < np.inf:
-            raise ValueError(f"learning_rate must be positive and finite, got {self.learning_rate!r}")
+GRADIENT_STEPS = 6_000
+"""Usual number of gradient steps."""
 
 
-def clone(config: TrainingConfig, demonstrations: Sequence[Any], how: CloneConfig) -> tuple[Any, Any, list[float]]:
+def clone(
+    config: TrainingConfig, demonstrations: Sequence[Demonstration], how: CloneConfig
+) -> tuple[Any, Any, list[float]]:
     """Imitate demonstrations.
 
     Args:
         config: Environment, algorithm, network and normalisation.
-        demonstrations: See `agents.demonstrations.Demonstration`.
+        demonstrations: Of which observations and wanted actions count.
         how: How cloning goes.
 
     Returns:
@@ -73,6 +57,8 @@ def clone(config: TrainingConfig, demonstrations: Sequence[Any], how: CloneConfi
     import torch
     from stable_baselines3.common.vec_env import VecNormalize
 
+    from agents.demonstrations import joined_observations
+    from agents.imitation import imitate
     from agents.models import make_model
     from agents.worlds import make_training_env
 
@@ -83,7 +69,7 @@ def clone(config: TrainingConfig, demonstrations: Sequence[Any], how: CloneConfi
     env, _ = make_training_env(config, how.seed, config.hyperparameters.gamma)
     try:
         model: Any = make_model(config, env, how.seed)
-        observations = _joined([each.observations for each in demonstrations])
+        observations = joined_observations(demonstrations)
         actions = np.concatenate([each.actions for each in demonstrations]).astype(np.float32)
         normalizer = env if isinstance(env, VecNormalize) else None
         if normalizer is not None and normalizer.norm_obs:
@@ -91,42 +77,12 @@ def clone(config: TrainingConfig, demonstrations: Sequence[Any], how: CloneConfi
             for key, running in statistics.items():
                 running.update(observations[key] if key else observations)
             observations = normalizer.normalize_obs(observations)
-        losses = _fit(model, observations, actions, how)
+        losses = imitate(model, observations, actions, how)
         if normalizer is not None:
             normalizer.training = False
         return model, normalizer, losses
     finally:
         env.close()
-
-
-def _fit(model: Any, observations: Any, actions: NDArray[np.float32], how: CloneConfig) -> list[float]:
-    """Bring the policy's deterministic actions close to those demonstrated."""
-    import torch
-
-    tensors = _tensors(observations)
-    wanted = torch.as_tensor(actions)
-    actor = getattr(model.policy, "actor", None)
-    parameters = list((actor if actor is not None else model.policy).parameters())
-    optimizer = torch.optim.Adam(parameters, lr=how.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, how.gradient_steps)
-    generator = torch.Generator().manual_seed(how.seed)
-    model.policy.set_training_mode(True)
-    losses = []
-    for _ in range(how.gradient_steps):
-        rows = torch.randint(len(wanted), (how.batch_size,), generator=generator)
-        batch = {key: values[rows] for key, values in tensors.items()} if isinstance(tensors, dict) else tensors[rows]
-        if actor is not None:
-            done = actor(batch, deterministic=True)
-        else:
-            done = model.policy.get_distribution(batch).mode()
-        loss = torch.nn.functional.mse_loss(done, wanted[rows])
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        schedule.step()
-        losses.append(float(loss.detach()))
-    model.policy.set_training_mode(False)
-    return [float(part.mean()) for part in np.array_split(np.array(losses), min(10, len(losses)))]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -142,7 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--dataset", metavar="ID", help="demonstrations of a Minari data set")
     source.add_argument("--expert", type=int, metavar="N", help="N demonstrations of the scripted expert")
-    parser.add_argument("--config", type=Path, help="environment, algorithm, network and normalisation, a YAML file")
+    parser.add_argument(
+        "--config", metavar="NAME",
+        help="environment, algorithm, network and normalisation: a YAML file, or the name of one in configs",
+    )  # fmt: skip
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes", help="a change of it"
     )
@@ -150,15 +109,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--algorithm", choices=("sac", "ppo"), help="whose actor, without --config; default: sac")
     parser.add_argument("--engine", choices=ENGINES, default="batch", help="that the expert demonstrates in")
     parser.add_argument(
-        "--noise", type=float, default=0.3,
-        help="standard deviation of what leads the expert astray; default: %(default)s",
+        "--noise", type=_noise, default="auto", metavar="S",
+        help="standard deviation of what leads the expert astray; default: the greatest that it copes with",
     )  # fmt: skip
-    parser.add_argument("--gradient-steps", type=int, default=CloneConfig.gradient_steps, help="default: %(default)s")
+    parser.add_argument("--gradient-steps", type=int, default=GRADIENT_STEPS, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
     parser.add_argument("--output", type=Path, metavar="DIR", help="default: runs/ and the task's name")
     chosen = parser.parse_args(arguments)
     if chosen.expert is not None and chosen.expert < 1:
         parser.error(f"--expert must be 1 or more, got {chosen.expert}")
+    if chosen.noise != "auto" and not 0.0 <= chosen.noise < np.inf:
+        parser.error(f"--noise must be a number from 0 on or 'auto', got {chosen.noise}")
     if chosen.expert is not None and chosen.config is None and chosen.env is None:
         parser.error("--expert needs --config or --env")
     if chosen.changes and chosen.config is None:
@@ -184,14 +145,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(chosen: argparse.Namespace) -> Path:
     """Clone as the command line says; returns the folder of the policy."""
-    from agents.demonstrations import collect, read_minari
+    from agents.demonstrations import collect_successes, read_minari
     from agents.evaluation import Plan
+    from agents.imitation import CloneConfig
     from agents.saving import provenance, save_policy, write_json
 
-    config = read_training(chosen.config, chosen.changes) if chosen.config is not None else None
+    config = read_training(find_config(chosen.config), chosen.changes) if chosen.config is not None else None
     parts = config.environment.parts if config is not None else None
     if chosen.dataset is not None:
         demonstrations, env_id, kwargs = read_minari(chosen.dataset, parts)
+        source = chosen.dataset
         if (config is not None and config.environment.id != env_id) or chosen.env not in (None, env_id):
             raise ValueError(f"dataset {chosen.dataset!r} was recorded in {env_id}, not in the environment asked for")
     else:
@@ -199,7 +162,8 @@ def _run(chosen: argparse.Namespace) -> Path:
         kwargs = dict(config.environment.kwargs) if config is not None else {}
         kwargs.pop("max_episode_steps", None)
         plan = Plan(env_id, kwargs, chosen.engine, chosen.expert, 2_000_000 + chosen.seed)
-        demonstrations = collect(plan, noise=chosen.noise, parts=parts)
+        demonstrations, sigma = collect_successes(plan, noise=chosen.noise, parts=parts)
+        source = f"scripted expert, {chosen.engine} engine, noise {sigma:g}"
     if config is None:
         algorithm = chosen.algorithm or "sac"
         # The buffer stays empty.
@@ -211,7 +175,7 @@ def _run(chosen: argparse.Namespace) -> Path:
     origin = {
         **provenance(),
         "demonstrations": {
-            "source": chosen.dataset or f"scripted expert, {chosen.engine} engine, noise {chosen.noise}",
+            "source": source,
             "episodes": len(demonstrations),
             "steps": int(sum(len(each.actions) for each in demonstrations)),
             "success_rate": float(np.mean([each.success for each in demonstrations])),
@@ -228,19 +192,9 @@ def _run(chosen: argparse.Namespace) -> Path:
     return output
 
 
-def _joined(observations: list[Any]) -> Any:
-    """What was seen before each action, of all demonstrations."""
-    if isinstance(observations[0], dict):
-        return {key: np.concatenate([each[key][:-1] for each in observations]) for key in observations[0]}
-    return np.concatenate([each[:-1] for each in observations])
-
-
-def _tensors(observations: Any) -> Any:
-    import torch
-
-    if isinstance(observations, dict):
-        return {key: torch.as_tensor(values, dtype=torch.float32) for key, values in observations.items()}
-    return torch.as_tensor(observations, dtype=torch.float32)
+def _noise(text: str) -> float | str:
+    """A number, or "auto"."""
+    return text if text == "auto" else float(text)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Reading configurations: YAML files in `configs`, checked before anything is made of them.
 
-A file either says how to make an environment (`read_environment`), or how to train (`read_training`).
+A file either says how to make an environment (`read_environment`), or how to train (`read_training`). `find_config`
+finds one by its name.
 """
 
 from __future__ import annotations
@@ -13,12 +14,17 @@ import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium
 import yaml
 
-import spatula_env  # noqa: F401 - registers the environments
+import spatula_env
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+gymnasium.register_envs(spatula_env)
 
 ENVIRONMENT_KEYS = ("id", "kwargs")
 
@@ -28,7 +34,29 @@ ENGINES = ("batch", "bullet")
 ACTIVATIONS = ("relu", "tanh", "elu")
 """Between the layers of a network."""
 
-Config = TypeVar("Config")
+CONFIG_FOLDERS = (Path(__file__).parent / "configs", Path(__file__).parents[1] / "configs")
+"""Where the configurations are that come with the package: installed, and in its repository."""
+
+Config = TypeVar("Config", bound="DataclassInstance")
+
+
+def find_config(name: str | os.PathLike[str]) -> Path:
+    """The file that is meant by a path, or by a name such as "press_sac".
+
+    Args:
+        name: A path, or the name of a configuration that comes with the package, without its ending.
+
+    Raises:
+        FileNotFoundError: If there is no such file; the message lists the names that there are.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    folder = next((folder for folder in CONFIG_FOLDERS if (folder / "press_sac.yaml").exists()), None)
+    known = sorted(file.stem for file in folder.glob("*.yaml")) if folder is not None else []
+    if folder is not None and str(name) in known:
+        return folder / f"{name}.yaml"
+    raise FileNotFoundError(f"config must be a file or one of {', '.join(known)}: no {name}")
 
 
 def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
@@ -45,7 +73,7 @@ def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]
         ValueError: If the file is not such a mapping; the message names the file, what it has and what is allowed.
     """
     file = Path(path)
-    content = _load_yaml(file)
+    content = load_yaml(file)
     if not isinstance(content, Mapping):
         raise ValueError(f"{file} must hold a mapping with the keys {list(ENVIRONMENT_KEYS)}, got {content!r}")
     unknown = [key for key in content if key not in ENVIRONMENT_KEYS]
@@ -308,7 +336,14 @@ class TrainingConfig:
         evaluation: While it learns.
         checkpoint_every: Environment steps between checkpoints.
         success_target: Training stops when an evaluation's success rate is no lower; None: never before the end.
-        demonstrations: Episodes of the scripted expert that are in the replay buffer before training begins.
+        demonstrations: Episodes of the scripted expert that the agent knows before training begins.
+        demonstration_noise: Standard deviation of what leads the expert astray; "auto": the greatest that it
+            copes with.
+        demonstration_share: Of each batch, so much is demonstrations, from first to last (P. Ball et al., "Efficient
+            Online Reinforcement Learning with Offline Data", ICML 2023); 0: they are experience like any other.
+        clone_steps: Gradient steps in which the actor imitates the demonstrations before training begins.
+        imitate_until: Environment steps until which each update of the actor is followed by one of imitation, whose
+            learning rate falls to zero by then; 0: none.
         overlap: Whether gradient steps are taken while the worlds are stepped, with the transitions before that step;
             not for PPO.
         torch_threads: How many threads torch uses.
@@ -325,6 +360,10 @@ class TrainingConfig:
     checkpoint_every: int = 50_000
     success_target: float | None = 0.97
     demonstrations: int = 0
+    demonstration_noise: float | str = 0.0
+    demonstration_share: float = 0.0
+    clone_steps: int = 0
+    imitate_until: int = 0
     overlap: bool = True
     torch_threads: int = 1
     seeds: tuple[int, ...] = (0,)
@@ -333,16 +372,31 @@ class TrainingConfig:
         """Check the values, and how they go together."""
         for name in ("total_steps", "checkpoint_every", "torch_threads"):
             _check_least(getattr(self, name), name, 1)
-        _check_least(self.demonstrations, "demonstrations", 0)
+        for name in ("demonstrations", "clone_steps", "imitate_until"):
+            _check_least(getattr(self, name), name, 0)
+        self._check_demonstrations()
         if self.success_target is not None:
             _check_share(self.success_target, "success_target")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
             raise ValueError(f"seeds must be different integers, zero or more, got {list(self.seeds)}")
-        if self.algorithm == "ppo" and self.demonstrations:
-            raise ValueError("demonstrations must be 0 with algorithm 'ppo', which has no replay buffer")
         sparse = self.environment.kwargs.get("reward") == "sparse"
         if self.algorithm == "sac_her" and not sparse:
             raise ValueError("environment.kwargs.reward must be 'sparse' with algorithm 'sac_her'")
+
+    def _check_demonstrations(self) -> None:
+        check_noise(self.demonstration_noise, "demonstration_noise")
+        _check_share(self.demonstration_share, "demonstration_share")
+        if self.algorithm == "ppo" and self.demonstrations:
+            raise ValueError("demonstrations must be 0 with algorithm 'ppo', which has no replay buffer")
+        for name in ("demonstration_share", "clone_steps", "imitate_until"):
+            if getattr(self, name) and not self.demonstrations:
+                raise ValueError(f"{name} must be 0 without demonstrations, got {getattr(self, name)!r}")
+        if self.algorithm == "sac_her" and self.demonstration_share:
+            raise ValueError("demonstration_share must be 0 with algorithm 'sac_her', which makes its own batches")
+        if self.imitate_until and not self.demonstration_share:
+            raise ValueError("imitate_until must be 0 unless demonstration_share keeps demonstrations at hand")
+        if self.imitate_until and not self.overlap:
+            raise ValueError("imitate_until must be 0 without overlap")
 
 
 def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> TrainingConfig:
@@ -361,7 +415,7 @@ def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> 
             what is allowed.
     """
     file = Path(path)
-    content = _load_yaml(file)
+    content = load_yaml(file)
     if not isinstance(content, Mapping):
         raise ValueError(f"{file} must hold a mapping, got {content!r}")
     try:
@@ -437,7 +491,7 @@ def from_mapping(kind: type[Config], content: Any, name: str) -> Config:
     where = name or "the configuration"
     if not isinstance(content, Mapping):
         raise ValueError(f"{where} must be a mapping, got {content!r}")
-    fields = {each.name: each for each in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    fields = {each.name: each for each in dataclasses.fields(kind)}
     unknown = [str(key) for key in content if key not in fields]
     if unknown:
         raise ValueError(f"{where} has unknown keys {unknown}; allowed are {sorted(fields)}")
@@ -476,8 +530,8 @@ def _as(kind: Any, value: Any, name: str) -> Any:
         if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
             raise ValueError(f"{name} must be a mapping from names to values, got {value!r}")
         return dict(value)
-    if dataclasses.is_dataclass(kind):
-        return value if isinstance(value, kind) else from_mapping(kind, value, name)  # type: ignore[arg-type]
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return value if isinstance(value, kind) else from_mapping(kind, value, name)
     if kind is bool:
         if not isinstance(value, bool):
             raise ValueError(f"{name} must be true or false, got {value!r}")
@@ -517,11 +571,18 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _load_yaml(file: Path) -> Any:
+def load_yaml(file: Path) -> Any:
+    """What a YAML file holds; raises ValueError if it is none."""
     try:
         return yaml.safe_load(file.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise ValueError(f"{file} is not YAML: {error}") from error
+
+
+def check_noise(value: float | str, name: str) -> None:
+    """Check what says how much noise demonstrations have: a number from 0 on, or "auto"."""
+    if value != "auto" and (isinstance(value, str) or not 0.0 <= value < math.inf):
+        raise ValueError(f"{name} must be a number from 0 on or 'auto', got {value!r}")
 
 
 def _check_choice(value: str, name: str, allowed: Sequence[str]) -> None:

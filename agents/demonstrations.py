@@ -2,20 +2,42 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.configuration import check_noise
 from agents.evaluation import Plan
-from agents.parts import PartSelection
 from agents.policies import Policy, find_policy
+from spatula_env.policies import PartSelection
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+    from stable_baselines3.common.buffers import ReplayBuffer
     from stable_baselines3.common.vec_env import VecEnv
+
+NOISES = (0.3, 0.2, 0.1, 0.05, 0.02, 0.0)
+"""Standard deviations that are tried, the greatest first, where noise is "auto"."""
+
+COPES = 0.9
+"""An expert copes with a noise if so large a share of its episodes still succeeds."""
+
+TRIALS = 32
+"""Episodes of each try."""
+
+BURST, PAUSE = 8.0, 24.0
+"""Mean lengths of bursts of noise and of the pauses between them [control steps]. Within a burst the expert is led
+astray, after it it finds its way back, and the pauses are long enough to hold a goal in for half a second."""
+
+TRIAL_SEED = 3_000_000
+"""Of the first trial: no episode of training, evaluation or demonstration."""
+
+FRUITLESS = 4
+"""Demonstrations are given up when so many times as many episodes have been made as were asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +47,85 @@ class Demonstration:
     Attributes:
         observations: (T + 1, ...), or a dictionary of such arrays.
         actions: (T, A) what the demonstrator wanted.
+        carried: (T, A) what was carried out.
         rewards: (T,).
         success: Whether the goal was held.
     """
 
     observations: Any
     actions: NDArray[np.float32]
+    carried: NDArray[np.float32]
     rewards: NDArray[np.float64]
     success: bool
+
+
+def greatest_noise(plan: Plan, *, num_envs: int = 32, steps: int | None = None) -> float:
+    """The greatest noise that the scripted expert copes with.
+
+    Noise shows the way back to where the expert would be, which a clone needs (M. Laskey et al., "DART: Noise Injection
+    for Robust Imitation Learning", CoRL 2017). Too much of it, and what is demonstrated is failure: how much that is
+    differs between tasks by a factor of ten.
+
+    Args:
+        plan: Where; its episodes and its seed do not count.
+        num_envs: How many worlds at once.
+        steps: Length of an episode; None: the environment's.
+
+    Returns:
+        One of `NOISES`: the first with which nine of ten trials succeed; 0 if there is no such.
+    """
+    trial = replace(plan, episodes=TRIALS, seed=TRIAL_SEED)
+    for noise in NOISES[:-1]:
+        episodes = collect(trial, num_envs=num_envs, noise=noise, steps=steps)
+        if np.mean([episode.success for episode in episodes]) >= COPES:
+            return noise
+    return NOISES[-1]
+
+
+def collect_successes(
+    plan: Plan,
+    *,
+    num_envs: int = 32,
+    noise: float | str = "auto",
+    parts: tuple[str, ...] | None = None,
+    steps: int | None = None,
+) -> tuple[list[Demonstration], float]:
+    """Let the scripted expert demonstrate until enough episodes have succeeded.
+
+    Args:
+        plan: Where, and how many episodes.
+        num_envs: How many worlds at once.
+        noise: See `collect`; "auto": see `greatest_noise`.
+        parts: Of the observation that are recorded; None: all.
+        steps: Length of an episode; None: the environment's.
+
+    Returns:
+        The episodes, and the noise that they have.
+
+    Raises:
+        ValueError: If the expert hardly ever succeeds.
+    """
+    check_noise(noise, "noise")
+    sigma = greatest_noise(plan, num_envs=num_envs, steps=steps) if isinstance(noise, str) else noise
+    successes: list[Demonstration] = []
+    made = 0
+    while len(successes) < plan.episodes:
+        if made >= FRUITLESS * plan.episodes:
+            raise ValueError(
+                f"noise must leave the expert a chance, got {sigma:g}: {len(successes)} of {made} episodes succeeded"
+            )
+        # A whole number of rounds is made anyway.
+        count = math.ceil((plan.episodes - len(successes)) / num_envs) * num_envs
+        some = collect(
+            replace(plan, episodes=count, seed=plan.seed + made),
+            num_envs=num_envs,
+            noise=sigma,
+            parts=parts,
+            steps=steps,
+        )
+        successes += [episode for episode in some if episode.success]
+        made += count
+    return successes[: plan.episodes], sigma
 
 
 def collect(
@@ -48,8 +141,8 @@ def collect(
     Args:
         plan: Where, and how many episodes.
         num_envs: How many worlds at once.
-        noise: Standard deviation of what is added to the actions that are carried out, not to those that are recorded;
-            it leads the expert astray, so that its way back is demonstrated too.
+        noise: Standard deviation of what is added, in bursts, to the actions that are carried out, not to those that
+            are wanted; it leads the expert astray, so that its way back is demonstrated too.
         parts: Of the observation that are recorded; None: all.
         steps: Length of an episode; None: the environment's.
 
@@ -86,28 +179,33 @@ def _collect_round(
     """One episode in each world."""
     observation, _ = env.reset(seed=seeds)
     expert.begin(seeds)
-    seen, acted, rewarded = [_selected(observation, selection)], [], []
+    seen, acted, done, rewarded = [_selected(observation, selection)], [], [], []
     lengths = np.zeros(len(seeds), dtype=np.int64)
     success = np.zeros(len(seeds), dtype=np.bool_)
     going = np.ones(len(seeds), dtype=np.bool_)
+    burst = np.ones(len(seeds), dtype=np.bool_)
     while going.any():
         wanted = expert(observation)
-        carried = wanted if noise == 0.0 else wanted + noise * generator.standard_normal(wanted.shape)
+        astray = noise * burst[:, None] * generator.standard_normal(wanted.shape)
+        carried = np.clip(wanted + astray, -1.0, 1.0).astype(np.float32)
+        burst ^= generator.random(len(seeds)) < np.where(burst, 1.0 / BURST, 1.0 / PAUSE)
         with warnings.catch_warnings():
             # A broken episode simply ends there.
             warnings.filterwarnings("ignore", "physics has diverged", RuntimeWarning)
-            observation, rewards, terminated, truncated, infos = env.step(np.clip(carried, -1.0, 1.0))
+            observation, rewards, terminated, truncated, infos = env.step(carried)
         seen.append(_selected(observation, selection))
         acted.append(wanted)
+        done.append(carried)
         rewarded.append(rewards)
         lengths += going
         success |= going & infos["is_success"]
         going &= ~(terminated | truncated)
-    actions, gains = np.stack(acted), np.stack(rewarded)
+    actions, moves, gains = np.stack(acted), np.stack(done), np.stack(rewarded)
     return [
         Demonstration(
             observations=_of_world(seen, world, int(length) + 1),
             actions=actions[:length, world],
+            carried=moves[:length, world],
             rewards=gains[:length, world],
             success=bool(success[world]),
         )
@@ -147,6 +245,7 @@ def read_minari(name: str, parts: tuple[str, ...] | None = None) -> tuple[list[D
         Demonstration(
             observations=_selected(episode.observations, selection),
             actions=np.asarray(episode.actions, dtype=np.float32),
+            carried=np.asarray(episode.actions, dtype=np.float32),
             rewards=np.asarray(episode.rewards, dtype=np.float64),
             success=_has_succeeded(episode),
         )
@@ -155,29 +254,26 @@ def read_minari(name: str, parts: tuple[str, ...] | None = None) -> tuple[list[D
     return demonstrations, spec.id, {key: value for key, value in spec.kwargs.items() if key != "engine"}
 
 
-def fill_buffer(model: OffPolicyAlgorithm, env: VecEnv, demonstrations: list[Demonstration], rounds: int) -> None:
+def fill_buffer(buffer: ReplayBuffer, env: VecEnv, demonstrations: list[Demonstration]) -> None:
     """Put demonstrations into a replay buffer, and let the normalisation know them.
 
     Args:
-        model: Whose buffer.
+        buffer: For as many worlds as `env` has.
         env: What it trains in, whose running estimates are updated if it normalises.
         demonstrations: Of the same length each; a transition of each world goes into the buffer at a time.
-        rounds: How many episodes each world has: there are as many demonstrations as worlds, times this.
 
     Raises:
-        ValueError: If there are fewer, or their lengths differ.
+        ValueError: If there are not as many as worlds, or several times as many; or their lengths differ.
     """
     from stable_baselines3.common.vec_env import VecNormalize
 
     worlds = env.num_envs
     lengths = {len(each.actions) for each in demonstrations}
-    if len(demonstrations) != worlds * rounds or len(lengths) != 1:
+    if not demonstrations or len(demonstrations) % worlds or len(lengths) != 1:
         raise ValueError(
-            f"demonstrations must be {worlds * rounds} of one length,"
+            f"demonstrations must be {worlds} of one length, or several times as many,"
             f" got {len(demonstrations)} of {sorted(lengths)} steps"
         )
-    buffer = model.replay_buffer
-    assert buffer is not None
     (length,) = lengths
     for first in range(0, len(demonstrations), worlds):
         group = demonstrations[first : first + worlds]
@@ -190,13 +286,21 @@ def fill_buffer(model: OffPolicyAlgorithm, env: VecEnv, demonstrations: list[Dem
             buffer.add(
                 now,
                 after,
-                np.stack([each.actions[step] for each in group]),
+                np.stack([each.carried[step] for each in group]),
                 np.array([each.rewards[step] for each in group]),
                 np.full(worlds, last),
                 infos,
             )
             if isinstance(env, VecNormalize) and env.norm_obs:
                 _learn_statistics(env, now)
+
+
+def joined_observations(demonstrations: Sequence[Demonstration]) -> Any:
+    """What was seen before each action, of all demonstrations: (N, ...), or a dictionary of such arrays."""
+    observations = [each.observations for each in demonstrations]
+    if isinstance(observations[0], dict):
+        return {key: np.concatenate([each[key][:-1] for each in observations]) for key in observations[0]}
+    return np.concatenate([each[:-1] for each in observations])
 
 
 def _learn_statistics(env: Any, observation: Any) -> None:

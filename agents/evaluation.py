@@ -17,9 +17,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-import spatula_env  # noqa: F401 - registers the environments
+import spatula_env
 from agents.policies import Policy, PolicySource
 from spatula_env.envs.vector import SpatulaVectorEnv
+
+gymnasium.register_envs(spatula_env)
 
 Episodes = dict[str, NDArray[Any]]
 """What there is to tell of episodes: (n,) each, under the names in `MEASURES`."""
@@ -83,6 +85,7 @@ def run_episodes(
     seeds: Sequence[int],
     *,
     stop_at_success: bool = False,
+    end_at_success: bool = False,
     watch: Callable[[SpatulaVectorEnv], None] | None = None,
 ) -> Episodes:
     """Let a policy act, an episode for each seed.
@@ -93,6 +96,7 @@ def run_episodes(
         seeds: (n,) of the episodes' environments.
         stop_at_success: Whether to stop once all goals have been held; then only success, and when it came, are what
             they would be otherwise.
+        end_at_success: Whether an episode is over for all measures when its goal has been held.
         watch: Called with the environment at the beginning and after each step.
 
     Returns:
@@ -105,7 +109,10 @@ def run_episodes(
         # The last worlds go through episodes that nobody asks for, if there are more worlds than episodes.
         filled = chunk + [chunk[-1]] * (count - len(chunk))
         results.append(
-            {name: values[: len(chunk)] for name, values in _run(env, policy, filled, stop_at_success, watch).items()}
+            {
+                name: values[: len(chunk)]
+                for name, values in _run(env, policy, filled, stop_at_success, end_at_success, watch).items()
+            }
         )
     return {name: np.concatenate([result[name] for result in results]) for name in MEASURES}
 
@@ -115,6 +122,7 @@ def _run(
     policy: Policy,
     seeds: list[int],
     stop_at_success: bool,
+    end_at_success: bool,
     watch: Callable[[SpatulaVectorEnv], None] | None,
 ) -> Episodes:
     """One episode in each world."""
@@ -147,13 +155,15 @@ def _run(
             episodes[name] = np.where(going, infos[f"episode_{name}"], episodes[name])
         episodes["violation"] |= going & (infos["episode_violation_time"] > 0.0)
         going &= ~(terminated | truncated)
+        if end_at_success:
+            going &= ~episodes["success"]
         if stop_at_success and bool((episodes["success"] | ~going).all()):
             break
     return episodes
 
 
 def evaluate(
-    source: PolicySource, plan: Plan, *, processes: int | None = None, stop_at_success: bool = False
+    source: PolicySource, plan: Plan, *, processes: int | None = None, end_at_success: bool = False
 ) -> tuple[Episodes, float]:
     """Let a policy act, with as many worlds and processes as make sense.
 
@@ -162,7 +172,7 @@ def evaluate(
         plan: What is evaluated.
         processes: How many at once; None: one, which shares its worlds out among threads, in the batch engine, and one
             for each core in Bullet.
-        stop_at_success: See `run_episodes`.
+        end_at_success: See `run_episodes`.
 
     Returns:
         Measures of the episodes, and how many control steps were made in a second, resets included.
@@ -172,17 +182,17 @@ def evaluate(
         processes = 1 if plan.engine == "batch" else available_cores()
     processes = max(1, min(processes, len(seeds)))
     if processes == 1:
-        episodes, seconds = _evaluate_some(source, plan, seeds, stop_at_success)
+        episodes, seconds = _evaluate_some(source, plan, seeds, end_at_success)
         return episodes, float(episodes["steps"].sum()) / seconds
     shares = [share.tolist() for share in np.array_split(np.array(seeds), processes)]
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(_evaluate_some, source, plan, share, stop_at_success) for share in shares]
+        futures = [pool.submit(_evaluate_some, source, plan, share, end_at_success) for share in shares]
         parts = [future.result() for future in futures]
     episodes = {name: np.concatenate([part[0][name] for part in parts]) for name in MEASURES}
     return episodes, float(episodes["steps"].sum()) / max(part[1] for part in parts)
 
 
-def _evaluate_some(source: PolicySource, plan: Plan, seeds: list[int], stop_at_success: bool) -> tuple[Episodes, float]:
+def _evaluate_some(source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool) -> tuple[Episodes, float]:
     """Some of the episodes of a plan, in this process, and how long they took without setting up [s]."""
     worlds = min(WORLDS_PER_PROCESS[plan.engine], len(seeds))
     # As many rounds, with as few worlds to spare.
@@ -194,7 +204,7 @@ def _evaluate_some(source: PolicySource, plan: Plan, seeds: list[int], stop_at_s
         with warnings.catch_warnings():
             # It is counted, and told in the report.
             warnings.filterwarnings("ignore", "physics has diverged", RuntimeWarning)
-            episodes = run_episodes(env, policy, seeds, stop_at_success=stop_at_success)
+            episodes = run_episodes(env, policy, seeds, end_at_success=end_at_success)
         return episodes, time.perf_counter() - start
     finally:
         env.close()

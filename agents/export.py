@@ -1,199 +1,29 @@
-"""Policies as a few arrays, which act without torch.
+"""Writes policies as a few arrays, which act without torch.
 
     python -m agents.export RUN OUTPUT.npz --episodes 100
 
-`export_policy` writes what Stable-Baselines3 has trained, with its normalisation, into one file; `ExportedPolicy` reads
-it and acts. Its actions are those that `model.predict(..., deterministic=True)` gives, up to rounding.
+`export_policy` makes what Stable-Baselines3 has trained, with its normalisation, into a
+`spatula_env.policies.ExportedPolicy`. Its actions are those that `model.predict(..., deterministic=True)` gives, up to
+rounding.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.configuration import ENGINES
-from agents.parts import PartSelection
+from spatula_env.policies import Entry, ExportedPolicy
+from spatula_env.policies.exported import FloatArray
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
-
-FORMAT = 1
-"""Of the files. Raised when older ones can no longer be read."""
-
-FloatArray = NDArray[np.float32]
-
-
-def _relu(values: FloatArray) -> FloatArray:
-    return np.maximum(values, np.float32(0.0))
-
-
-def _elu(values: FloatArray) -> FloatArray:
-    return np.where(values > 0.0, values, np.expm1(np.minimum(values, np.float32(0.0))))
-
-
-ACTIVATIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = MappingProxyType(
-    {"relu": _relu, "tanh": np.tanh, "elu": _elu}
-)
-"""Between layers, by name."""
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """A part of what the network is fed with: one vector, normalised.
-
-    Attributes:
-        name: Of the entry in an observation that is a dictionary; "" for a vector alone.
-        mean: (k,) what is subtracted.
-        scale: (k,) what the rest is divided by.
-    """
-
-    name: str
-    mean: NDArray[np.float64]
-    scale: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class ExportedPolicy:
-    """A network of dense layers with its normalisation.
-
-    Attributes:
-        entries: What it is fed with, one after the other.
-        clip: Greatest size of a normalised number.
-        layers: (weights (out, in), biases (out,)) of each.
-        activation: Between layers, by name.
-        squash: Whether a tanh follows the last layer; else actions are clipped.
-        low: (A,) least actions.
-        high: (A,) greatest actions.
-        metadata: What the policy is for: "env_id", "env_kwargs", "parts".
-        selection: Which parts of observations count, once an environment is known; None: all.
-    """
-
-    entries: tuple[Entry, ...]
-    clip: float
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
-    activation: str
-    squash: bool
-    low: FloatArray
-    high: FloatArray
-    metadata: Mapping[str, Any]
-    selection: PartSelection | None = None
-
-    def begin(self, seeds: Sequence[int]) -> None:
-        """Nothing to do at the beginning of episodes."""
-
-    def bound_to(self, env: Any) -> ExportedPolicy:
-        """The policy for an environment: it finds there which numbers are the parts that it was trained on.
-
-        Args:
-            env: For one agent or for many, wrapped or not.
-
-        Raises:
-            ValueError: If observations or actions are not those that it was trained with.
-        """
-        bound = replace(self, selection=PartSelection.of(env, self.metadata.get("parts")))
-        space = getattr(env, "single_observation_space", env.observation_space)
-        actions = getattr(env, "single_action_space", env.action_space)
-        given: Any = bound.selection.space(space) if bound.selection is not None else space
-        for entry in self.entries:
-            try:
-                size = int(np.prod(given[entry.name].shape if entry.name else given.shape))
-            except (KeyError, TypeError) as error:
-                raise ValueError(f"observations must have the entry {entry.name!r}, got {given}") from error
-            if size != len(entry.mean):
-                what = f"{entry.name!r}" if entry.name else "observations"
-                raise ValueError(f"{what} must have {len(entry.mean)} numbers for this policy, got {size}")
-        if actions.shape != self.low.shape:
-            raise ValueError(f"actions must have {len(self.low)} numbers for this policy, got {actions.shape}")
-        return bound
-
-    def __call__(self, observation: Any) -> FloatArray:
-        """The action (A,) for an observation, or the actions (W, A) for those of W worlds."""
-        if self.selection is not None:
-            observation = self.selection(observation)
-        pieces = []
-        for entry in self.entries:
-            numbers = np.asarray(observation[entry.name] if entry.name else observation)
-            normalized = np.clip((numbers - entry.mean) / entry.scale, -self.clip, self.clip)
-            pieces.append(normalized.astype(np.float32))
-        values = np.concatenate(pieces, axis=-1)
-        activate = ACTIVATIONS[self.activation]
-        for index, (weights, biases) in enumerate(self.layers):
-            values = values @ weights.T + biases
-            if index < len(self.layers) - 1:
-                values = activate(values)
-        if self.squash:
-            values = self.low + np.float32(0.5) * (np.tanh(values) + np.float32(1.0)) * (self.high - self.low)
-        return np.clip(values, self.low, self.high).astype(np.float32)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the policy as an .npz file, all at once."""
-        header = {
-            "format": FORMAT,
-            "entries": [entry.name for entry in self.entries],
-            "clip": self.clip,
-            "layers": len(self.layers),
-            "activation": self.activation,
-            "squash": self.squash,
-            "metadata": dict(self.metadata),
-        }
-        arrays: dict[str, NDArray[Any]] = {"header": np.array(json.dumps(header)), "low": self.low, "high": self.high}
-        for index, entry in enumerate(self.entries):
-            arrays[f"mean_{index}"], arrays[f"scale_{index}"] = entry.mean, entry.scale
-        for index, (weights, biases) in enumerate(self.layers):
-            arrays[f"weights_{index}"], arrays[f"biases_{index}"] = weights, biases
-        file = Path(path)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-        try:
-            with temporary.open("wb") as stream:
-                np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-            os.replace(temporary, file)
-        finally:
-            temporary.unlink(missing_ok=True)
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> ExportedPolicy:
-        """Read a policy.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            ValueError: If it holds something else.
-        """
-        try:
-            with np.load(path, allow_pickle=False) as arrays:
-                header = json.loads(str(arrays["header"]))
-                if header["format"] != FORMAT:
-                    raise ValueError(f"{path} has the format {header['format']}, this version reads {FORMAT}")
-                return cls(
-                    entries=tuple(
-                        Entry(name, arrays[f"mean_{index}"], arrays[f"scale_{index}"])
-                        for index, name in enumerate(header["entries"])
-                    ),
-                    clip=float(header["clip"]),
-                    layers=tuple(
-                        (arrays[f"weights_{index}"], arrays[f"biases_{index}"]) for index in range(header["layers"])
-                    ),
-                    activation=header["activation"],
-                    squash=bool(header["squash"]),
-                    low=arrays["low"],
-                    high=arrays["high"],
-                    metadata=header["metadata"],
-                )
-        except (KeyError, OSError, json.JSONDecodeError) as error:
-            if isinstance(error, FileNotFoundError):
-                raise
-            raise ValueError(f"{path} holds no exported policy: {error}") from error
 
 
 def export_policy(

@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from agents.configuration import NetworkConfig, PPOConfig, SACConfig, SACHERConfig, TQCConfig, TrainingConfig
+from agents.replay import DemonstrationReplayBuffer
 from agents.worlds import is_goal_space
 
 
@@ -84,6 +85,11 @@ def make_model(config: TrainingConfig, env: VecEnv, seed: int) -> BaseAlgorithm:
             "n_sampled_goal": chosen.n_sampled_goal,
             "goal_selection_strategy": chosen.goal_selection_strategy,
         }
+    if config.demonstration_share:
+        if policy == "MultiInputPolicy":
+            raise ValueError("demonstration_share must be 0 with the goal interface, environment.kwargs.reward: sparse")
+        settings["replay_buffer_class"] = DemonstrationReplayBuffer
+        settings["replay_buffer_kwargs"] = {"share": config.demonstration_share}
     return algorithm_class(config)(policy, env, **settings)
 
 

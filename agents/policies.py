@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +11,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-import spatula_env  # noqa: F401 - registers the environments
 from agents.experts import ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert
 from agents.experts.base import Expert
-
-PRETRAINED = Path(__file__).parent / "pretrained"
-"""Where the policies are that come with the package: one file for each task, and its provenance beside it."""
+from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenance
 
 NAMES = ("expert", "random", "pretrained")
 """Policies that are known by name; any other is a path."""
@@ -132,8 +128,6 @@ def find_policy(name: str, env_id: str) -> PolicySource:
     if not path.exists():
         known = ", ".join(NAMES)
         raise FileNotFoundError(f"policy must be one of {known} or the path of a run or of weights: no {path}")
-    from agents.export import ExportedPolicy
-
     if path.suffix == ".npz":
         exported = ExportedPolicy.load(path)
         _check_env(exported.metadata.get("env_id", env_id), env_id, path)
@@ -156,18 +150,6 @@ def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in kwargs.items() if name in INTERFACE}
 
 
-def pretrained_path(env_id: str) -> Path:
-    """Where the pretrained policy for an environment is, if there is one."""
-    name = gymnasium.spec(env_id).id.partition("/")[2].rpartition("-v")[0]
-    return PRETRAINED / f"{name.lower()}.npz"
-
-
-def read_provenance(path: Path) -> dict[str, Any]:
-    """What the file beside exported weights says; nothing if there is none."""
-    file = path.with_suffix(".json")
-    return dict(json.loads(file.read_text(encoding="utf-8"))) if file.exists() else {}
-
-
 def _check_env(trained: str, wanted: str, path: Path) -> None:
     if trained != wanted:
         raise ValueError(f"the policy {path} is for {trained}, not for {wanted}")
@@ -188,8 +170,6 @@ class _ExportedMaker:
     path: Path
 
     def __call__(self, env: Any) -> Policy:
-        from agents.export import ExportedPolicy
-
         return ExportedPolicy.load(self.path).bound_to(env)
 
 

@@ -35,9 +35,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents.configuration import TrainingConfig, read_training, to_mapping, write_training
-from agents.export import ExportedPolicy, export_policy
+from agents.export import export_policy
 from agents.policies import find_policy, interface_of
 from spatula_env import __version__
+from spatula_env.policies import ExportedPolicy
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -55,6 +56,7 @@ PACKAGES = (
     "torch",
     "stable-baselines3",
     "sb3-contrib",
+    "ray",
 )
 """Whose versions are written down."""
 
@@ -151,11 +153,12 @@ def save_checkpoint(
         The checkpoint; all but the last two are removed.
     """
     import torch
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
     def fill(place: Path) -> None:
         _write_policy(place, model, normalizer, config)
-        if getattr(model, "replay_buffer", None) is not None:
-            model.save_replay_buffer(place / BUFFER)  # type: ignore[attr-defined]
+        if isinstance(model, OffPolicyAlgorithm):
+            model.save_replay_buffer(place / BUFFER)
         state = {
             "progress": dict(progress),
             "torch": torch.get_rng_state(),
@@ -179,12 +182,13 @@ def restore_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]
         What else was remembered.
     """
     import torch
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-    if getattr(model, "replay_buffer", None) is not None:
-        model.load_replay_buffer(checkpoint / BUFFER)  # type: ignore[attr-defined]
+    if isinstance(model, OffPolicyAlgorithm):
+        model.load_replay_buffer(checkpoint / BUFFER)
     state = pickle.loads((checkpoint / STATE).read_bytes())
     torch.set_rng_state(state["torch"])
-    np.random.set_state(state["numpy"])  # noqa: NPY002
+    np.random.set_state(state["numpy"])  # noqa: NPY002 - what Stable-Baselines3 draws batches with
     random.setstate(state["python"])
     model.action_space = state["action_space"]
     progress: dict[str, Any] = state["progress"]

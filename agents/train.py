@@ -1,6 +1,6 @@
 """Trains agents.
 
-    python -m agents.train --config configs/press_sac.yaml
+    python -m agents.train --config press_sac
     python -m agents.train --config configs/press_sac.yaml --set network.layers=[64,64] --seed 1 2 3
     python -m agents.train --resume runs/press_sac
 
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import yaml
 
-from agents.configuration import read_training, write_training
+from agents.configuration import find_config, read_training, write_training
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m agents.train", description="Train agents.")
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--config", type=Path, help="how to train, a YAML file")
+    what.add_argument("--config", metavar="NAME", help="how to train: a YAML file, or the name of one in configs")
     what.add_argument("--resume", type=Path, metavar="DIR", help="go on with an interrupted run")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
@@ -49,8 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             changes = list(chosen.changes)
             if chosen.seed:
                 changes.append(f"seeds={chosen.seed}")
-            config = read_training(chosen.config, changes)
-            output = chosen.output or Path("runs") / chosen.config.stem
+            file = find_config(chosen.config)
+            config = read_training(file, changes)
+            output = chosen.output or Path("runs") / file.stem
             if (output / "config.yaml").exists():
                 raise ValueError(f"{output} holds a run already: go on with it (--resume) or name another (--output)")
     except (FileNotFoundError, ValueError, yaml.YAMLError) as error:

@@ -22,12 +22,14 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from agents.configuration import SACConfig, TrainingConfig, to_mapping, write_training
-from agents.demonstrations import collect, fill_buffer
+from agents.demonstrations import collect_successes, fill_buffer, joined_observations
 from agents.evaluation import WORLDS_PER_PROCESS, Plan, run_episodes, summarize
 from agents.export import export_policy
+from agents.imitation import CloneConfig, Imitator, calm_down, imitate
 from agents.models import make_model
 from agents.policies import interface_of
 from agents.progress import ProgressView
+from agents.replay import DemonstrationReplayBuffer
 from agents.saving import (
     CONFIG,
     checkpoints_in,
@@ -215,7 +217,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         if checkpoint is None:
             model = make_model(config, env, seed)
             if config.demonstrations:
-                _demonstrate(config, model, env)
+                demonstrate(config, seed, model, env)
         else:
             if isinstance(env, VecNormalize):
                 env = _with_statistics(env, load_normalizer(checkpoint))
@@ -226,7 +228,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         model.set_logger(Logger(str(folder), [_TensorBoard(folder / "tensorboard", steps)]))
         trainer = Trainer(config, folder, view, progress)
         if config.overlap and isinstance(config.hyperparameters, SACConfig):
-            _overlap_gradients(model, overlap, config.hyperparameters)
+            _overlap_gradients(model, overlap, config)
         # `learn` counts from where the model is.
         remaining = config.total_steps - model.num_timesteps
         with view.run(f"seed {seed}", config.total_steps, model.num_timesteps):
@@ -288,28 +290,73 @@ def _write_config(folder: Path, config: TrainingConfig) -> None:
     temporary.replace(folder / CONFIG)
 
 
-def _overlap_gradients(model: Any, overlap: VecEnv, chosen: SACConfig) -> None:
+def _overlap_gradients(model: Any, overlap: VecEnv, config: TrainingConfig) -> None:
     """Take gradient steps while worlds are stepped."""
-    assert isinstance(overlap, OverlappedVecEnv)
+    chosen = config.hyperparameters
+    assert isinstance(overlap, OverlappedVecEnv) and isinstance(chosen, SACConfig)
+    imitator: Imitator | None = None
+    if config.imitate_until:
+        imitator = Imitator(
+            model,
+            model.replay_buffer.imitated,
+            until=config.imitate_until,
+            learning_rate=chosen.learning_rate,
+            batch_size=chosen.batch_size,
+        )
 
     def meanwhile() -> None:
-        if model.num_timesteps > chosen.learning_starts:
+        if model.num_timesteps <= chosen.learning_starts:
+            return
+        if imitator is None:
             model.train(gradient_steps=chosen.gradient_steps, batch_size=chosen.batch_size)
-            model.policy.set_training_mode(False)
+        else:
+            for _ in range(chosen.gradient_steps):
+                model.train(gradient_steps=1, batch_size=chosen.batch_size)
+                imitator.step(model.get_vec_normalize_env())
+        model.policy.set_training_mode(False)
 
     overlap.meanwhile = meanwhile
 
 
-def _demonstrate(config: TrainingConfig, model: Any, env: VecEnv) -> None:
-    """Put the scripted expert's episodes into the replay buffer."""
+def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> None:
+    """Let the agent know the scripted expert's episodes before it learns by rewards.
+
+    Args:
+        config: Says how many, and what is done with them.
+        seed: Of batches.
+        model: With an empty replay buffer.
+        env: What it trains in; its normalisation gets to know what is demonstrated.
+    """
     environment = config.environment
     assert isinstance(model, OffPolicyAlgorithm)
     rounds = math.ceil(config.demonstrations / environment.num_envs)
     kwargs = dict(environment.kwargs)
     steps = kwargs.pop("max_episode_steps", None)
     plan = Plan(environment.id, kwargs, environment.engine, rounds * environment.num_envs, DEMONSTRATION_SEED)
-    demonstrations = collect(plan, num_envs=environment.num_envs, parts=environment.parts, steps=steps)
-    fill_buffer(model, env, demonstrations, rounds)
+    demonstrations, _ = collect_successes(
+        plan,
+        num_envs=environment.num_envs,
+        noise=config.demonstration_noise,
+        parts=environment.parts,
+        steps=steps,
+    )
+    buffer = model.replay_buffer
+    assert buffer is not None
+    target = buffer
+    if isinstance(buffer, DemonstrationReplayBuffer):
+        target = buffer.make_room(sum(len(each.actions) for each in demonstrations))
+        buffer.imitated = (
+            joined_observations(demonstrations),
+            np.concatenate([each.actions for each in demonstrations]),
+        )
+    fill_buffer(target, env, demonstrations)
+    if config.clone_steps:
+        observations = joined_observations(demonstrations)
+        if isinstance(env, VecNormalize):
+            observations = env.normalize_obs(observations)
+        actions = np.concatenate([each.actions for each in demonstrations])
+        imitate(model, observations, actions, CloneConfig(gradient_steps=config.clone_steps, seed=seed))
+        calm_down(model)
 
 
 def _with_statistics(env: VecNormalize, saved: VecNormalize | None) -> VecNormalize:

@@ -5,9 +5,8 @@ Needs `pip install 'spatula-env[train]'`.
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
 from agents.configuration import TrainingConfig
-from agents.parts import PartSelection
+from agents.threads import numba_threads
 from spatula_env.envs.sb3 import SpatulaVecEnv, make_sb3_vec_env
+from spatula_env.policies import PartSelection
 
 Observation = Any
 
@@ -139,20 +139,6 @@ def base_of(env: VecEnv) -> SpatulaVecEnv:
         env = env.venv
     assert isinstance(env, SpatulaVecEnv)
     return env
-
-
-@contextlib.contextmanager
-def numba_threads(count: int) -> Iterator[None]:
-    """Let compiled code use no more than a number of threads."""
-    import numba
-
-    before = numba.get_num_threads()
-    greatest: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    numba.set_num_threads(max(1, min(count, greatest)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
 
 
 def is_goal_space(space: spaces.Space[Any]) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,7 +45,7 @@ LINES = (
 def require_matplotlib() -> None:
     """Raise ImportError that says what to do if there is no Matplotlib."""
     try:
-        import matplotlib  # noqa: F401
+        import_module("matplotlib")
     except ImportError as error:
         raise ImportError("pictures need Matplotlib; install it with: pip install 'spatula-env[viz]'") from error
 

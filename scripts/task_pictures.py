@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
-import spatula_env  # noqa: F401
+import spatula_env
 from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, PRESSURE_LIMITS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from PIL.Image import Image
+
+gym.register_envs(spatula_env)
 
 SEEDS = {"Press": 3, "Retract": 1, "Fissure": 7, "Clamp": 3, "Palpate": 2}
 """The tasks in the order in which they are shown, and of each an episode in which nothing hides what matters."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.demo.episode import Episode
 from spatula_env.demo.pictures import FAINT_INK, FILM_VIEW, INK, PAPER, RULE, PressPainter, _font
 from spatula_env.demo.press import Film
 from spatula_env.render import palette
@@ -45,6 +46,34 @@ def film_frames(film: Film, width: int = 480) -> list[Image.Image]:
         page.paste(strip.draw(snapshot.time), (0, height))
         frames.append(page)
     return frames
+
+
+def episode_frames(episode: Episode) -> list[Image.Image]:
+    """The pictures of an episode, each with a strip below it that says who acts and how far it has got.
+
+    Args:
+        episode: With at least one frame.
+    """
+    from PIL import Image, ImageDraw
+
+    height, width = episode.frames[0].picture.shape[:2]
+    size = max(8.0, width / 28.0)
+    strip = round(4.4 * size)
+    pages = []
+    for frame in episode.frames:
+        page = Image.new("RGB", (width, height + strip), PAPER)
+        page.paste(Image.fromarray(frame.picture), (0, 0))
+        draw = ImageDraw.Draw(page)
+        now = (
+            f"{frame.time:.2f} s, {1000 * frame.depth:.1f} of {1000 * episode.goal_depth:.1f} mm deep, "
+            f"{frame.force:.2f} N"
+        )
+        for line, (text, ink) in enumerate(((episode.policy, INK), (episode.origin, FAINT_INK), (now, FAINT_INK))):
+            # A long line is written in smaller letters.
+            wide = _font(size).getlength(text) / (width - size)
+            draw.text((size / 2, height + (0.4 + 1.3 * line) * size), text, fill=ink, font=_font(size / max(wide, 1.0)))
+        pages.append(page)
+    return pages
 
 
 class _ForceStrip:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spatula_env.demo import require_extra
-from spatula_env.demo.animation import encode_gif, film_frames
-from spatula_env.demo.episode import Episode, PolicyMaker, run_episode
+from spatula_env.demo.animation import encode_gif, episode_frames, film_frames
+from spatula_env.demo.episode import Actor, Episode, run_episode, trained_actor
 from spatula_env.demo.pictures import FIGURE_SPEED, figure
 from spatula_env.demo.press import CONTACTS, SPEEDS, PressCase, PressResult, film_press
 from spatula_env.demo.report import (
@@ -62,13 +62,13 @@ def figure_results(results: list[PressResult]) -> list[PressResult]:
     return sorted(shown, key=lambda result: FIGURES[result.case.contact])
 
 
-def run_demo(output: Path, make_policy: PolicyMaker, console: Console, *, quick: bool = False) -> None:
+def run_demo(output: Path, console: Console, *, actor: Actor | None = None, quick: bool = False) -> None:
     """Compare the contact models, draw the figures, film a press and an episode.
 
     Args:
         output: The folder to write to; made if it is missing.
-        make_policy: Makes the episode's policy; called in another process.
         console: Where to report.
+        actor: Who acts in the episode, in another process; None: the trained policy that comes with the package.
         quick: Whether to do less of everything.
 
     Raises:
@@ -78,7 +78,7 @@ def run_demo(output: Path, make_policy: PolicyMaker, console: Console, *, quick:
     require_extra()
     prepare_folder(output)
     with start_workers() as pool:
-        results, episode, film = _compute(pool, make_policy, console, quick)
+        results, episode, film = _compute(pool, actor or trained_actor(), console, quick)
     console.print(terminal_table(results, console.width))
     console.print(LEGEND, style="dim", highlight=False)
     console.print()
@@ -91,7 +91,7 @@ def run_demo(output: Path, make_policy: PolicyMaker, console: Console, *, quick:
             figure(result, width=width)
         )
     pictures[FILM_FILE] = film
-    pictures[EPISODE_FILE] = encode_gif(episode.frames, round(1000 * episode.frame_time), last_duration=1500)
+    pictures[EPISODE_FILE] = encode_gif(episode_frames(episode), round(1000 * episode.frame_time), last_duration=1500)
     with _writing(output):
         for name, content in pictures.items():
             write_bytes(output / name, content)
@@ -133,7 +133,7 @@ def film_gif(width: int, stride: int) -> bytes:
 
 
 def _compute(
-    pool: ProcessPoolExecutor, make_policy: PolicyMaker, console: Console, quick: bool
+    pool: ProcessPoolExecutor, actor: Actor, console: Console, quick: bool
 ) -> tuple[list[PressResult], Episode, bytes]:
     """Run everything that takes time, with a progress bar."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -152,7 +152,7 @@ def _compute(
         # The first renderer compiles its kernels. That is done here, while the others are busy with presses.
         Renderer(8, 8)
         film = pool.submit(film_gif, 320 if quick else 480, 12 if quick else 4)
-        episode = pool.submit(run_episode, make_policy, size=160 if quick else 360, stride=8 if quick else 2)
+        episode = pool.submit(run_episode, actor, size=200 if quick else 360, stride=8 if quick else 2)
         done = [future.result() for future in results]
         progress.update(bar, description="film and episode")
         return done, episode.result(), film.result()
@@ -161,8 +161,8 @@ def _compute(
 def _tell_episode(episode: Episode, console: Console) -> None:
     outcome = "[green]success[/green]" if episode.success else "[red]no success[/red]"
     console.print(
-        f"{episode.task}, scripted expert, seed {episode.seed}: {outcome} after {episode.time:.2f} s "
-        f"({episode.steps} steps); depth {1000 * episode.goal_depth:.1f} mm asked for, "
+        f"{episode.task}, {episode.policy} ({episode.origin}), seed {episode.seed}: {outcome} after "
+        f"{episode.time:.2f} s ({episode.steps} steps); depth {1000 * episode.goal_depth:.1f} mm asked for, "
         f"error {1000 * abs(episode.depth_error):.2f} mm; return {episode.total_reward:.1f}; "
         f"peak force {episode.peak_force:.1f} N",
         highlight=False,

@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from importlib import import_module
 from typing import TypeVar
 
 from spatula_env.demo.press import PressCase, PressResult, run_press
@@ -53,9 +54,14 @@ def submit_cases(
     # The longest first, or one process would be left with it at the end.
     for index in sorted(range(len(cases)), key=lambda index: -cases[index].expected_steps):
         future = pool.submit(run_press, cases[index])
-        future.add_done_callback(lambda _, case=cases[index]: on_done(case))  # type: ignore[misc]
+        future.add_done_callback(_tell(on_done, cases[index]))
         futures[index] = future
     return [futures[index] for index in range(len(cases))]
+
+
+def _tell(on_done: Callable[[PressCase], None], case: PressCase) -> Callable[[Future[PressResult]], None]:
+    """What a future calls when a case has ended."""
+    return lambda _: on_done(case)
 
 
 def _prepare_worker() -> None:
@@ -67,7 +73,7 @@ def _prepare_worker() -> None:
     try:
         for number in (1, 2):
             os.dup2(nowhere, number)
-        import pybullet  # noqa: F401
+        import_module("pybullet")
     finally:
         for number, copy in zip((1, 2), kept, strict=True):
             os.dup2(copy, number)

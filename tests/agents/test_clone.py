@@ -10,11 +10,20 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from agents.clone import CloneConfig, clone, main
+from agents import demonstrations
+from agents.clone import clone, main
 from agents.configuration import training_from_mapping
-from agents.demonstrations import Demonstration, collect, fill_buffer, read_minari
+from agents.demonstrations import (
+    Demonstration,
+    collect,
+    collect_successes,
+    fill_buffer,
+    greatest_noise,
+    read_minari,
+)
 from agents.evaluation import Plan, evaluate
 from agents.export import export_policy
+from agents.imitation import CloneConfig, Imitator, calm_down
 from agents.policies import find_policy, make_expert
 
 PRESS = "Spatula/Press-v0"
@@ -36,7 +45,8 @@ def steering(count=3, steps=40, seed=0):
     generator = np.random.default_rng(seed)
     for _ in range(count):
         seen = generator.uniform(-0.05, 0.05, (steps + 1, 6)).astype(np.float32)
-        yield Demonstration(seen, np.clip(-15.0 * seen[:-1, :3], -1, 1), np.zeros(steps), True)
+        actions = np.clip(-15.0 * seen[:-1, :3], -1, 1)
+        yield Demonstration(seen, actions, actions, np.zeros(steps), True)
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "ppo"])
@@ -69,6 +79,8 @@ def test_experts_demonstrate_what_they_would_do():
     astray = collect(plan, num_envs=2, noise=0.5)
     assert np.abs(astray[0].observations[-1, :3] - whole[0].observations[-1, :3]).max() > 1e-4
     np.testing.assert_array_equal(expert(astray[0].observations[:-1]), astray[0].actions)
+    assert np.abs(astray[0].carried - astray[0].actions).max() > 0.1
+    np.testing.assert_array_equal(whole[0].carried, whole[0].actions)
     np.testing.assert_array_equal(astray[0].observations[0], whole[0].observations[0])
     some = collect(plan, num_envs=2, parts=("error",), steps=4)
     np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -3:])
@@ -81,7 +93,81 @@ def test_demonstrations_must_fit_the_buffer():
     short, long = (next(steering(1, steps)) for steps in (3, 4))
     for given in ([short], [short, long]):
         with pytest.raises(ValueError, match="demonstrations must be 2 of one length"):
-            fill_buffer(None, Worlds(), given, 1)
+            fill_buffer(None, Worlds(), given)
+
+
+class Unsteady:
+    """Stands in for `collect`: succeeds while noise is not above a limit, and then in every second episode."""
+
+    def __init__(self, limit):
+        self.limit, self.asked = limit, []
+
+    def __call__(self, plan, *, num_envs=32, noise=0.0, parts=None, steps=None):
+        self.asked.append((noise, plan.episodes, plan.seed))
+        nothing = np.zeros(0)
+        return [
+            Demonstration(nothing, nothing, nothing, np.array([plan.seed + k]), noise <= self.limit or k % 2 == 0)
+            for k in range(plan.episodes)
+        ]
+
+
+def test_noise_is_the_greatest_that_the_expert_copes_with(monkeypatch):
+    plan = Plan(PRESS, {}, "batch", 5, 7)
+    for limit, expected in ((1.0, 0.3), (0.15, 0.1), (-1.0, 0.0)):
+        unsteady = Unsteady(limit)
+        monkeypatch.setattr(demonstrations, "collect", unsteady)
+        assert greatest_noise(plan) == expected
+        assert all(seed >= demonstrations.TRIAL_SEED for _, _, seed in unsteady.asked)
+
+
+def test_what_fails_is_not_a_demonstration(monkeypatch):
+    unsteady = Unsteady(0.0)
+    monkeypatch.setattr(demonstrations, "collect", unsteady)
+    found, noise = collect_successes(Plan(PRESS, {}, "batch", 5, 7), num_envs=4, noise=0.2)
+    assert (len(found), noise) == (5, 0.2)
+    assert all(each.success for each in found)
+    # Eight for five, of which four succeed, then four more for the last.
+    assert unsteady.asked == [(0.2, 8, 7), (0.2, 4, 15)]
+    assert [float(each.rewards[0]) for each in found] == [7, 9, 11, 13, 15]
+    monkeypatch.setattr(demonstrations, "collect", lambda plan, **_: [])
+    with pytest.raises(ValueError, match=r"noise must leave the expert a chance, got 0.2: 0 of 20 episodes"):
+        collect_successes(Plan(PRESS, {}, "batch", 5, 7), num_envs=5, noise=0.2)
+    with pytest.raises(ValueError, match="noise must be a number from 0 on or 'auto', got 'much'"):
+        collect_successes(Plan(PRESS, {}, "batch", 5, 7), noise="much")
+
+
+def test_noise_comes_in_bursts():
+    (whole,) = collect(Plan(PRESS, {}, "batch", 1, 7), noise=0.3)
+    astray = np.abs(whole.carried - whole.actions).max(axis=1) > 0.0
+    assert 0.03 < astray.mean() < 0.7
+    # Most steps follow one of the same kind.
+    assert (astray[1:] == astray[:-1]).mean() > 0.7
+
+
+def test_imitation_fades_while_rewards_take_over():
+    model, normalizer, _ = clone(config(), list(steering()), CloneConfig(gradient_steps=1))
+    (some,) = steering(1, seed=4)
+    imitated = (some.observations[:-1], some.actions)
+    imitator = Imitator(model, imitated, until=1000, learning_rate=1e-2, batch_size=16)
+
+    def moved(steps):
+        model.num_timesteps = steps
+        before = model.policy.actor.mu.weight.detach().clone()
+        imitator.step(normalizer)
+        return float((model.policy.actor.mu.weight.detach() - before).abs().max())
+
+    first, late, over = moved(0), moved(990), moved(1000)
+    assert first > 20 * late > 0.0
+    assert over == 0.0
+
+
+def test_an_actor_that_has_imitated_explores_little():
+    model, _, _ = clone(config(), list(steering()), CloneConfig(gradient_steps=1))
+    calm_down(model)
+    import torch
+
+    _, log_std, _ = model.policy.actor.get_action_dist_params(torch.randn(5, 6))
+    np.testing.assert_allclose(log_std.exp().detach(), 0.2, rtol=1e-5)
 
 
 def test_a_clone_of_the_expert_is_better_than_chance(tmp_path, capsys):

@@ -83,10 +83,13 @@ def test_the_way_is_measured():
 def test_an_expert_succeeds_and_stops_if_it_may():
     source = find_policy("expert", PRESS)
     whole, _ = evaluate(source, plan(2, max_episode_steps=80))
-    short, _ = evaluate(source, plan(2, max_episode_steps=80), stop_at_success=True)
+    short, _ = evaluate(source, plan(2, max_episode_steps=80), end_at_success=True)
     assert whole["success"].all() and short["success"].all()
     assert whole["steps"].tolist() == [80, 80]
-    assert (short["steps"] < 80).all()
+    # Each ends for itself.
+    np.testing.assert_allclose(short["steps"] * 0.05, short["time_to_success"])
+    assert len(set(short["steps"])) == 2
+    assert (short["return"] < whole["return"]).all()
     np.testing.assert_array_equal(whole["time_to_success"], short["time_to_success"])
     assert (whole["time_to_success"] >= 0.5).all()
     assert (whole["cost"] > 0.0).any() == bool((whole["peak_pressure"] > 2670.0).any())

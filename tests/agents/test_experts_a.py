@@ -7,8 +7,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import spatula_env  # noqa: F401
+import spatula_env
 from agents.experts import PalpateExpert, PressExpert, RetractExpert
+
+gym.register_envs(spatula_env)
 
 WORLDS = 8
 CASES = [("Retract", RetractExpert, 75), ("Palpate", PalpateExpert, 140)]

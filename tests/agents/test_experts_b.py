@@ -8,9 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import spatula_env  # noqa: F401
+import spatula_env
 from agents.experts.clamp import ClampExpert
 from agents.experts.fissure import FissureExpert
+
+gym.register_envs(spatula_env)
 
 EXPERTS = {"Fissure": FissureExpert, "Clamp": ClampExpert}
 

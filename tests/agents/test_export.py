@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from agents.export import Entry, ExportedPolicy
-from agents.policies import PRETRAINED, find_policy, read_provenance
+from agents.policies import find_policy
+from spatula_env.policies import (
+    PRETRAINED,
+    Entry,
+    ExportedPolicy,
+    describe_provenance,
+    load_pretrained,
+    read_provenance,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -189,6 +196,41 @@ def test_pretrained_policies_act_without_torch():
         "for _ in range(3):\n"
         "    observation = env.step(policy(observation))[0]\n"
         "print([name for name in ('torch', 'stable_baselines3') if name in sys.modules])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    ("provenance", "described"),
+    [
+        ({"steps": 25600, "config": {"algorithm": "sac"}}, "soft actor-critic, 25 600 steps"),
+        (
+            {"steps": 1_000_000, "config": {"algorithm": "tqc", "demonstrations": 64}},
+            "truncated quantile critics, 1 000 000 steps, 64 demonstrations",
+        ),
+        ({"steps": 0, "demonstrations": {"episodes": 50}}, "clone of 50 demonstrations"),
+        ({}, "unknown origin"),
+    ],
+)
+def test_where_a_policy_comes_from_is_said_in_few_words(provenance, described):
+    assert describe_provenance(provenance) == described
+
+
+def test_pretrained_policies_are_found_by_environment():
+    policy = load_pretrained("Spatula/Press-v0")
+    assert policy.metadata["env_id"] == "Spatula/Press-v0"
+    with pytest.raises(FileNotFoundError, match="with a pretrained policy, got 'CartPole-v1'"):
+        load_pretrained("CartPole-v1")
+
+
+def test_policies_need_no_agents():
+    """What plays them belongs to the environments, on which agents build."""
+    code = (
+        "import sys, gymnasium, spatula_env.demo.episode\n"
+        "from spatula_env.policies import load_pretrained\n"
+        "load_pretrained('Spatula/Press-v0')\n"
+        "print([name for name in sys.modules if name.partition('.')[0] in ('agents', 'torch')])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"

@@ -15,6 +15,8 @@ import yaml
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("tensorboard")
 
+import torch
+
 from agents import train as command
 from agents import training
 from agents.configuration import training_from_mapping
@@ -32,6 +34,7 @@ from agents.saving import (
 )
 from agents.training import train, train_seed
 from agents.worlds import OverlappedVecEnv, make_training_env
+from benchmarks.resume import readable
 from spatula_env.envs.sb3 import make_sb3_vec_env
 
 ROOT = Path(__file__).parents[2]
@@ -46,18 +49,21 @@ HYPERPARAMETERS = {
 }
 
 
+def small_environment(algorithm="sac"):
+    """The press in four worlds, with episodes of ten steps."""
+    sparse = algorithm == "sac_her"
+    return {
+        "id": "Spatula/Press-v0",
+        "kwargs": {"max_episode_steps": 10, **({"reward": "sparse"} if sparse else {})},
+        "parts": ["tool_position", "contact_force", *([] if sparse else ["error"])],
+        "num_envs": 4,
+    }
+
+
 def small(algorithm="sac", **changes):
     """A configuration that trains for a second or two: 4 worlds, 50 steps of each."""
-    kwargs = {"max_episode_steps": 10}
-    if algorithm == "sac_her":
-        kwargs["reward"] = "sparse"
     content = {
-        "environment": {
-            "id": "Spatula/Press-v0",
-            "kwargs": kwargs,
-            "parts": ["tool_position", "contact_force"] + ([] if algorithm == "sac_her" else ["error"]),
-            "num_envs": 4,
-        },
+        "environment": small_environment(algorithm),
         "algorithm": algorithm,
         "hyperparameters": HYPERPARAMETERS[algorithm],
         "network": {"layers": [16]},
@@ -161,8 +167,6 @@ def test_an_interrupted_run_goes_on_from_its_checkpoint(algorithm, tmp_path):
 def test_all_random_numbers_go_on_where_they_were(tmp_path):
     import random
 
-    import torch
-
     from agents.models import make_model
     from agents.saving import restore_checkpoint, save_checkpoint
 
@@ -171,7 +175,7 @@ def test_all_random_numbers_go_on_where_they_were(tmp_path):
     model = make_model(config, env, 0)
 
     def draw():
-        drawn = [torch.rand(3).tolist(), np.random.rand(3).tolist(), random.random()]  # noqa: NPY002
+        drawn = [torch.rand(3).tolist(), np.random.rand(3).tolist(), random.random()]  # noqa: NPY002 - the global ones
         return [*drawn, model.action_space.sample().tolist()]
 
     model.learn(40)
@@ -188,7 +192,7 @@ def test_all_random_numbers_go_on_where_they_were(tmp_path):
 
 
 def test_a_run_that_was_killed_goes_on(tmp_path):
-    config = small(total_steps=4000, checkpoint_every=100, evaluation={"every": 1_000_000, "episodes": 1})
+    config = small(total_steps=4000, checkpoint_every=100, evaluation={"every": 80, "episodes": 1})
     file, output = tmp_path / "config.yaml", tmp_path / "run"
     from agents.configuration import write_training
 
@@ -205,7 +209,10 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
     folder = output / "seed-0"
     reached = int(checkpoints_in(folder / "checkpoints")[-1].name.partition("-")[2])
     assert 0 < reached < 4000
-    assert find_saved(output).parent.name == "checkpoints"
+    problems = readable(output)
+    assert len(problems) > 8
+    assert {str(file): problem for file, problem in problems.items() if problem} == {}
+    assert find_saved(output).name == "best"
     # Not as long as it was meant to be, which would take the test a while.
     final = reached + 40
     settings = yaml.safe_load((output / "config.yaml").read_text())
@@ -213,6 +220,9 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
     assert command.main(["--resume", str(output), "--quiet"]) == 0
     summary = json.loads((output / "summary.json").read_text())
     assert summary["steps"] == [final]
+    curve = [line["step"] for line in read_curve(folder / "curve.jsonl")]
+    assert curve == sorted({*range(80, final + 1, 80), final})
+    assert not any(readable(output).values())
     assert not list(output.rglob("*.tmp")) and not list(output.rglob("*.old"))
 
 
@@ -236,23 +246,67 @@ def test_several_seeds_are_trained_and_summed_up(tmp_path):
         find_saved(tmp_path)
 
 
-def test_demonstrations_are_in_the_buffer_before_training(tmp_path):
-    config = small(demonstrations=6)
-    env, _ = make_training_env(config, 0, 0.9)
+def demonstrated(**changes):
+    """A model that has been shown six episodes of sixty steps."""
     from agents.models import make_model
 
+    config = small(
+        environment={**small_environment(), "kwargs": {"max_episode_steps": 60}}, demonstrations=6, **changes
+    )
+    env, _ = make_training_env(config, 0, 0.9)
     model = make_model(config, env, 0)
-    training._demonstrate(config, model, env)
+    training.demonstrate(config, 0, model, env)
+    return config, model, env
+
+
+def test_demonstrations_are_in_the_buffer_before_training():
+    _, model, env = demonstrated()
     buffer = model.replay_buffer
-    # Two rounds of four worlds, ten steps each.
-    assert buffer.pos == 20
-    assert buffer.dones[:20, 0].nonzero()[0].tolist() == [9, 19]
-    assert buffer.timeouts[9].all()
-    np.testing.assert_array_equal(buffer.next_observations[:9], buffer.observations[1:10])
+    # Two rounds of four worlds, sixty steps each.
+    assert buffer.pos == 120
+    assert buffer.dones[:120, 0].nonzero()[0].tolist() == [59, 119]
+    assert buffer.timeouts[59].all()
+    np.testing.assert_array_equal(buffer.next_observations[:59], buffer.observations[1:60])
     # The estimates know what was demonstrated: places of the tool, at a few centimetres.
-    assert env.obs_rms.count > 60
-    np.testing.assert_allclose(env.obs_rms.mean, buffer.observations[:20].reshape(80, -1).mean(axis=0), atol=1e-4)
+    assert env.obs_rms.count > 400
+    np.testing.assert_allclose(env.obs_rms.mean, buffer.observations[:120].reshape(480, -1).mean(axis=0), atol=1e-4)
     env.close()
+
+
+def test_demonstrations_are_a_share_of_each_batch_and_the_actor_begins_as_their_clone(tmp_path):
+    config, model, env = demonstrated(demonstration_share=0.25, clone_steps=300, demonstration_noise=0.1)
+    buffer = model.replay_buffer
+    assert buffer.size() == 0 and buffer.demonstrations.size() == 120
+    # Nothing has been experienced yet.
+    assert len(buffer.sample(8).rewards) == 8
+    for _ in range(5):
+        buffer.add(
+            np.zeros((4, 9)), np.zeros((4, 9)), np.full((4, 3), 0.5), np.full(4, -7.0), np.zeros(4), [{}] * 4
+        )  # fmt: skip
+    batch = buffer.sample(40, env)
+    assert (batch.rewards[:10] > -7.0).all() and (batch.rewards[10:] == -7.0).all()
+    seen, wanted = buffer.imitated
+    done = model.policy.actor(torch.as_tensor(env.normalize_obs(seen)), deterministic=True).detach().numpy()
+    assert np.abs(done - wanted).mean() < 0.5 * np.abs(wanted - wanted.mean(axis=0)).mean()
+    # A checkpoint keeps them.
+    from agents.saving import restore_checkpoint, save_checkpoint
+
+    checkpoint = save_checkpoint(tmp_path, model, env, config, {})
+    again = load_model(checkpoint, config, env)
+    restore_checkpoint(checkpoint, again)
+    np.testing.assert_array_equal(again.replay_buffer.imitated[0], seen)
+    assert again.replay_buffer.demonstrations.size() == 120
+    env.close()
+
+
+def test_training_with_all_that_demonstrations_can_do_goes_to_its_end(tmp_path):
+    config = small(
+        environment={**small_environment(), "kwargs": {"max_episode_steps": 60}},
+        demonstrations=4, demonstration_share=0.5, clone_steps=20, imitate_until=100, total_steps=120,
+    )  # fmt: skip
+    summary = train_seed(config, 0, tmp_path, QUIET)
+    assert summary["steps"] == 120
+    assert find_policy(str(tmp_path), "Spatula/Press-v0")
 
 
 def test_stepping_meanwhile_changes_nothing():

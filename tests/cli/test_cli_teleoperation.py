@@ -74,7 +74,7 @@ class TestPlay:
         run(capsys, "play", "press", "--device", "scripted", *SHORT, *words)
         with Image.open(file) as film:
             assert film.size == (64, 48)
-            assert film.n_frames == 9  # type: ignore[attr-defined]
+            assert film.n_frames == 9
 
     def test_a_recording_is_done_again(self, capsys, root) -> None:
         words = ["--recording", ID, "--root", str(root)]
@@ -278,7 +278,7 @@ class TestReplay:
         )
         assert lines == ["episode 1: 9 states, as they were recorded"]
         with Image.open(file) as film:
-            assert film.n_frames > 1  # type: ignore[attr-defined]
+            assert film.n_frames > 1
         found = run_json(capsys, "replay", ID, "--root", str(root), "--by", "states")
         assert found["episodes"] == [{"episode": 0, "states": 9}, {"episode": 1, "states": 9}]
 

@@ -29,7 +29,7 @@ def test_without_a_display_it_is_a_picture(capsys: pytest.CaptureFixture[str]) -
 def test_a_film_shows_the_episode() -> None:
     assert cli.main(["view", "press", "--steps", "5", "--output", "a.gif", *SMALL]) == 0
     with Image.open("a.gif") as film:
-        assert film.n_frames == 6  # type: ignore[attr-defined]
+        assert film.n_frames == 6
 
 
 def test_the_beginning_alone() -> None:

@@ -57,7 +57,7 @@ class StandIn:
 @pytest.fixture
 def lerobot(monkeypatch):
     module = ModuleType("lerobot.datasets.lerobot_dataset")
-    module.LeRobotDataset = StandIn  # type: ignore[attr-defined]
+    module.LeRobotDataset = StandIn
     for name in ("lerobot", "lerobot.datasets"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, module.__name__, module)

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from spatula_env import scenes
-from spatula_env.demo.animation import encode_gif, film_frames
+from spatula_env.demo.animation import encode_gif, episode_frames, film_frames
+from spatula_env.demo.episode import Episode, Frame
 from spatula_env.demo.pictures import BOTH, Caption, PressPainter, node_colors, side_by_side, with_caption
 from spatula_env.demo.press import Film, Snapshot
 from spatula_env.render import palette
@@ -121,3 +122,26 @@ def test_a_film_shows_the_force_over_time() -> None:
 def test_a_film_without_force_can_be_drawn(highest: float) -> None:
     (frame,) = film_frames(Film((make_snapshot(0.1),), np.full(40, highest), 0.0025, 20.0), width=120)
     assert np.ptp(np.asarray(frame)) > 100
+
+
+@pytest.mark.parametrize(("width", "words"), [(200, 5), (360, 12)])
+def test_an_episode_says_who_acts_below_its_pictures(width: int, words: int) -> None:
+    def strip(policy: str) -> np.ndarray:
+        picture = np.full((width, width, 3), 90, dtype=np.uint8)
+        frames = tuple(Frame(picture, 0.4 * k, 0.001 * k, 0.1 * k) for k in range(2))
+        episode = Episode(
+            task="Spatula/Press-v0", policy=policy, origin="of " + words * "long " + "origin", seed=0, success=True,
+            steps=8, time=0.4, total_reward=1.0, goal_depth=0.01, depth_error=0.0, peak_force=0.1, frames=frames,
+            frame_time=0.4,
+        )  # fmt: skip
+        pages = [np.asarray(page).astype(int) for page in episode_frames(episode)]
+        assert all((page[:width] == 90).all() for page in pages)
+        # What is written of the moment changes.
+        assert (pages[0] != pages[1]).any()
+        return pages[1][width:]
+
+    named, other = strip("trained policy"), strip("scripted expert")
+    assert (named != other).any()
+    # However long a line is, it ends before the picture's edge.
+    assert (named[:, -width // 60 :] == 255).all()
+    assert (named.min(axis=-1) < 140).sum() > 50

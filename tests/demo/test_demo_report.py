@@ -17,7 +17,7 @@ def make_result(contact: str = "flags", speed: float = 60.0, residual: float | N
     nothing = np.zeros(72, dtype=np.bool_)
     zeros = np.zeros(3)
     return PressResult(
-        case=PressCase(contact, speed),  # type: ignore[arg-type]
+        case=PressCase(contact, speed),
         verdict="contact",
         residual_mean=residual,
         residual_max=residual,
@@ -42,7 +42,7 @@ def test_the_table_fits_an_eighty_column_terminal() -> None:
     results = [make_result(name, speed) for name in ("flags", "second_step", "bullet") for speed in (0.2, 400.0)]
     console = Console(file=io.StringIO(), width=80)
     console.print(terminal_table(results, 80))
-    text = console.file.getvalue()  # type: ignore[attr-defined]
+    text = console.file.getvalue()
     lines = text.splitlines()
     assert max(map(len, lines)) <= 80
     assert "…" not in text

@@ -1,0 +1,98 @@
+"""Trains an agent with RLlib, on a cluster of Ray or on this machine alone.
+
+    python -m agents.train_rllib --config rllib_press
+    python -m agents.train_rllib --config rllib_press --address auto --set env_runners.count=16
+    python -m agents.train_rllib --resume runs/rllib_press
+
+The last line of the output is where the run is; `policy.npz` in it is what `agents.evaluate --policy` takes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from agents.configuration import find_config, to_mapping
+from agents.rllib_configuration import read_rllib
+from agents.saving import write_text
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Train.
+
+    Args:
+        arguments: What follows the module's name; None takes them from the command line.
+
+    Returns:
+        The exit status: 0 if all went well.
+    """
+    parser = argparse.ArgumentParser(prog="python -m agents.train_rllib", description="Train an agent with RLlib.")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--config", metavar="NAME", help="how to train: a YAML file, or the name of one in configs")
+    what.add_argument("--resume", type=Path, metavar="DIR", help="go on with an interrupted run")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
+        help="a change of the configuration, such as env_runners.count=4",
+    )  # fmt: skip
+    parser.add_argument("--output", type=Path, metavar="DIR", help="default: runs/ and the file's name")
+    parser.add_argument(
+        "--address", help="of a cluster of Ray, 'auto' for one that runs here; default: one is started for the run"
+    )
+    parser.add_argument("--quiet", action="store_true", help="show nothing but where the run is")
+    chosen = parser.parse_args(arguments)
+    if chosen.resume is not None and (chosen.changes or chosen.output):
+        parser.error("--resume goes on as the run began: it takes neither --set nor --output")
+    try:
+        if chosen.resume is not None:
+            output, config = chosen.resume, read_rllib(chosen.resume / "config.yaml")
+        else:
+            file = find_config(chosen.config)
+            config = read_rllib(file, chosen.changes)
+            output = chosen.output or Path("runs") / file.stem
+            if (output / "config.yaml").exists():
+                raise ValueError(f"{output} holds a run already: go on with it (--resume) or name another (--output)")
+    except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
+        return _fail(str(error))
+    try:
+        import ray
+
+        from agents.rllib_training import RLlibTrainer
+    except ImportError as error:
+        return _fail(f"training with RLlib needs {error.name}: pip install 'spatula-env[ray]'")
+    if chosen.resume is None:
+        write_text(output / "config.yaml", yaml.safe_dump(to_mapping(config), sort_keys=False))
+    started = not ray.is_initialized()
+    if started:
+        ray.init(address=chosen.address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
+    trainer: RLlibTrainer | None = None
+    try:
+        trainer = RLlibTrainer(config, output, (lambda text: None) if chosen.quiet else _say)
+        trainer.run()
+    except KeyboardInterrupt:
+        return _fail(f"interrupted; go on with: python -m agents.train_rllib --resume {output}", 130)
+    except ValueError as error:
+        return _fail(str(error))
+    finally:
+        if trainer is not None:
+            trainer.close()
+        if started:
+            ray.shutdown()
+    print(output)
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _fail(message: str, status: int = 1) -> int:
+    print(f"agents.train_rllib: {message}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

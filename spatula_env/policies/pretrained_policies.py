@@ -1,0 +1,88 @@
+"""Where the policies are that come with the package, and what is known of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium
+
+from spatula_env.policies.exported import ExportedPolicy
+
+PRETRAINED = Path(__file__).parent / "pretrained"
+"""The folder: one file for each task, and its provenance beside it."""
+
+ALGORITHM_NAMES: Mapping[str, str] = MappingProxyType(
+    {
+        "ppo": "proximal policy optimisation",
+        "sac": "soft actor-critic",
+        "tqc": "truncated quantile critics",
+        "sac_her": "soft actor-critic with hindsight replay",
+    }
+)
+"""What the short names of configurations stand for."""
+
+
+def pretrained_path(env_id: str) -> Path:
+    """Where the pretrained policy for an environment is, if there is one.
+
+    Args:
+        env_id: Of the environment, such as "Spatula/Press-v0".
+
+    Returns:
+        A file's path; nothing says that it is there.
+
+    Raises:
+        gymnasium.error.Error: If no such environment is registered.
+    """
+    name = gymnasium.spec(env_id).id.partition("/")[2].rpartition("-v")[0]
+    return PRETRAINED / f"{name.lower()}.npz"
+
+
+def load_pretrained(env_id: str) -> ExportedPolicy:
+    """The pretrained policy for an environment; `bound_to` then makes it ready for one.
+
+    Args:
+        env_id: Of the environment.
+
+    Raises:
+        FileNotFoundError: If there is none.
+        gymnasium.error.Error: If no such environment is registered.
+    """
+    path = pretrained_path(env_id)
+    if not path.exists():
+        raise FileNotFoundError(f"env_id must be that of an environment with a pretrained policy, got {env_id!r}")
+    return ExportedPolicy.load(path)
+
+
+def read_provenance(path: Path) -> dict[str, Any]:
+    """What the file beside exported weights says; nothing if there is none.
+
+    Args:
+        path: Of the weights, .npz.
+    """
+    file = path.with_suffix(".json")
+    return dict(json.loads(file.read_text(encoding="utf-8"))) if file.exists() else {}
+
+
+def describe_provenance(provenance: Mapping[str, Any]) -> str:
+    """How a policy was found, in a few words.
+
+    Args:
+        provenance: From `read_provenance`.
+
+    Returns:
+        Such as "soft actor-critic, 25 600 steps" or "clone of 50 demonstrations".
+    """
+    steps = int(provenance.get("steps", 0))
+    if steps == 0:
+        count = provenance.get("demonstrations", {}).get("episodes")
+        return "unknown origin" if count is None else f"clone of {count} demonstrations"
+    config = provenance.get("config", {})
+    algorithm = ALGORITHM_NAMES.get(config.get("algorithm", ""), "unknown algorithm")
+    described = f"{algorithm}, {format(steps, ',').replace(',', ' ')} steps"
+    shown = config.get("demonstrations", 0)
+    return f"{described}, {shown} demonstrations" if shown else described

@@ -1,0 +1,63 @@
+"""RL Baselines3 Zoo trains with the files in configs/rl_zoo3."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import gymnasium
+import pytest
+import yaml
+
+import spatula_env
+
+ROOT = Path(__file__).parents[2]
+FILES = sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml"))
+
+needs_zoo = pytest.mark.skipif(
+    find_spec("rl_zoo3") is None, reason="needs RL Baselines3 Zoo: pip install 'spatula-env[zoo]'"
+)
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_there_is_a_block_for_each_task(file):
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
+    ids = {f"Spatula/{name}-v0" for name in spatula_env.TASKS}
+    assert ids == set(content) - {"defaults"}
+    for env_id in ids:
+        block = content[env_id]
+        env = gymnasium.make(env_id, **block["env_kwargs"])
+        goals = isinstance(env.observation_space, gymnasium.spaces.Dict)
+        env.close()
+        assert block["policy"] == ("MultiInputPolicy" if goals else "MlpPolicy")
+        assert goals == (block.get("replay_buffer_class") == "HerReplayBuffer")
+        assert isinstance(block["n_timesteps"], float)
+
+
+@needs_zoo
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize(("name", "algorithm"), [("sac", "sac"), ("tqc", "tqc"), ("ppo", "ppo"), ("her", "sac")])
+def test_the_zoo_trains(name, algorithm, tmp_path):
+    # Two worlds, little of everything, and no evaluation, which has an environment of its own to make.
+    small = ["n_envs:2", "env_kwargs:dict(engine='batch', max_episode_steps=20" + (
+        ", reward='sparse')" if name == "her" else ")"
+    )]  # fmt: skip
+    small += ["n_steps:20", "batch_size:20"] if name == "ppo" else ["learning_starts:80", "buffer_size:1000"]
+    command = [
+        sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "Spatula/Press-v0",
+        "--gym-packages", "spatula_env", "--conf-file", str(ROOT / "configs" / "rl_zoo3" / f"{name}.yml"),
+        "--n-timesteps", "200", "--eval-freq", "-1", "--num-threads", "1", "--device", "cpu",
+        "--log-folder", str(tmp_path), "--seed", "0", "--hyperparams", *small,
+    ]  # fmt: skip
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    (run,) = (tmp_path / algorithm).iterdir()
+    assert run.name == "Spatula-Press-v0_1"
+    assert (run / "Spatula-Press-v0.zip").exists()
+    assert (run / "Spatula-Press-v0" / "vecnormalize.pkl").exists()
