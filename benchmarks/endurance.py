@@ -87,23 +87,23 @@ class Retraced:
         self._worlds = worlds
         self._advance = worlds.advance
         self._before: Any = None
-        self._motion: tuple[Any, Any, int] = (None, None, 0)
+        self._motion: tuple[Any, Any, int, Any] = (None, None, 0, None)
         worlds.advance = self._watched
 
-    def _watched(self, linear: Any, angular: Any = None, steps: int = 1, pressure_limits: Any = None) -> Any:
-        self._before, self._motion = self._save(), (linear, angular, steps)
-        return self._advance(linear, angular, steps, pressure_limits)
+    def _watched(self, linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any) -> Any:
+        self._before, self._motion = self._save(), (linear, angular, steps, force_limits)
+        return self._advance(linear, angular, steps, pressure_limits, force_limits)
 
     def passages(self, world: int, tool: int) -> int:
         """How many of an organ's vertices went through a tool in the last control step of a world."""
-        worlds, (linear, angular, steps) = self._worlds, self._motion
+        worlds, (linear, angular, steps, force_limits) = self._worlds, self._motion
         after, nodes = self._save(), worlds.nodes[world].copy()
         self._restore(self._before)
         inspector = Inspector(worlds.scene.tools[tool].tool, worlds.triangles)
         count = 0
         for step in range(steps + 1):
             if step > 0:
-                self._advance(linear, angular, 1)
+                self._advance(linear, angular, 1, None, force_limits)
             position, orientation = worlds.tool_positions[world, tool], worlds.tool_orientations[world, tool]
             count += inspector.inspect(position, orientation, worlds.nodes[world]).passages
         if not np.allclose(worlds.nodes[world], nodes, rtol=0.0, atol=1e-6):

@@ -27,7 +27,7 @@ DEEP, LOW = 0.0075, 0.004
 IN_LINE, IN_PLACE, UPRIGHT = 0.0012, 0.004, 0.04
 """How far off the blade may be to enter: across and along the fissure [m], and its tilt [rad]."""
 
-WALL, WALL_GAIN = 0.0026, 0.004
+WALL, WALL_GAIN = 0.0033, 0.004
 """How far the edge is held from the target, towards the wall that is pushed [m]; and further for a missing share."""
 
 BEYOND, BEYOND_GAIN = 0.015, 0.1

@@ -68,11 +68,13 @@ class ContactMemory:
         flags: Of each tool (outer) and organ (inner).
         multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
         ledger: (O, 4) of the energy that the tools put into each organ; see `response`.
+        wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
     multipliers: Multipliers
     ledger: FloatArray
+    wrenches: FloatArray
 
 
 class ContactModel:
@@ -138,16 +140,18 @@ class ContactModel:
         for index in range(len(self.detectors)):
             self.forget(index)
         self.nodal_impulses = np.zeros_like(self.nodal_impulses)
-        self.wrenches = np.zeros_like(self.wrenches)
         self.ground_force = np.zeros(3)
         self.penetration = self.residual = 0.0
         self._contact_count = 0
         self._world.forget_solves()
 
     def forget(self, tool: int) -> None:
-        """Clear the flags of one tool."""
+        """Clear the flags of one tool, and what it felt."""
         for detector in self.detectors[tool]:
             detector.reset()
+        # Reports keep the old one.
+        self.wrenches = self.wrenches.copy()
+        self.wrenches[tool] = 0.0
 
     def save(self) -> ContactMemory:
         """Everything that is remembered, as arrays of its own."""
@@ -155,6 +159,7 @@ class ContactModel:
             flags=tuple(tuple(detector.flags for detector in row) for row in self.detectors),
             multipliers=self._world.copy_multipliers(),
             ledger=self._world.ledger.copy(),
+            wrenches=self.wrenches.copy(),
         )
 
     def restore(self, memory: ContactMemory) -> None:
@@ -164,6 +169,7 @@ class ContactModel:
                 detector.flags = flags
         self._world.restore_multipliers(memory.multipliers)
         self._world.ledger[:] = memory.ledger
+        self.wrenches = memory.wrenches.copy()
 
     def observe(self, vertices: FloatArray, motions: Motions) -> None:
         """Detect the tools' contacts at the end of a step without resolving them."""

@@ -56,7 +56,7 @@ RESIDUAL_TOLERANCE = 1e-3
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
-MOST_SWEEPS = 60
+MOST_SWEEPS = 200
 """Most sweeps in one solve of a tool that holds still. Where these are too few, friction at more points than the organ
 has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
 

@@ -218,35 +218,45 @@ class VelocityControl:
         linear = velocity[:, None] + (ends - arms) / period
         return Motion(linear, angular, velocity, rate, coordinate_rate)
 
-    def restrained(self, motion: Motion, forces: FloatArray, positions: FloatArray, greatest: float) -> Motion:
-        """A motion in which no tool pushes on that has met too great a force: the protective stop of robots.
+    def carried_out(
+        self,
+        motion: Motion,
+        restrained: FloatArray,
+        before: FloatArray,
+        after: FloatArray,
+        period: float,
+        tool_scale: FloatArray,
+    ) -> Motion:
+        """What has become of a motion where too great a force kept tools from pushing on.
 
         Args:
             motion: What was asked for.
-            forces: (W, N, 3) of the organ on the tools in the last control step [N].
-            positions: (W, N, 3) of the tools [m].
-            greatest: Beyond this a tool does not move against the force, and none of its world turns [N].
+            restrained: (W,) share of the time in which they were kept from it.
+            before: (W, N, 3) of the tools, before the control step [m].
+            after: (W, N, 3) after it [m].
+            period: Length of a control step [s].
+            tool_scale: (W,) how large the tools are.
 
         Returns:
-            The motion; the same where no force is too great.
+            Mean velocities in the control step; the motion asked for where nothing was in its way.
         """
-        sizes = np.sqrt((forces**2).sum(axis=2))
-        over = sizes > greatest
-        stopped = over.any(axis=1)
-        if not stopped.any():
+        held = restrained > 0.0
+        if not held.any():
             return motion
-        linear, angular = motion.linear.copy(), motion.angular.copy()
-        velocity, rate, coordinate_rate = motion.velocity.copy(), motion.rate.copy(), motion.coordinate_rate.copy()
-        direction = forces / np.maximum(sizes, 1e-12)[:, :, None]
-        against = np.minimum((linear * direction).sum(axis=2), 0.0) * over
-        linear -= against[:, :, None] * direction
-        angular[stopped], rate[stopped] = 0.0, 0.0
-        velocity[stopped] = linear[stopped].mean(axis=1)
+        linear = np.where(held[:, None, None], (after - before) / period, motion.linear)
+        # Tools either turn as they are asked to, or not at all.
+        turning = 1.0 - restrained
+        coordinate_rate = motion.coordinate_rate.copy()
         if self.layout.jaws:
-            away = positions[stopped, 1] - positions[stopped, 0]
-            away /= np.sqrt((away**2).sum(axis=1, keepdims=True))
-            coordinate_rate[stopped, 0] = ((linear[stopped, 1] - linear[stopped, 0]) * away).sum(axis=1)
-        return Motion(linear, angular, velocity, rate, coordinate_rate)
+            opened = self.opening(after, tool_scale) - self.opening(before, tool_scale)
+            coordinate_rate[held] = opened[held] / period
+        return Motion(
+            linear,
+            motion.angular * turning[:, None, None],
+            np.where(held[:, None], linear.mean(axis=1), motion.velocity),
+            motion.rate * turning[:, None],
+            coordinate_rate,
+        )
 
     def observe(self, situation: Situation) -> list[FloatArray]:
         """The values (W, k) of `parts`."""

@@ -294,14 +294,15 @@ class Episodes:
         motion = self.control.motion(
             self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
         )
-        if self.settings.max_force is not None:
-            motion = self.control.restrained(motion, self.forces, positions, self.settings.max_force)
         loads = worlds.advance(
             frames.velocities_to_scene(motion.linear),
             frames.rates_to_scene(motion.angular),
             self.steps_per_action,
             COST_PRESSURE / frames.pressure,
+            None if self.settings.max_force is None else self.settings.max_force / frames.force,
         )
+        reached = frames.points_from_scene(worlds.tool_positions, every)
+        motion = self.control.carried_out(motion, loads.restrained, positions, reached, self.period, scale)
         lost = loads.diverged
         going = np.flatnonzero(~lost)
         situation = self._situation(motion, actions, loads)

@@ -22,8 +22,8 @@ FISSURE = Definition(
         "velocity": ControlLayout(rotations="x", max_turn=0.6),
         "velocity_6d": ControlLayout(rotations="xyz", max_turn=0.6),
     },
-    # A wall is moved aside with 0.15 N.
-    defaults={"max_speed": 0.05, "max_force": 0.5},
+    # A wall is moved aside with 0.2 N at most.
+    defaults={"max_speed": 0.05, "max_force": 0.25},
 )
 """A blade on edge above a fissure."""
 
@@ -32,7 +32,7 @@ class FissureEnv(SpatulaEnv):
     r"""Enter a fissure edge-on, open it, and hold it open until a target on its floor is seen.
 
     ## Description
-    A thin steel spatula, 20 mm wide, 40 mm high and 1.2 mm thick, stands on edge above a soft organ with a fissure 60
+    A thin steel spatula, 20 mm wide, 40 mm high and 2.5 mm thick, stands on edge above a soft organ with a fissure 60
     mm long, 32 mm deep and 5 mm wide, about as large as the lateral fissure of the brain. The organ is held at its base
     and under the fissure's floor. On the floor lies a target, a flat patch of 12 x 2 mm. Someone looks at it from
     above, as through an operating microscope, along a line of sight that is tilted towards one of the walls by 0.18 to
@@ -129,7 +129,7 @@ class FissureEnv(SpatulaEnv):
     | Parameter   | Type               | Default | Description                          |
     | ----------- | ------------------ | ------- | ------------------------------------ |
     | `max_speed` | **float**          | `0.05`  | Greatest speed along each axis [m/s] |
-    | `max_force` | **float \| None**  | `0.5`   | With a greater one no tool pushes on |
+    | `max_force` | **float \| None**  | `0.25`  | With a greater one no tool pushes on |
 
     ## Version History
     * v0: first version.

@@ -92,8 +92,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is a pressure above 4.0 kPa
     (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15 minutes (J. Rosenorn and
     N. Diemer, J Neurosurg 63:608, 1985): they are doses, not limits for a moment. `damage_limit` ends an episode whose
-    cost exceeds it. A tool that has met more than `max_force` in a control step does not move on against that force in
-    the next one, and does not turn: the protective stop that robots have.
+    cost exceeds it. A tool that has met more than `max_force` in a physics step does not move on against that force in
+    the next one, and does not turn: the protective stop that robots have. Velocities in observations are those that
+    were reached.
 
     ## Episode End
     Success is to have been within tolerance for `hold_time` without a break; `info["is_success"]` stays true until the

@@ -35,7 +35,7 @@ def fissure(
     edge_length: float = 0.25,
     base_edge_length: float | None = 0.65,
     fixed_floor: bool = True,
-    tool_size: ArrayLike = (1.0, 2.0, 0.06),
+    tool_size: ArrayLike = (1.0, 2.0, 0.125),
     node_spacing: float = 0.2,
     faces: str = "all",
     friction: float = 0.2,
@@ -44,7 +44,7 @@ def fissure(
     """A fissure in a piece of an organ, and a thin spatula that stands on edge above it.
 
     One unit is 20 mm, as in :func:`seed`: a fissure 60 mm long, 32 mm deep and 5 mm wide, about as large as the lateral
-    fissure of the brain, and a spatula 20 mm wide and 1.2 mm thick. Moving a wall aside by 6 mm takes 0.27 N, and by
+    fissure of the brain, and a spatula 20 mm wide and 2.5 mm thick, as the seed's. Moving a wall aside by 6 mm takes 0.27 N, and by
     10 mm 0.46 N. On the part of the blade in the fissure that is 0.6 and 1.0 kPa in the mean, and 2.4 and 3.6 kPa where
     the pressure is greatest.
 

@@ -63,6 +63,7 @@ class BatchState:
         node_velocities: (n, V, 3) [u/s].
         tool_positions: (n, N, 3) of the N tools [u].
         tool_orientations: (n, N, 4).
+        tool_forces: (n, N, 3) on each tool in the last physics step [kg u/s2].
         times: (n,) [s].
         memories: Of the contact model, of each world.
     """
@@ -71,6 +72,7 @@ class BatchState:
     node_velocities: FloatArray
     tool_positions: FloatArray
     tool_orientations: FloatArray
+    tool_forces: FloatArray
     times: FloatArray
     memories: tuple[WorldMemory, ...]
 
@@ -142,6 +144,7 @@ class BatchSimulation:
         self._nodes, self._velocities = np.zeros(shape), np.zeros(shape)
         count = len(scene.tools)
         self._tool_positions, self._tool_orientations = np.zeros((worlds, count, 3)), np.zeros((worlds, count, 4))
+        self._tool_forces = np.zeros((worlds, count, 3))
         self._loads = np.zeros((worlds, count, batch_step.LOAD_LENGTH))
         self._summaries = np.zeros((worlds, batch_step.SUMMARY_LENGTH))
         tools = [placed.tool for placed in scene.tools]
@@ -262,7 +265,7 @@ class BatchSimulation:
         self.reset(indices)
         # As `Simulation` does it: kinetic damping.
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
-            self._advance(nothing, nothing, 1, with_tools=False)
+            self._advance(nothing, nothing, 1, self._no_limits, self._no_limits, with_tools=False)
             if self._diverged[indices].any():
                 self.restore(state)
                 raise SimulationDiverged(f"organs do not come to rest in worlds {indices[self._diverged[indices]]}")
@@ -301,6 +304,7 @@ class BatchSimulation:
             for row, world in zip(new_orientations, indices.tolist(), strict=True):
                 row[:] = [as_quaternion(orientation, f"orientations of world {world}") for orientation in row]
         self._tool_positions[indices], self._tool_orientations[indices] = new_positions, new_orientations
+        self._tool_forces[indices] = 0.0
         for world in indices.tolist():
             for memory in self._contacts[world].memories:
                 memory.states[:] = False
@@ -394,6 +398,7 @@ class BatchSimulation:
         angular_velocities: ArrayLike | None = None,
         steps: int = 1,
         pressure_limits: ArrayLike | None = None,
+        force_limits: ArrayLike | None = None,
     ) -> Loads:
         """Move all worlds on by some physics steps, the tools moving with constant velocity.
 
@@ -402,6 +407,8 @@ class BatchSimulation:
             angular_velocities: (W, N, 3) world frame [rad/s]; none by default.
             steps: How many.
             pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; by default none is counted.
+            force_limits: (W,) tools that have met more in a physics step do not push on in the next one, see
+                `drive.restrain` [kg u/s2]; by default they always do.
 
         Returns:
             What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
@@ -417,10 +424,11 @@ class BatchSimulation:
             angular = self._rows(angular_velocities, "angular_velocities", shape, every)
         if not isinstance(steps, int | np.integer) or steps < 1:
             raise ValueError(f"steps must be an integer, 1 or more, got {steps!r}")
-        limits = self._no_limits
-        if pressure_limits is not None:
-            limits = self._rows(pressure_limits, "pressure_limits", (self.count,), every)
-        self._advance(linear, angular, int(steps), with_tools=True, limits=limits)
+        limits = [
+            self._no_limits if value is None else self._rows(value, name, (self.count,), every)
+            for name, value in (("pressure_limits", pressure_limits), ("force_limits", force_limits))
+        ]
+        self._advance(linear, angular, int(steps), limits[0], limits[1], with_tools=True)
         ok = ~self._diverged
         self._times[ok] += steps * self.dt
         loads, summaries = self._loads * ok[:, None, None], self._summaries * ok[:, None]
@@ -439,6 +447,7 @@ class BatchSimulation:
                 self._pressures[:, index, : len(placed.tool.nodes)] * ok[:, None]
                 for index, placed in enumerate(self._scene.tools)
             ),
+            restrained=summaries[:, batch_step.RESTRAINED],
             diverged=self._diverged.copy(),
         )
 
@@ -447,9 +456,10 @@ class BatchSimulation:
         linear: FloatArray,
         angular: FloatArray,
         steps: int,
+        pressure_limits: FloatArray,
+        force_limits: FloatArray,
         *,
         with_tools: bool,
-        limits: FloatArray | None = None,
     ) -> None:
         arguments = (
             *self._body.arrays.values(),
@@ -465,7 +475,9 @@ class BatchSimulation:
             self._tool_orientations,
             linear,
             angular,
-            self._no_limits if limits is None else limits,
+            pressure_limits,
+            force_limits,
+            self._tool_forces,
             self._loads,
             self._summaries,
             self._face_pressures,
@@ -504,6 +516,7 @@ class BatchSimulation:
             node_velocities=self._velocities[indices],
             tool_positions=self._tool_positions[indices],
             tool_orientations=self._tool_orientations[indices],
+            tool_forces=self._tool_forces[indices],
             times=self._times[indices],
             memories=tuple(
                 WorldMemory(
@@ -527,7 +540,7 @@ class BatchSimulation:
                 has then changed.
         """
         indices = self._body.indices(worlds)
-        for name in ("nodes", "node_velocities", "tool_positions", "tool_orientations"):
+        for name in ("nodes", "node_velocities", "tool_positions", "tool_orientations", "tool_forces"):
             mine = (len(indices), *getattr(self, f"_{name}" if name != "node_velocities" else "_velocities").shape[1:])
             self._rows(getattr(state, name), f"state.{name}", mine, indices)
         wanted = [memory.states[0].shape for memory in self._contacts[0].memories]
@@ -539,6 +552,7 @@ class BatchSimulation:
         self._tool_orientations[indices] = state.tool_orientations
         self._times[indices] = state.times
         self._forget(indices)
+        self._tool_forces[indices] = state.tool_forces
         for world, remembered in zip(indices.tolist(), state.memories, strict=True):
             contacts = self._contacts[world]
             for memory, flags in zip(contacts.memories, remembered.flags, strict=True):
@@ -559,6 +573,7 @@ class BatchSimulation:
             self._contacts[world].forget_solves()
             for memory in self._contacts[world].memories:
                 memory.states[:] = False
+        self._tool_forces[indices] = 0.0
         self._diverged[indices] = False
 
     def _rows(self, value: ArrayLike, name: str, shape: tuple[int, ...], worlds: IntArray) -> FloatArray:

@@ -16,15 +16,16 @@ from spatula_env.contact.motion import turn_by
 from spatula_env.contact.pressure import tool_pressures
 from spatula_env.contact.step import CONTACT_COUNT, PENETRATION, RESIDUAL, RESULT_LENGTH, resolve_step
 from spatula_env.sim.batch_body import advance_block, read_block, write_block
+from spatula_env.sim.drive import restrain
 
 FORCE, TORQUE, PEAK, LOAD_LENGTH = 0, 3, 6, 7
 """Columns of a tool's loads: force [kg u/s2] and torque [kg u2/s2], averaged, and the greatest force [kg u/s2]."""
 
-DEEPEST, WORST_RESIDUAL, GROUND_FORCE, PEAK_PRESSURE, OVERPRESSURE, SUMMARY_LENGTH = 0, 1, 2, 5, 6, 7
+DEEPEST, WORST_RESIDUAL, GROUND_FORCE, PEAK_PRESSURE, OVERPRESSURE, RESTRAINED, SUMMARY_LENGTH = 0, 1, 2, 5, 6, 7, 8
 """Columns of a world's summary: greatest depth of a contact node in the last step, before correction, and how far tools
 were in organs after correction, at most in any step [u]; mean force of the ground on the organs [kg u/s2]; greatest
 pressure on a contact node in any step [kg/(u s2)], and the integral over time of what the greatest pressure exceeds the
-world's limit by [kg/(u s)]."""
+world's limit by [kg/(u s)]; share of the steps in which too great a force kept tools from pushing on."""
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
@@ -55,6 +56,8 @@ def advance_blocks(
     linear_velocities: np.ndarray,
     angular_velocities: np.ndarray,
     pressure_limits: np.ndarray,
+    force_limits: np.ndarray,
+    tool_forces: np.ndarray,
     loads: np.ndarray,
     summaries: np.ndarray,
     face_pressures: np.ndarray,
@@ -90,8 +93,10 @@ def advance_blocks(
         linear_velocities: (W, N, 3) of the tools [u/s].
         angular_velocities: (W, N, 3) [rad/s].
         pressure_limits: (W,) from which on pressure is overpressure [kg/(u s2)].
+        force_limits: (W,) see `drive.restrain` [kg u/s2].
+        tool_forces: (W, N, 3) on each tool in the last physics step, before this one and, written, of it [kg u/s2].
         loads: (W, N, 7) written, by the column names of this module.
-        summaries: (W, 7) written, by the column names of this module.
+        summaries: (W, 8) written, by the column names of this module.
         face_pressures: (W, N, F) written, F the faces of the tool with the most: normal force on each face by its area,
             averaged [kg/(u s2)].
         pressures: (W, N, n) written: on each node in the last step, n those of the tool with the most [kg/(u s2)].
@@ -101,6 +106,7 @@ def advance_blocks(
     free_nodes, free_velocities = np.empty((lanes, node_count, 3)), np.empty((lanes, node_count, 3))
     resolved, impulses = np.empty((node_count, 3)), np.empty((node_count, 3))
     ends, turned = np.empty((tool_count, 3)), np.empty((tool_count, 4))
+    linear, angular = np.empty((tool_count, 3)), np.empty((tool_count, 3))
     wrenches, result = np.empty((tool_count + 1, 6)), np.empty(RESULT_LENGTH)
     ground = 0 if not with_tools else tool_count
     for block in range(first_block, end_block):
@@ -125,14 +131,19 @@ def advance_blocks(
                 if finite[block, lane] != 0.0:
                     diverged[w] = True
                     continue
+                if restrain(
+                    tool_positions[w], linear_velocities[w], angular_velocities[w], tool_forces[w], force_limits[w],
+                    linear, angular,
+                ):  # fmt: skip
+                    summaries[w, RESTRAINED] += 1.0 / steps
                 for k in range(tool_count):
                     for axis in range(3):
-                        ends[k, axis] = tool_positions[w, k, axis] + linear_velocities[w, k, axis] * step_length
-                    turn_by(tool_orientations[w, k], angular_velocities[w, k], step_length, turned[k])
+                        ends[k, axis] = tool_positions[w, k, axis] + linear[k, axis] * step_length
+                    turn_by(tool_orientations[w, k], angular[k], step_length, turned[k])
                 status = resolve_step(
                     contacts[w], with_tools, mode, first_step, True, tool_positions[w], tool_orientations[w], ends,
-                    turned, linear_velocities[w], angular_velocities[w], nodes[w], free_nodes[lane],
-                    free_velocities[lane], resolved, node_velocities[w], impulses, wrenches, result,
+                    turned, linear, angular, nodes[w], free_nodes[lane], free_velocities[lane], resolved,
+                    node_velocities[w], impulses, wrenches, result,
                 )  # fmt: skip
                 if status != 0:
                     diverged[w] = True
@@ -152,6 +163,7 @@ def advance_blocks(
                     for axis in range(3):
                         loads[w, k, FORCE + axis] += wrenches[k, axis] / step_length
                         loads[w, k, TORQUE + axis] += wrenches[k, 3 + axis] / step_length
+                        tool_forces[w, k, axis] = wrenches[k, axis] / step_length
                         squared += wrenches[k, axis] ** 2
                     loads[w, k, PEAK] = max(loads[w, k, PEAK], np.sqrt(squared) / step_length)
                     if squared > 0.0:

@@ -369,6 +369,11 @@ class Simulation:
         return self._tool_orientations.copy()
 
     @property
+    def tool_forces(self) -> FloatArray:
+        """(N, 3) on all tools in the last step (a copy) [kg u/s2]."""
+        return self._model.wrenches[:, :3].copy()
+
+    @property
     def dt(self) -> float:
         """Length of a step [s]."""
         return self.scene.dt

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.sim.drive import restrain
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Loads:
             step [kg/(u s2)].
         overpressures: (W,) integral over time of what the greatest pressure exceeds the limit by [kg/(u s)].
         node_pressures: (W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)].
+        restrained: (W,) share of the physics steps in which too great a force kept tools from pushing on.
         diverged: (W,) whether positions are no longer finite.
     """
 
@@ -53,6 +55,7 @@ class Loads:
     mean_pressures: FloatArray
     overpressures: FloatArray
     node_pressures: tuple[FloatArray, ...]
+    restrained: FloatArray
     diverged: BoolArray
 
 
@@ -118,6 +121,7 @@ class Worlds(Protocol):
         angular_velocities: FloatArray,
         steps: int,
         pressure_limits: FloatArray | None = None,
+        force_limits: FloatArray | None = None,
     ) -> Loads:
         """Move all worlds on by some physics steps, the tools moving with constant velocity.
 
@@ -126,6 +130,8 @@ class Worlds(Protocol):
             angular_velocities: (W, N, 3) world frame [rad/s].
             steps: How many.
             pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; None: none is counted.
+            force_limits: (W,) tools that have met more in a physics step do not push on in the next one, see
+                `drive.restrain` [kg u/s2]; None: they always do.
 
         Returns:
             What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
@@ -214,6 +220,7 @@ class SeparateWorlds:
         angular_velocities: FloatArray,
         steps: int,
         pressure_limits: FloatArray | None = None,
+        force_limits: FloatArray | None = None,
     ) -> Loads:
         """See `Worlds`."""
         tools = self._scene.tools
@@ -230,12 +237,23 @@ class SeparateWorlds:
             mean_pressures=np.zeros(self.count),
             overpressures=np.zeros(self.count),
             node_pressures=tuple(np.zeros((self.count, len(placed.tool.nodes))) for placed in tools),
+            restrained=np.zeros(self.count),
             diverged=self._diverged,
         )
-        limits = np.full(self.count, np.inf) if pressure_limits is None else pressure_limits
+        endless = np.full(self.count, np.inf)
+        pressure_limits = endless if pressure_limits is None else pressure_limits
+        force_limits = endless if force_limits is None else force_limits
         for world in np.flatnonzero(~self._diverged).tolist():
             try:
-                self._advance(world, linear_velocities[world], angular_velocities[world], steps, limits[world], loads)
+                self._advance(
+                    world,
+                    linear_velocities[world],
+                    angular_velocities[world],
+                    steps,
+                    pressure_limits[world],
+                    force_limits[world],
+                    loads,
+                )
             except SimulationDiverged:
                 self._diverged[world] = True
                 for name, values in vars(loads).items():
@@ -245,11 +263,30 @@ class SeparateWorlds:
         return Loads(**{**vars(loads), "diverged": self._diverged.copy()})
 
     def _advance(
-        self, world: int, linear: FloatArray, angular: FloatArray, steps: int, limit: float, loads: Loads
+        self,
+        world: int,
+        asked_linear: FloatArray,
+        asked_angular: FloatArray,
+        steps: int,
+        pressure_limit: float,
+        force_limit: float,
+        loads: Loads,
     ) -> None:
         simulation = self.simulations[world]
         reports, pressures = [], []
+        asked_linear, asked_angular = np.ascontiguousarray(asked_linear), np.ascontiguousarray(asked_angular)
+        linear, angular = np.empty_like(asked_linear), np.empty_like(asked_angular)
+        restrained = 0
         for _ in range(steps):
+            restrained += restrain(
+                simulation.tool_positions,
+                asked_linear,
+                asked_angular,
+                simulation.tool_forces,
+                force_limit,
+                linear,
+                angular,
+            )
             reports.append(simulation.step(linear, angular))
             pressures.append(simulation.pressures())
         # Reduced all at once: a little of NumPy after every step adds up.
@@ -262,7 +299,8 @@ class SeparateWorlds:
         peaks = np.array([pressure.peak for pressure in pressures])
         loads.peak_pressures[world] = peaks.max()
         loads.mean_pressures[world] = np.array([pressure.faces for pressure in pressures]).mean(axis=0).max()
-        loads.overpressures[world] = np.maximum(peaks - limit, 0.0).sum() * simulation.dt
+        loads.overpressures[world] = np.maximum(peaks - pressure_limit, 0.0).sum() * simulation.dt
+        loads.restrained[world] = restrained / steps
         report = reports[-1]
         loads.penetrations[world] = report.penetration
         for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):

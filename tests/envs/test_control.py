@@ -67,33 +67,24 @@ def test_the_tool_stops_at_the_faces(action: tuple[float, float, float], positio
     assert after == pytest.approx(np.clip(wanted, -0.0508, 0.0508), abs=1e-12)
 
 
-@given(st.lists(st.tuples(fractions, fractions, fractions), min_size=4, max_size=4), st.floats(0.1, 3.0))
-def test_only_what_pushes_on_is_taken_from_a_motion(vectors: list[tuple[float, float, float]], greatest: float) -> None:
+@given(st.lists(st.tuples(fractions, fractions, fractions), min_size=2, max_size=2), st.floats(0.0, 1.0))
+def test_what_a_stop_has_left_of_a_motion_is_told(vectors: list[tuple[float, float, float]], share: float) -> None:
     control = make_control(ControlLayout(rotations="x", jaws=True), CLAMP)
     grip = np.zeros((2, 3))
     positions, orientations = control.place(grip, None, np.full((2, 1), 0.01))
     actions = np.array([[*vectors[0], 0.5, -1.0], [*vectors[1], -0.5, 1.0]])
     motion = control.motion(actions, grip, positions, orientations, PERIOD)
-    # The first world's tools have met forces, the second world's none.
-    forces = np.zeros((2, 2, 3))
-    forces[0] = 4.0 * np.array(vectors[2:])
-    shown = control.restrained(motion, forces, positions, greatest)
-    sizes = np.linalg.norm(forces[0], axis=1)
-    for tool in range(2):
-        if sizes[tool] > greatest:
-            direction = forces[0, tool] / sizes[tool]
-            asked = motion.linear[0, tool] @ direction
-            assert shown.linear[0, tool] @ direction == pytest.approx(max(asked, 0.0), abs=1e-12)
-            across = motion.linear[0, tool] - asked * direction
-            assert shown.linear[0, tool] - shown.linear[0, tool] @ direction * direction == pytest.approx(across)
-        else:
-            assert shown.linear[0, tool].tolist() == motion.linear[0, tool].tolist()
-    if (sizes > greatest).any():
-        assert not shown.angular[0].any()
-        assert shown.velocity[0] == pytest.approx(shown.linear[0].mean(axis=0))
-        after = positions[0] + shown.linear[0] * 1e-6
-        opening = control.opening(np.stack([positions[0], after]), np.ones(2))[:, 0]
-        assert shown.coordinate_rate[0, 0] == pytest.approx((opening[1] - opening[0]) / 1e-6, abs=1e-6)
+    after = positions + motion.linear * PERIOD
+    # The first world's tools were kept from moving for a share of the time, the second's were not.
+    after[0] = positions[0] + (1.0 - share) * motion.linear[0] * PERIOD
+    shown = control.carried_out(motion, np.array([share, 0.0]), positions, after, PERIOD, np.ones(2))
+    left = 1.0 - share
+    assert shown.linear[0] == pytest.approx(left * motion.linear[0], abs=1e-12)
+    assert shown.velocity[0] == pytest.approx(left * motion.velocity[0], abs=1e-12)
+    assert shown.angular[0] == pytest.approx(left * motion.angular[0], abs=1e-12)
+    assert shown.rate[0] == pytest.approx(left * motion.rate[0], abs=1e-12)
+    opening = control.opening(np.stack([positions[0], after[0]]), np.ones(2))[:, 0]
+    assert shown.coordinate_rate[0, 0] == pytest.approx((opening[1] - opening[0]) / PERIOD, abs=1e-9)
     for name in ("linear", "angular", "velocity", "rate", "coordinate_rate"):
         assert getattr(shown, name)[1].tolist() == getattr(motion, name)[1].tolist()
 

@@ -131,8 +131,8 @@ def test_a_tool_that_meets_too_great_a_force_does_not_push_on() -> None:
             env.step(UP)
             assert grip_height(env) - heights[-1] == pytest.approx(0.1 * 0.05, rel=1e-6)
     assert peaks[0] > 0.8
-    # A step goes 3 mm on, after the force was not yet too great.
-    assert 0.3 < peaks[1] < 0.6
+    # The organ swings against the tool that has stopped.
+    assert 0.3 < peaks[1] < 0.5
     assert depths[1] > depths[0] + 0.01
 
 

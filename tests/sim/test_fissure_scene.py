@@ -122,7 +122,7 @@ def test_the_pushing_face_is_in_contact_and_the_trailing_one_is_not(simulation, 
         counts.append((pushing & contacts.flags).sum())
     # Once the wall is reached contact is never lost, and a good part of the face has it in the end.
     first = np.argmax(np.array(counts) > 0)
-    assert first * simulation.dt * SPEED == pytest.approx(0.095, abs=0.03)
+    assert first * simulation.dt * SPEED == pytest.approx(0.0625, abs=0.03)
     assert min(counts[first:]) > 0
     assert counts[-1] >= 15
 
