@@ -82,8 +82,8 @@ class EnvSettings:
         max_speed: Of the grip along each axis [m/s].
         max_rotation_rate: Of the tools about each axis [rad/s].
         max_jaw_speed: At which jaws open and close [m/s].
-        max_force: A tool that has met a greater force in a physics step does not push on in the next one [N]; None: there
-            is no such stop.
+        max_force: A tool that has met a greater force in a physics step does not push on in the next one [N]; None:
+            there is no such stop.
         control_frequency: Control steps in a second [Hz].
         terminate_on_success: Whether success ends an episode.
         damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.

@@ -110,8 +110,8 @@ def test_the_blade_hides_no_more_than_its_width(task: FissureTask, setting: Sett
     above = over_floor(setting, 0.0, 0.0, 0.006)
     position, orientation = blade_at(setting, above + np.array([0.012, 0.001, 0.0]), 0.0)
     situation = Situation.at_rest(setting, position, orientation)
-    # The target reaches from -6 to 6 mm, the blade from 2 to 22 mm: two of five columns. Across, the target reaches from
-    # -1 to 1 mm, the blade from -0.25 to 2.25 mm.
+    # The target reaches from -6 to 6 mm, the blade from 2 to 22 mm: two of five columns. Across, the target reaches
+    # from -1 to 1 mm, the blade from -0.25 to 2.25 mm.
     hidden = 1.0 - judge(task, situation, (0.0, 0.0, 0.8)).measures["exposure"][0]
     assert hidden == pytest.approx(2.0 / 5.0 * 13.0 / 21.0)
 
