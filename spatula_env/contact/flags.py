@@ -474,9 +474,9 @@ class FlaggedDetector:
         # Arrays of the right type go straight to the kernel, which looks at their shapes.
         if (
             {type(argument) for argument in arguments} == _ONLY_ARRAYS
-            and vertices.dtype is _FLOAT  # type: ignore[union-attr]
-            and triangles.dtype is _INTEGER  # type: ignore[union-attr]
-            and triangles.flags.writeable  # type: ignore[union-attr]
+            and arguments[4].dtype is _FLOAT
+            and arguments[5].dtype is _INTEGER
+            and arguments[5].flags.writeable
         ):
             try:
                 status = detect_contacts(

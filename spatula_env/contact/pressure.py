@@ -22,7 +22,7 @@ F8, F8_2, I4 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4"]
 
 
 @kernel(F8_2(CONSTRAINTS, types.int64))
-def contact_table(constraints, count):  # type: ignore[no-untyped-def]
+def contact_table(constraints: Any, count: int) -> np.ndarray:
     """Copy the first `count` constraints after a step: (count, 8) of point [u], impulse on the organ, owner, plane."""
     table = np.empty((count, 8))
     for c in range(count):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -146,7 +147,8 @@ class Episodes:
         longest = int(settings.randomization.get("action_delay", (0, 0))[1])
         self._asked: FloatArray = np.zeros((count, longest + 1, self.control.size))
         self._frames = FrameMemory(settings.observation)
-        self._observation: Observation = create_empty_array(self.observation_builder.space, count)  # type: ignore[assignment]
+        # Gymnasium's return type covers all spaces; of these it is an array, or a dictionary of arrays.
+        self._observation = cast("Observation", create_empty_array(self.observation_builder.space, count))
         self._info: Info = {}
 
     @property
@@ -455,6 +457,7 @@ class EpisodesEnv:
     """
 
     definition: ClassVar[Definition]
+    __signature__: ClassVar[inspect.Signature]
     _episodes: Episodes
 
     @property

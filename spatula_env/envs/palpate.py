@@ -15,7 +15,8 @@ PALPATE = Definition(
     config=PalpateConfig,
     # The cube reaches 76 mm above the organ's top and 26 mm below it.
     workspace_height=0.025,
-    defaults={"max_speed": 0.05},
+    # A path is felt with 0.21 N at most.
+    defaults={"max_speed": 0.05, "max_force": 0.6},
 )
 """A spatula over a sphere that is held from below."""
 
@@ -120,11 +121,12 @@ class PalpateEnv(SpatulaEnv):
     | `end_distance` | horizontal distance of the spatula's middle from the path's end | m    |
 
     ## Arguments
-    Those of `SpatulaEnv`; `task` changes fields of `PalpateConfig`. Another default has
+    Those of `SpatulaEnv`; `task` changes fields of `PalpateConfig`. Other defaults have
 
-    | Parameter   | Type      | Default | Description                          |
-    | ----------- | --------- | ------- | ------------------------------------ |
-    | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
+    | Parameter   | Type               | Default | Description                          |
+    | ----------- | ------------------ | ------- | ------------------------------------ |
+    | `max_speed` | **float**          | `0.05`  | Greatest speed along each axis [m/s] |
+    | `max_force` | **float \| None**  | `0.6`   | With a greater one no tool pushes on |
 
     ## Version History
     * v0: first version.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
@@ -58,7 +58,7 @@ class SpatulaVecEnv(VecEnv):
                 f"env must have been made with autoreset_mode='same_step', got {env.metadata['autoreset_mode']}"
             )
         self.env = env
-        self._actions: NDArray[Any] | None = None
+        self._actions: NDArray[Any] = np.zeros(env.action_space.shape or (), dtype=np.float32)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.metadata = {name: env.metadata[name] for name in ("render_modes", "render_fps")}
 
@@ -90,7 +90,7 @@ class SpatulaVecEnv(VecEnv):
         Raises:
             ValueError: If the actions have the wrong shape or are not finite; nothing has then changed.
         """
-        observation, rewards, terminated, truncated, infos = self.env.step(self._actions)  # type: ignore[arg-type]
+        observation, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
         now = _split(infos, self.num_envs)
         if dones.any():
@@ -203,7 +203,7 @@ def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwarg
     if not str(spec.vector_entry_point).startswith("spatula_env."):
         raise ValueError(f"id must be that of an environment of this package, got {id!r}")
     made = gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **kwargs)
-    env = SpatulaVecEnv(made.unwrapped)  # type: ignore[arg-type]
+    env = SpatulaVecEnv(cast("SpatulaVectorEnv", made.unwrapped))
     if seed is not None:
         env.seed(seed)
     return env

@@ -16,6 +16,7 @@ from spatula_env.tasks.configuration import config_from_mapping
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
+    from spatula_env.sim.simulation import ContactName
     from spatula_env.tasks.base import Task
     from spatula_env.tasks.situation import Setting
 
@@ -95,7 +96,7 @@ class EnvSettings:
     """
 
     engine: str = "bullet"
-    contact: str = "flags"
+    contact: ContactName = "flags"
     obs_mode: str = "state"
     control: str = "velocity"
     reward: str = "dense"

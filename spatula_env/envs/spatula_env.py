@@ -186,7 +186,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Let Python tell what arguments there are."""
         super().__init_subclass__(**kwargs)
         if "definition" in vars(cls):
-            cls.__signature__ = cls.definition.signature()  # type: ignore[attr-defined]
+            cls.__signature__ = cls.definition.signature()
 
     def __init__(self, **options: Any) -> None:
         """Load the scene and put the parts together.
@@ -202,7 +202,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self.simulation: Simulation
 
         def load(scene: Scene) -> SeparateWorlds:
-            self.simulation = Simulation(scene, engine=settings.engine, contact=settings.contact)  # type: ignore[arg-type]
+            self.simulation = Simulation(scene, engine=settings.engine, contact=settings.contact)
             return SeparateWorlds([self.simulation])
 
         self._episodes = Episodes(self.definition, settings, load, observed_pictures)

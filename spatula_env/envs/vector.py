@@ -66,7 +66,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         super().__init_subclass__(**kwargs)
         if "definition" in vars(cls):
             own = list(inspect.signature(SpatulaVectorEnv.__init__).parameters.values())[1:-1]
-            cls.__signature__ = cls.definition.signature(*own, engine="batch")  # type: ignore[attr-defined]
+            cls.__signature__ = cls.definition.signature(*own, engine="batch")
 
     def __init__(
         self,
@@ -213,6 +213,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """(W, G) what is asked in each world's episode (a copy) [m]."""
         return self._episodes.goals.copy()
 
+    # Gymnasium has one generator for all worlds, that can be exchanged. Here each world has its own.
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Where the randomness of each world comes from."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from spatula_env.sim.simulation import Simulation, SimulationDiverged
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
+    from spatula_env.sim.batch import BatchContactName
+    from spatula_env.sim.simulation import ContactName
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -314,7 +316,7 @@ class SeparateWorlds:
             simulation.close()
 
 
-def make_worlds(scene: Scene, count: int, engine: str = "batch", contact: str = "flags") -> Worlds:
+def make_worlds(scene: Scene, count: int, engine: str = "batch", contact: ContactName = "flags") -> Worlds:
     """Load many worlds of a scene, all at rest.
 
     Args:
@@ -332,13 +334,14 @@ def make_worlds(scene: Scene, count: int, engine: str = "batch", contact: str = 
     if engine == "batch":
         from spatula_env.sim.batch import BatchSimulation
 
-        return BatchSimulation(scene, count, contact=contact)  # type: ignore[arg-type]
+        # It says itself what it does not have.
+        return BatchSimulation(scene, count, contact=cast("BatchContactName", contact))
     if engine != "bullet":
         raise ValueError(f"engine must be one of ['batch', 'bullet'], got {engine!r}")
     simulations: list[Simulation] = []
     try:
         for _ in range(count):
-            simulations.append(Simulation(scene, engine="bullet", contact=contact))  # type: ignore[arg-type]
+            simulations.append(Simulation(scene, engine="bullet", contact=contact))
     except BaseException:
         for simulation in simulations:
             simulation.close()

@@ -190,10 +190,8 @@ class Task(ABC):
         """Room for what is remembered in `count` worlds within an episode; nothing by default."""
         return {}
 
-    def begin_memory(  # noqa: B027
-        self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]
-    ) -> None:
-        """Forget the last episode in some worlds.
+    def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
+        """Forget the last episode in some worlds; by default there is nothing to forget.
 
         Args:
             memory: Of all worlds; the rows are written.
@@ -201,6 +199,7 @@ class Task(ABC):
             start: How their episodes begin, n of them.
             settings: Where, n of them.
         """
+        return None
 
     def compute_reward(self, achieved: NDArray[Any], desired: NDArray[Any]) -> NDArray[np.float32]:
         """The sparse reward, from goals alone.

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
 from spatula_env.geometry.checks import check_not_negative, check_positive
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Config = TypeVar("Config")
 
@@ -86,7 +90,7 @@ def config_from_mapping(kind: type[Config], values: Mapping[str, Any] | Config |
         return values
     if not isinstance(values, Mapping):
         raise ValueError(f"{name} must be a mapping or a {kind.__name__}, got {values!r}")
-    allowed = sorted(kind.__dataclass_fields__)  # type: ignore[attr-defined]
+    allowed = sorted(field.name for field in fields(cast("type[DataclassInstance]", kind)))
     unknown = sorted(str(key) for key in values if key not in allowed)
     if unknown:
         raise ValueError(f"{name} has no {', '.join(unknown)}; allowed are {', '.join(allowed)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -277,10 +277,10 @@ class RetractTask(Task):
             )
 
 
-def _check_pair(value: object, name: str) -> tuple[float, float]:
+def _check_pair(value: Iterable[float], name: str) -> tuple[float, float]:
     """Two finite numbers of zero or more, as a tuple of floats."""
     try:
-        first, second = (float(number) for number in value)  # type: ignore[attr-defined]
+        first, second = (float(number) for number in value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be two numbers, got {value!r}") from error
     if not (0.0 <= first < np.inf and 0.0 <= second < np.inf):

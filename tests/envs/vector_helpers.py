@@ -51,8 +51,8 @@ class LentWorlds:
         self._broken -= set(worlds.tolist())
         self._worlds.reset(worlds)
 
-    def advance(self, linear: np.ndarray, angular: np.ndarray, steps: int, limits: np.ndarray | None = None) -> Loads:
-        loads = self._worlds.advance(linear, angular, steps, limits)
+    def advance(self, linear: np.ndarray, angular: np.ndarray, steps: int, *limits: np.ndarray | None) -> Loads:
+        loads = self._worlds.advance(linear, angular, steps, *limits)
         if self.breaking is not None:
             self._broken.add(self.breaking)
             self.breaking = None
