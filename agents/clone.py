@@ -3,9 +3,14 @@
     python -m agents.clone --dataset spatula/press/expert-v0
     python -m agents.clone --env Spatula/Press-v0 --expert 50
     python -m agents.clone --config press_sac --expert 50
+    python -m agents.clone --config clamp_sac --expert 64 --rounds 8
 
 What is cloned is the actor of Stable-Baselines3's SAC or PPO. It is saved as training saves policies, so that
 `agents.evaluate` and `agents.export` take it. The last line of the output is where it is.
+
+With `--rounds` the policy is corrected: it acts in episodes of its own, the expert says at each step what it would have
+done there, and all that has been said so far is imitated (DAgger; S. Ross, G. Gordon and D. Bagnell, "A Reduction of
+Imitation Learning and Structured Prediction to No-Regret Online Learning", AISTATS 2011).
 """
 
 from __future__ import annotations
@@ -31,10 +36,17 @@ from agents.configuration import (
 
 if TYPE_CHECKING:
     from agents.demonstrations import Demonstration
+    from agents.evaluation import Plan
     from agents.imitation import CloneConfig
 
 GRADIENT_STEPS = 6_000
 """Usual number of gradient steps."""
+
+ROUND_SEEDS = 100_000
+"""Seeds of a round of corrections are so much greater than those of the one before."""
+
+WORLDS = 64
+"""In which a policy that is corrected acts at once."""
 
 
 def clone(
@@ -58,7 +70,6 @@ def clone(
     from stable_baselines3.common.vec_env import VecNormalize
 
     from agents.demonstrations import joined_observations
-    from agents.imitation import imitate
     from agents.models import make_model
     from agents.worlds import make_training_env
 
@@ -69,20 +80,28 @@ def clone(
     env, _ = make_training_env(config, how.seed, config.hyperparameters.gamma)
     try:
         model: Any = make_model(config, env, how.seed)
-        observations = joined_observations(demonstrations)
-        actions = np.concatenate([each.actions for each in demonstrations]).astype(np.float32)
         normalizer = env if isinstance(env, VecNormalize) else None
         if normalizer is not None and normalizer.norm_obs:
+            observations = joined_observations(demonstrations)
             statistics = normalizer.obs_rms if isinstance(normalizer.obs_rms, dict) else {"": normalizer.obs_rms}
             for key, running in statistics.items():
                 running.update(observations[key] if key else observations)
-            observations = normalizer.normalize_obs(observations)
-        losses = imitate(model, observations, actions, how)
         if normalizer is not None:
             normalizer.training = False
-        return model, normalizer, losses
+        return model, normalizer, _fit(model, normalizer, demonstrations, how)
     finally:
         env.close()
+
+
+def _fit(model: Any, normalizer: Any, demonstrations: Sequence[Demonstration], how: CloneConfig) -> list[float]:
+    """Imitate demonstrations, going on from what a model does now; returns the losses."""
+    from agents.demonstrations import joined_observations
+    from agents.imitation import imitate
+
+    observations = joined_observations(demonstrations)
+    if normalizer is not None:
+        observations = normalizer.normalize_obs(observations)
+    return imitate(model, observations, np.concatenate([each.actions for each in demonstrations]), how)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -113,11 +132,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="standard deviation of what leads the expert astray; default: the greatest that it copes with",
     )  # fmt: skip
     parser.add_argument("--gradient-steps", type=int, default=GRADIENT_STEPS, help="default: %(default)s")
+    parser.add_argument(
+        "--rounds", type=int, default=0, metavar="N",
+        help="with --expert: how often the policy acts and is corrected, in as many episodes; default: %(default)s",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
     parser.add_argument("--output", type=Path, metavar="DIR", help="default: runs/ and the task's name")
     chosen = parser.parse_args(arguments)
     if chosen.expert is not None and chosen.expert < 1:
         parser.error(f"--expert must be 1 or more, got {chosen.expert}")
+    if chosen.rounds < 0:
+        parser.error(f"--rounds must be 0 or more, got {chosen.rounds}")
+    if chosen.rounds and chosen.expert is None:
+        parser.error("--rounds needs --expert: a data set corrects nobody")
     if chosen.noise != "auto" and not 0.0 <= chosen.noise < np.inf:
         parser.error(f"--noise must be a number from 0 on or 'auto', got {chosen.noise}")
     if chosen.expert is not None and chosen.config is None and chosen.env is None:
@@ -145,33 +172,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(chosen: argparse.Namespace) -> Path:
     """Clone as the command line says; returns the folder of the policy."""
-    from agents.demonstrations import collect_successes, read_minari
-    from agents.evaluation import Plan
     from agents.imitation import CloneConfig
     from agents.saving import provenance, save_policy, write_json
 
     config = read_training(find_config(chosen.config), chosen.changes) if chosen.config is not None else None
-    parts = config.environment.parts if config is not None else None
-    if chosen.dataset is not None:
-        demonstrations, env_id, kwargs = read_minari(chosen.dataset, parts)
-        source = chosen.dataset
-        if (config is not None and config.environment.id != env_id) or chosen.env not in (None, env_id):
-            raise ValueError(f"dataset {chosen.dataset!r} was recorded in {env_id}, not in the environment asked for")
-    else:
-        env_id = config.environment.id if config is not None else chosen.env
-        kwargs = dict(config.environment.kwargs) if config is not None else {}
-        kwargs.pop("max_episode_steps", None)
-        plan = Plan(env_id, kwargs, chosen.engine, chosen.expert, 2_000_000 + chosen.seed)
-        demonstrations, sigma = collect_successes(plan, noise=chosen.noise, parts=parts)
-        source = f"scripted expert, {chosen.engine} engine, noise {sigma:g}"
+    demonstrations, source, plan = _demonstrate(chosen, config)
     if config is None:
         algorithm = chosen.algorithm or "sac"
         # The buffer stays empty.
         more = {"buffer_size": 1} if algorithm == "sac" else {"n_steps": 2, "batch_size": 2}
-        config = TrainingConfig(EnvironmentConfig(env_id, kwargs), algorithm, ALGORITHMS[algorithm](**more))
+        config = TrainingConfig(EnvironmentConfig(plan.env_id, plan.kwargs), algorithm, ALGORITHMS[algorithm](**more))
+    config = dataclasses.replace(config, seeds=(chosen.seed,))
     how = CloneConfig(gradient_steps=chosen.gradient_steps, seed=chosen.seed)
     model, normalizer, losses = clone(config, demonstrations, how)
-    output = chosen.output or Path("runs") / f"{gymnasium.spec(env_id).name.lower()}_clone"
+    output = chosen.output or Path("runs") / f"{gymnasium.spec(plan.env_id).name.lower()}_clone"
     origin = {
         **provenance(),
         "demonstrations": {
@@ -182,14 +196,76 @@ def _run(chosen: argparse.Namespace) -> Path:
         },
         "clone": dataclasses.asdict(how),
         "losses": losses,
+        "rounds": [],
     }
-    write_json(output / "provenance.json", origin)
-    save_policy(output / "policy", model, normalizer, dataclasses.replace(config, seeds=(chosen.seed,)))
     print(
         f"{len(demonstrations)} demonstrations, {100 * origin['demonstrations']['success_rate']:.0f} % successful;"
         f" mean squared difference of actions {losses[0]:.4f} at first, {losses[-1]:.4f} at last"
     )
+    save_policy(output / "policy", model, normalizer, config)
+    write_json(output / "provenance.json", origin)
+    for number in range(1, chosen.rounds + 1):
+        success, losses = _correct(output, number, plan, config, demonstrations, (model, normalizer, how))
+        origin["rounds"].append({"episodes": plan.episodes, "success_rate": success, "losses": losses})
+        print(
+            f"round {number}: before it {100 * success:.0f} % successful; difference then {losses[-1]:.4f}", flush=True
+        )
+        save_policy(output / "policy", model, normalizer, config)
+        write_json(output / "provenance.json", origin)
     return output
+
+
+def _demonstrate(chosen: argparse.Namespace, config: TrainingConfig | None) -> tuple[list[Demonstration], str, Plan]:
+    """The demonstrations that the command line asks for, in words where they are from, and in what episodes."""
+    from agents.demonstrations import collect_successes, read_minari
+    from agents.evaluation import Plan
+
+    parts = config.environment.parts if config is not None else None
+    if chosen.dataset is not None:
+        demonstrations, env_id, kwargs = read_minari(chosen.dataset, parts)
+        if (config is not None and config.environment.id != env_id) or chosen.env not in (None, env_id):
+            raise ValueError(f"dataset {chosen.dataset!r} was recorded in {env_id}, not in the environment asked for")
+        return demonstrations, chosen.dataset, Plan(env_id, kwargs, chosen.engine, len(demonstrations), 0)
+    env_id = config.environment.id if config is not None else chosen.env
+    kwargs = dict(config.environment.kwargs) if config is not None else {}
+    kwargs.pop("max_episode_steps", None)
+    plan = Plan(env_id, kwargs, chosen.engine, chosen.expert, 2_000_000 + chosen.seed)
+    demonstrations, sigma = collect_successes(plan, noise=chosen.noise, parts=parts)
+    return demonstrations, f"scripted expert, {chosen.engine} engine, noise {sigma:g}", plan
+
+
+def _correct(
+    folder: Path,
+    number: int,
+    plan: Plan,
+    config: TrainingConfig,
+    demonstrations: list[Demonstration],
+    learner: tuple[Any, Any, CloneConfig],
+) -> tuple[float, list[float]]:
+    """One round of corrections, which are added to the demonstrations.
+
+    Args:
+        folder: Where the policy is saved that acts.
+        number: Of the round, from 1.
+        plan: Of the demonstrations.
+        config: What is trained.
+        demonstrations: So far; lengthened.
+        learner: The model, what normalises its observations, and how it imitates.
+
+    Returns:
+        The success rate of the policy that acted, and the losses of imitating all anew.
+    """
+    from agents.demonstrations import collect
+    from agents.policies import find_policy
+
+    corrected = collect(
+        dataclasses.replace(plan, seed=plan.seed + ROUND_SEEDS * number),
+        num_envs=WORLDS,
+        parts=config.environment.parts,
+        driver=find_policy(str(folder), plan.env_id),
+    )
+    demonstrations += corrected
+    return float(np.mean([each.success for each in corrected])), _fit(*learner[:2], demonstrations, learner[2])
 
 
 def _noise(text: str) -> float | str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from agents.configuration import check_noise
 from agents.evaluation import Plan
-from agents.policies import Policy, find_policy
+from agents.policies import Policy, PolicySource, find_policy
 from spatula_env.policies import PartSelection
 
 if TYPE_CHECKING:
@@ -135,6 +135,7 @@ def collect(
     noise: float = 0.0,
     parts: tuple[str, ...] | None = None,
     steps: int | None = None,
+    driver: PolicySource | None = None,
 ) -> list[Demonstration]:
     """Let the scripted expert demonstrate.
 
@@ -145,6 +146,7 @@ def collect(
             are wanted; it leads the expert astray, so that its way back is demonstrated too.
         parts: Of the observation that are recorded; None: all.
         steps: Length of an episode; None: the environment's.
+        driver: Whose actions are carried out, while the expert only says what it would do; None: the expert's own.
 
     Returns:
         The episodes, successful or not.
@@ -157,11 +159,12 @@ def collect(
     demonstrations: list[Demonstration] = []
     try:
         expert = find_policy("expert", plan.env_id).make(env)
+        leader = None if driver is None else driver.make(env)
         selection = PartSelection.of(env, parts)
         generator = np.random.default_rng([plan.seed, 2])
         for first in range(plan.seed, plan.seed + plan.episodes, worlds):
             demonstrations += _collect_round(
-                env, expert, list(range(first, first + worlds)), noise, generator, selection
+                env, expert, leader, list(range(first, first + worlds)), noise, generator, selection
             )
     finally:
         env.close()
@@ -171,6 +174,7 @@ def collect(
 def _collect_round(
     env: Any,
     expert: Policy,
+    driver: Policy | None,
     seeds: list[int],
     noise: float,
     generator: np.random.Generator,
@@ -179,6 +183,8 @@ def _collect_round(
     """One episode in each world."""
     observation, _ = env.reset(seed=seeds)
     expert.begin(seeds)
+    if driver is not None:
+        driver.begin(seeds)
     seen, acted, done, rewarded = [_selected(observation, selection)], [], [], []
     lengths = np.zeros(len(seeds), dtype=np.int64)
     success = np.zeros(len(seeds), dtype=np.bool_)
@@ -187,7 +193,8 @@ def _collect_round(
     while going.any():
         wanted = expert(observation)
         astray = noise * burst[:, None] * generator.standard_normal(wanted.shape)
-        carried = np.clip(wanted + astray, -1.0, 1.0).astype(np.float32)
+        leading = wanted if driver is None else driver(observation)
+        carried = np.clip(leading + astray, -1.0, 1.0).astype(np.float32)
         burst ^= generator.random(len(seeds)) < np.where(burst, 1.0 / BURST, 1.0 / PAUSE)
         with warnings.catch_warnings():
             # A broken episode simply ends there.

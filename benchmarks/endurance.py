@@ -37,6 +37,9 @@ DEEP = 0.05
 LARGEST_GROWTH = 8.0
 """Memory may grow by so much from the first quarter of a run to its end [MiB]."""
 
+SAME = 1e-2
+"""A control step that is done once more came out the same if no node is farther off than this [u]."""
+
 HOLD = 8
 """A random action is held for so many control steps at most: noise alone does not get anywhere."""
 
@@ -106,10 +109,11 @@ class Retraced:
                 self._advance(linear, angular, 1, None, force_limits)
             position, orientation = worlds.tool_positions[world, tool], worlds.tool_orientations[world, tool]
             count += inspector.inspect(position, orientation, worlds.nodes[world]).passages
-        if not np.allclose(worlds.nodes[world], nodes, rtol=0.0, atol=1e-6):
-            raise RuntimeError(f"the control step of world {world} came out otherwise when it was repeated")
+        same = np.allclose(worlds.nodes[world], nodes, rtol=0.0, atol=SAME)
         self._restore(after)
-        return count
+        # Bullet repeats a step to some 1e-9 u, and a fold that snaps makes much of that. What cannot be followed,
+        # counts.
+        return count if same else max(count, 1)
 
     def _save(self) -> Any:
         if isinstance(self._worlds, SeparateWorlds):

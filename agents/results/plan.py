@@ -23,12 +23,14 @@ class AlgorithmPlan:
     Attributes:
         config: Name or path of a configuration of training.
         clone: Number of demonstrations that are imitated, instead of training; 0: it is trained.
+        rounds: How often what has imitated them acts and is corrected; see `agents.clone`.
         changes: Of the configuration, each "key=value".
         label: What it is called on the page; None: its name.
     """
 
     config: str
     clone: int = 0
+    rounds: int = 0
     changes: tuple[str, ...] = ()
     label: str | None = None
 
@@ -36,6 +38,8 @@ class AlgorithmPlan:
         """Check the values."""
         if self.clone < 0:
             raise ValueError(f"clone must be 0 or more, got {self.clone}")
+        if self.rounds < 0 or (self.rounds and not self.clone):
+            raise ValueError(f"rounds must be 0 or more, and 0 without clone, got {self.rounds}")
 
     def read(self, seed: int) -> TrainingConfig:
         """The configuration for one seed."""

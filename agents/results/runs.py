@@ -31,8 +31,11 @@ def is_finished(run: Run) -> bool:
     """Whether an agent is made; policies to compare with always are."""
     if run.plan is None:
         return True
-    # What cloning writes last appears whole, and so does the summary of training.
-    return (run.folder / ("policy" if run.plan.clone else "summary.json")).exists()
+    # What is written last appears whole.
+    if not run.plan.clone:
+        return (run.folder / "summary.json").exists()
+    provenance = run.folder / "provenance.json"
+    return provenance.exists() and len(json.loads(provenance.read_text())["rounds"]) == run.plan.rounds
 
 
 def command_of(run: Run) -> list[str]:
@@ -45,7 +48,8 @@ def command_of(run: Run) -> list[str]:
     changes = [argument for change in run.plan.changes for argument in ("--set", change)]
     common = ["--config", run.plan.config, *changes, "--seed", str(run.seed), "--output", str(run.folder)]
     if run.plan.clone:
-        return [sys.executable, "-m", "agents.clone", "--expert", str(run.plan.clone), *common]
+        rounds = ("--rounds", str(run.plan.rounds)) if run.plan.rounds else ()
+        return [sys.executable, "-m", "agents.clone", "--expert", str(run.plan.clone), *rounds, *common]
     begun = run.folder / "config.yaml"
     if begun.exists():
         check_same_configuration(run)

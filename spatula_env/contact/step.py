@@ -400,6 +400,9 @@ def resolve_step(
                         # Where less was thrown into the tool than expected, it is looked where that really is.
                         if attempt > 0 or not predicts or count > before:
                             break
+                    if count > before:
+                        # Contact moves the organ on from where its nodes were found to be outside.
+                        memory.states[6] = False
                     if attempt == 0:
                         # A tool that was put into an organ came through no face. Then the published method decides.
                         if mode == FLAGS and count == before and not memory.states[0].any():

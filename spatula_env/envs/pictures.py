@@ -52,7 +52,7 @@ class EpisodePictures:
         if self._view is None:
             self._view = self._make_view()
         view = self._view
-        return tuple(view.draw(moment) for moment in self._moments())
+        return tuple(view.draw(moment) for moment in self.moments())
 
     def rgbd(self, worlds: Iterable[int] | None = None) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """What a camera in the room sees: no arrows, no colours of pressure and no goal, but a marked patch is there.
@@ -74,7 +74,7 @@ class EpisodePictures:
         width, height = self._size
         pictures = np.empty((len(chosen), height, width, 3), dtype=np.uint8)
         depths = np.empty((len(chosen), height, width), dtype=np.float32)
-        moments = self._moments(chosen, physical=True)
+        moments = self.moments(chosen, physical=True)
         for picture, depth, moment in zip(pictures, depths, moments, strict=True):
             _, depth[:] = self._sensor.draw_rgbd(moment, out=picture)
         depths *= np.float32(self._episodes.workspace.length)
@@ -100,7 +100,7 @@ class EpisodePictures:
                 worlds.scene, worlds.triangles, *self._size, frames_per_second=self._frames_per_second
             )
         if not self._window.closed:
-            (moment,) = self._moments([world])
+            (moment,) = self.moments([world])
             self._window.show(moment)
 
     @property
@@ -119,7 +119,7 @@ class EpisodePictures:
         worlds = self._episodes.worlds
         return SceneView(worlds.scene, worlds.triangles, *self._size, levels=levels)
 
-    def _moments(self, chosen: Iterable[int] | None = None, *, physical: bool = False) -> Iterator[Moment]:
+    def moments(self, chosen: Iterable[int] | None = None, *, physical: bool = False) -> Iterator[Moment]:
         """What there is to see in each world; only what is really there if `physical`.
 
         The camera stands in the room, not on the organ: where organs differ from world to world in place, size or

@@ -22,6 +22,7 @@ from spatula_env.sim.worlds import SeparateWorlds
 from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
+    from spatula_env.render.moment import Moment
     from spatula_env.scenes import Scene
     from spatula_env.sim.report import Report
 
@@ -289,6 +290,12 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """(3,) where the middle of the tools is now, workspace frame [m]."""
         points = self._episodes.frames.points_from_scene(self.simulation.tool_positions[None], np.zeros(1, np.int64))
         return np.asarray(points[0].mean(axis=0))
+
+    @property
+    def moment(self) -> Moment:
+        """What there is to see now, for a view of one's own."""
+        (moment,) = self._pictures.moments([0])
+        return moment
 
     def listen(self, listener: PhysicsListener) -> Callable[[], None]:
         """Have something called after every physics step, for what a control step is too long for: a haptic device.

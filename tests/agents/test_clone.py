@@ -82,6 +82,11 @@ def test_experts_demonstrate_what_they_would_do():
     assert np.abs(astray[0].carried - astray[0].actions).max() > 0.1
     np.testing.assert_array_equal(whole[0].carried, whole[0].actions)
     np.testing.assert_array_equal(astray[0].observations[0], whole[0].observations[0])
+    # A driver goes its own way, and the record says what the expert would have done there.
+    driven = collect(plan, num_envs=2, driver=find_policy("random", PRESS))
+    np.testing.assert_array_equal(expert(driven[0].observations[:-1]), driven[0].actions)
+    assert np.abs(driven[0].carried - driven[0].actions).max() > 0.1
+    np.testing.assert_array_equal(driven[0].observations[0], whole[0].observations[0])
     some = collect(plan, num_envs=2, parts=("error",), steps=4)
     np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -3:])
 
@@ -177,10 +182,16 @@ def test_a_clone_of_the_expert_is_better_than_chance(tmp_path, capsys):
         "algorithm: sac\nhyperparameters: {buffer_size: 1}\nnetwork: {layers: [64, 64]}\n"
     )
     arguments = ["--config", str(file), "--expert", "6", "--gradient-steps", "1500", "--output", str(tmp_path / "run")]
-    assert main(arguments) == 0
-    assert "6 demonstrations" in capsys.readouterr().out
+    assert main([*arguments, "--rounds", "1"]) == 0
+    told = capsys.readouterr().out
+    assert "6 demonstrations" in told
+    assert "round 1: " in told
     origin = json.loads((tmp_path / "run" / "provenance.json").read_text())
     assert origin["demonstrations"]["episodes"] == 6
+    (corrected,) = origin["rounds"]
+    assert corrected["episodes"] == 6
+    # What was said in the policy's own episodes is imitated as well.
+    assert corrected["losses"][-1] < corrected["losses"][0]
     plan = Plan(PRESS, {"max_episode_steps": 60}, "batch", 8, 50)
     cloned, _ = evaluate(find_policy(str(tmp_path / "run"), PRESS), plan)
     chance, _ = evaluate(find_policy("random", PRESS), plan)
@@ -227,6 +238,8 @@ def test_data_sets_are_read(tmp_path, monkeypatch):
     [
         (["--expert", "3"], "needs --config or --env"),
         (["--expert", "0", "--env", PRESS], "1 or more"),
+        (["--expert", "3", "--env", PRESS, "--rounds", "-1"], "--rounds must be 0 or more"),
+        (["--dataset", "spatula/press/test-v0", "--rounds", "2"], "--rounds needs --expert"),
         (["--expert", "3", "--env", PRESS, "--set", "seeds=[1]"], "--set needs --config"),
     ],
 )

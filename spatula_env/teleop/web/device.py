@@ -196,8 +196,7 @@ class WebDevice(TeleopDevice):
         """Show how things stand, if they are not what the page shows."""
         if self._stale and self._stage is not None and self.panel is not None:
             self._stale = False
-            (moment,) = self._env._pictures._moments([0])
-            self._stage.show(moment)
+            self._stage.show(self._env.moment)
             self.panel.show()
 
     def close(self) -> None:
