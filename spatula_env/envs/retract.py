@@ -18,7 +18,7 @@ RETRACT = Definition(
     # Two millimetres below the fold's foot.
     stop_height=0.014,
     # A fold is held aside with 0.2 N at most.
-    defaults={"max_speed": 0.05, "max_force": 0.25},
+    defaults={"max_speed": 0.05, "max_force": 0.5},
 )
 """A blade over a fold."""
 
@@ -27,7 +27,7 @@ class RetractEnv(SpatulaEnv):
     r"""Move a marked patch of the organ's surface aside, and hold it there.
 
     ## Description
-    An upright steel blade, 20 mm wide, 40 mm high and 2.5 mm thick, hovers over a soft fold, 48 mm long, 18 mm wide
+    An upright steel blade, 20 mm wide, 40 mm high and 1.8 mm thick, hovers over a soft fold, 48 mm long, 18 mm wide
     and 28 mm high, on a piece of an organ that is held at its base and as stiff as brain tissue. The fold runs away
     from the operator, and the blade's faces look to the left and to the right. A patch is marked on one of the fold's
     flanks. The agent moves the blade. It has to go to the patch's side of the fold, down beside it, and to push, until
@@ -117,7 +117,7 @@ class RetractEnv(SpatulaEnv):
     | Parameter   | Type               | Default | Description                          |
     | ----------- | ------------------ | ------- | ------------------------------------ |
     | `max_speed` | **float**          | `0.05`  | Greatest speed along each axis [m/s] |
-    | `max_force` | **float \| None**  | `0.25`  | With a greater one no tool pushes on |
+    | `max_force` | **float \| None**  | `0.5`   | With a greater one no tool pushes on |
 
     ## Version History
     * v0: first version.

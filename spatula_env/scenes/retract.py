@@ -36,7 +36,7 @@ def retract(
     fold_width: float = 0.9,
     edge_length: float = 0.35,
     base_edge_length: float | None = 0.6,
-    tool_size: ArrayLike = (1.0, 2.0, 0.125),
+    tool_size: ArrayLike = (1.0, 2.0, 0.09),
     node_spacing: float = 0.2,
     faces: str = "all",
     friction: float = 0.4,
@@ -45,7 +45,7 @@ def retract(
     """A fold of an organ, and an upright blade above it, its faces to the left and to the right.
 
     The fold runs away from the operator. One unit is 20 mm: a fold 48 mm long, 18 mm wide and 28 mm high, on a piece of
-    an organ that is held at its base; and a blade 20 mm wide, 40 mm high and 2.5 mm thick. Beside the fold there is
+    an organ that is held at its base; and a blade 20 mm wide, 40 mm high and 1.8 mm thick. Beside the fold there is
     room for the blade, which pushes it aside.
 
     Args:

@@ -43,7 +43,7 @@ def test_the_blade_looks_to_the_left_and_to_the_right(simulation):
     turned = rotate(np.array(scenes.UPRIGHT), np.eye(3))
     assert turned == pytest.approx(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
     corners = rotate(np.array(scenes.UPRIGHT), simulation.scene.tools[0].tool.vertices)
-    assert np.ptp(corners, axis=0) == pytest.approx([0.125, 1.0, 2.0])
+    assert np.ptp(corners, axis=0) == pytest.approx([0.09, 1.0, 2.0])
 
 
 def test_the_fold_runs_away_from_the_operator(simulation, block):
