@@ -88,8 +88,7 @@ def test_a_control_step_is_retraced_and_all_is_as_before(engine: str) -> None:
     assert retraced.passages(1, 0) == 0
     np.testing.assert_array_equal(worlds.tool_positions, positions)
     np.testing.assert_allclose(worlds.nodes, nodes, atol=1e-9)
-    # From another state it does not come out the same, which is said.
+    # From another state it does not come out the same. What cannot be followed counts.
     worlds.reset(np.arange(2))
-    with pytest.raises(RuntimeError, match="world 1 came out otherwise"):
-        retraced.passages(1, 0)
+    assert retraced.passages(1, 0) == 1
     envs.close()
