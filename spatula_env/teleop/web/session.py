@@ -91,6 +91,7 @@ class WebSession:
         self._stopping = threading.Event()
         self._failure: BaseException | None = None
         self._thread: threading.Thread | None = None
+        self._ended = threading.Event()
         self._status = Status("Waiting")
         self._recording = self._moved = False
         self._said = ""
@@ -114,6 +115,7 @@ class WebSession:
         """
         self._device.open()
         self._furnish()
+        self._ended.clear()
         self._thread = threading.Thread(target=self._run, name="web session", daemon=True)
         self._thread.start()
 
@@ -126,8 +128,9 @@ class WebSession:
         Raises:
             Exception: What is wrong.
         """
+        # Not by joining: up to Python 3.12, Ctrl-C in a join leaves the thread marked as ended while it still runs.
         if self._thread is not None:
-            self._thread.join(timeout)
+            self._ended.wait(timeout)
         if self._failure is not None:
             raise self._failure
 
@@ -206,6 +209,8 @@ class WebSession:
             self._failure = error
             with suppress(Exception):
                 self._say("It has ended", f"{type(error).__name__}: {error}")
+        finally:
+            self._ended.set()
 
     def _play_task(self) -> None:
         try:
