@@ -222,6 +222,8 @@ def test_ctrl_c_ends_it():
     program = (
         "import os, signal, threading\n"
         "from spatula_env.teleop.web import serve\n"
+        # Tests may run in the background, where a shell has Ctrl-C ignored.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def ready(url):\n"
         "    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
         f"serve({TASK!r}, port=0, on_ready=ready)\n"
