@@ -241,8 +241,6 @@ class VelocityControl:
             Mean velocities in the control step; the motion asked for where nothing was in its way.
         """
         held = restrained > 0.0
-        if not held.any():
-            return motion
         linear = np.where(held[:, None, None], (after - before) / period, motion.linear)
         # Tools either turn as they are asked to, or not at all.
         turning = 1.0 - restrained

@@ -303,8 +303,9 @@ class Episodes:
             COST_PRESSURE / frames.pressure,
             None if self.settings.max_force is None else self.settings.max_force / frames.force,
         )
-        reached = frames.points_from_scene(worlds.tool_positions, every)
-        motion = self.control.carried_out(motion, loads.restrained, positions, reached, self.period, scale)
+        if loads.restrained.any():
+            reached = frames.points_from_scene(worlds.tool_positions, every)
+            motion = self.control.carried_out(motion, loads.restrained, positions, reached, self.period, scale)
         lost = loads.diverged
         going = np.flatnonzero(~lost)
         situation = self._situation(motion, actions, loads)
