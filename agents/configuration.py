@@ -342,8 +342,8 @@ class TrainingConfig:
         demonstration_share: Of each batch, so much is demonstrations, from first to last (P. Ball et al., "Efficient
             Online Reinforcement Learning with Offline Data", ICML 2023); 0: they are experience like any other.
         clone_steps: Gradient steps in which the actor imitates the demonstrations before training begins.
-        imitate_until: Environment steps until which each update of the actor is followed by one of imitation, whose
-            learning rate falls to zero by then; 0: none.
+        imitation_weight: Of imitation beside rewards in each update of the actor: see `agents.imitation.Imitator`.
+        actor_starts: Environment steps before which critics learn, and the actor stays as it is: a clone.
         overlap: Whether gradient steps are taken while the worlds are stepped, with the transitions before that step;
             not for PPO.
         torch_threads: How many threads torch uses.
@@ -363,7 +363,8 @@ class TrainingConfig:
     demonstration_noise: float | str = 0.0
     demonstration_share: float = 0.0
     clone_steps: int = 0
-    imitate_until: int = 0
+    imitation_weight: float = 0.0
+    actor_starts: int = 0
     overlap: bool = True
     torch_threads: int = 1
     seeds: tuple[int, ...] = (0,)
@@ -372,7 +373,7 @@ class TrainingConfig:
         """Check the values, and how they go together."""
         for name in ("total_steps", "checkpoint_every", "torch_threads"):
             _check_least(getattr(self, name), name, 1)
-        for name in ("demonstrations", "clone_steps", "imitate_until"):
+        for name in ("demonstrations", "clone_steps", "actor_starts"):
             _check_least(getattr(self, name), name, 0)
         self._check_demonstrations()
         if self.success_target is not None:
@@ -388,15 +389,15 @@ class TrainingConfig:
         _check_share(self.demonstration_share, "demonstration_share")
         if self.algorithm == "ppo" and self.demonstrations:
             raise ValueError("demonstrations must be 0 with algorithm 'ppo', which has no replay buffer")
-        for name in ("demonstration_share", "clone_steps", "imitate_until"):
+        for name in ("demonstration_share", "clone_steps", "imitation_weight", "actor_starts"):
             if getattr(self, name) and not self.demonstrations:
                 raise ValueError(f"{name} must be 0 without demonstrations, got {getattr(self, name)!r}")
         if self.algorithm == "sac_her" and self.demonstration_share:
             raise ValueError("demonstration_share must be 0 with algorithm 'sac_her', which makes its own batches")
-        if self.imitate_until and not self.demonstration_share:
-            raise ValueError("imitate_until must be 0 unless demonstration_share keeps demonstrations at hand")
-        if self.imitate_until and not self.overlap:
-            raise ValueError("imitate_until must be 0 without overlap")
+        if not 0.0 <= self.imitation_weight < math.inf:
+            raise ValueError(f"imitation_weight must be a number from 0 on, got {self.imitation_weight!r}")
+        if self.imitation_weight and not self.demonstration_share:
+            raise ValueError("imitation_weight must be 0 unless demonstration_share keeps demonstrations at hand")
 
 
 def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> TrainingConfig:

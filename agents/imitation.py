@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecNormalize
 
 CALM = math.log(0.2)
 """Logarithm of the standard deviation, before the squashing, that an actor begins to explore with after imitation."""
+
+LEAST_ESTIMATE = 1.0
+"""The rewards' loss is divided by the mean size of the critics' estimates, but by this at least: about one step's
+reward."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +83,13 @@ def calm_down(model: Any) -> None:
 
 
 class Imitator:
-    """Keeps an actor close to demonstrations while it learns from rewards, less and less.
+    """Holds an actor close to demonstrations while it learns from rewards.
 
-    An update of imitation follows each one by rewards, with an optimiser of its own, whose learning rate falls linearly
-    to zero. At first, when critics know nothing yet, demonstrations hold the actor; in the end rewards decide alone.
+    Each update of the actor goes down the gradient of two losses at once: that of the rewards, divided by the mean size
+    of the critics' estimates, so that it does not depend on how rewards are scaled, and `weight` times the mean squared
+    difference from what was demonstrated (S. Fujimoto and S. Gu, "A Minimalist Approach to Offline Reinforcement
+    Learning", NeurIPS 2021). Critics that have not seen what comes of an action overrate it; without the second loss
+    the actor follows them away from what it has imitated.
     """
 
     def __init__(
@@ -91,40 +97,45 @@ class Imitator:
         model: Any,
         imitated: tuple[NDArray[np.float32], NDArray[np.float32]],
         *,
-        until: int,
-        learning_rate: float,
+        weight: float,
         batch_size: int,
     ) -> None:
-        """Get ready.
+        """From now on, step in before each step of the actor's optimiser.
 
         Args:
             model: SAC or TQC.
             imitated: (N, ...) what demonstrators saw, not normalised, and (N, A) what they wanted to do.
-            until: Environment steps at which imitation ends.
-            learning_rate: At the beginning.
+            weight: Of imitation beside rewards.
             batch_size: Samples in an update.
         """
-        self._model, self._until, self._rate, self._batch_size = model, until, learning_rate, batch_size
+        self._model, self._weight, self._batch_size = model, weight, batch_size
         self._observations, self._actions = imitated
-        self._optimizer = torch.optim.Adam(_parameters(model), lr=learning_rate)
+        model.actor.optimizer.register_step_pre_hook(self._add_gradients)
 
-    def step(self, normalizer: VecNormalize | None) -> None:
-        """One update, if imitation has not ended.
-
-        Args:
-            normalizer: Of observations, as it is now; None: they are not normalised.
-        """
-        left = 1.0 - self._model.num_timesteps / self._until
-        if left <= 0.0:
+    def _add_gradients(self, optimizer: torch.optim.Optimizer, *_: Any) -> None:
+        """Scale the gradients of the rewards' loss, and add those of imitation."""
+        actor, critic = self._model.actor, self._model.critic
+        parameters = [each for group in optimizer.param_groups for each in group["params"] if each.grad is not None]
+        if not parameters:
             return
-        for group in self._optimizer.param_groups:
-            group["lr"] = self._rate * left
         # From NumPy's global random numbers as Stable-Baselines3's batches, since checkpoints keep their state.
         rows = np.random.randint(len(self._actions), size=self._batch_size)  # noqa: NPY002 - see above
-        seen = self._observations[rows]
+        seen, wanted = self._observations[rows], torch.as_tensor(self._actions[rows])
+        normalizer = self._model.get_vec_normalize_env()
         if normalizer is not None:
             seen = normalizer.normalize_obs(seen)
-        _step(self._model, self._optimizer, as_tensors(seen), torch.as_tensor(self._actions[rows]))
+        batch = as_tensors(seen)
+        with torch.no_grad():
+            estimates = critic(batch, wanted)
+            size = (torch.cat(estimates, dim=1) if isinstance(estimates, tuple) else estimates).abs().mean()
+        with torch.enable_grad():
+            loss = torch.nn.functional.mse_loss(actor(batch, deterministic=True), wanted)
+            gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            # Critics that know nothing yet estimate next to nothing, which must not make them louder.
+            parameter.grad.div_(size.clamp(min=LEAST_ESTIMATE))
+            if gradient is not None:
+                parameter.grad.add_(gradient, alpha=self._weight)
 
 
 def as_tensors(observations: Any) -> Any:

@@ -113,6 +113,9 @@ class Trainer(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         steps = self.model.num_timesteps
+        if self.config.actor_starts:
+            # An optimiser leaves alone what has no gradients.
+            self.model.policy.actor.requires_grad_(steps >= self.config.actor_starts)
         warming = isinstance(self.config.hyperparameters, SACConfig) and (
             steps <= self.config.hyperparameters.learning_starts
         )
@@ -229,6 +232,13 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         trainer = Trainer(config, folder, view, progress)
         if config.overlap and isinstance(config.hyperparameters, SACConfig):
             _overlap_gradients(model, overlap, config)
+        if config.imitation_weight and isinstance(config.hyperparameters, SACConfig):
+            Imitator(
+                model,
+                model.replay_buffer.imitated,
+                weight=config.imitation_weight,
+                batch_size=config.hyperparameters.batch_size,
+            )
         # `learn` counts from where the model is.
         remaining = config.total_steps - model.num_timesteps
         with view.run(f"seed {seed}", config.total_steps, model.num_timesteps):
@@ -294,25 +304,11 @@ def _overlap_gradients(model: Any, overlap: VecEnv, config: TrainingConfig) -> N
     """Take gradient steps while worlds are stepped."""
     chosen = config.hyperparameters
     assert isinstance(overlap, OverlappedVecEnv) and isinstance(chosen, SACConfig)
-    imitator: Imitator | None = None
-    if config.imitate_until:
-        imitator = Imitator(
-            model,
-            model.replay_buffer.imitated,
-            until=config.imitate_until,
-            learning_rate=chosen.learning_rate,
-            batch_size=chosen.batch_size,
-        )
 
     def meanwhile() -> None:
         if model.num_timesteps <= chosen.learning_starts:
             return
-        if imitator is None:
-            model.train(gradient_steps=chosen.gradient_steps, batch_size=chosen.batch_size)
-        else:
-            for _ in range(chosen.gradient_steps):
-                model.train(gradient_steps=1, batch_size=chosen.batch_size)
-                imitator.step(model.get_vec_normalize_env())
+        model.train(gradient_steps=chosen.gradient_steps, batch_size=chosen.batch_size)
         model.policy.set_training_mode(False)
 
     overlap.meanwhile = meanwhile

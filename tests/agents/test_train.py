@@ -302,7 +302,8 @@ def test_demonstrations_are_a_share_of_each_batch_and_the_actor_begins_as_their_
 def test_training_with_all_that_demonstrations_can_do_goes_to_its_end(tmp_path):
     config = small(
         environment={**small_environment(), "kwargs": {"max_episode_steps": 60}},
-        demonstrations=4, demonstration_share=0.5, clone_steps=20, imitate_until=100, total_steps=120,
+        demonstrations=4, demonstration_share=0.5, clone_steps=20, imitation_weight=2.0, actor_starts=60,
+        total_steps=120,
     )  # fmt: skip
     summary = train_seed(config, 0, tmp_path, QUIET)
     assert summary["steps"] == 120
