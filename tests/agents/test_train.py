@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -21,6 +22,7 @@ from agents import train as command
 from agents import training
 from agents.configuration import training_from_mapping
 from agents.evaluation import Plan, evaluate
+from agents.imitation import Imitator
 from agents.policies import find_policy
 from agents.progress import ProgressView
 from agents.saving import (
@@ -297,6 +299,41 @@ def test_demonstrations_are_a_share_of_each_batch_and_the_actor_begins_as_their_
     np.testing.assert_array_equal(again.replay_buffer.imitated[0], seen)
     assert again.replay_buffer.demonstrations.size() == 120
     env.close()
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "tqc"])
+def test_imitation_holds_an_actor_that_is_pulled_elsewhere(algorithm):
+    def pulled_away(weight):
+        _, model, env = demonstrated(algorithm=algorithm, demonstration_share=0.5, clone_steps=300)
+        seen, wanted = model.replay_buffer.imitated
+        if weight:
+            Imitator(model, (seen, wanted), weight=weight, batch_size=64)
+        batch = torch.as_tensor(env.normalize_obs(seen))
+        for _ in range(200):
+            # In place of the critics: the greatest actions are best everywhere.
+            loss = -model.actor(batch, deterministic=True).mean()
+            model.actor.optimizer.zero_grad()
+            loss.backward()
+            model.actor.optimizer.step()
+        env.close()
+        return np.abs(model.actor(batch, deterministic=True).detach().numpy() - wanted).mean()
+
+    assert pulled_away(20.0) < 0.3 * pulled_away(0.0)
+
+
+@pytest.mark.parametrize(("actor_starts", "stays"), [(1000, True), (60, False)])
+def test_an_actor_stays_a_clone_until_it_starts(tmp_path, actor_starts, stays):
+    changes = {"demonstration_share": 0.5, "clone_steps": 20}
+    config, clone, env = demonstrated(**changes)
+    env.close()
+    config = dataclasses.replace(config, actor_starts=actor_starts, imitation_weight=1.0, total_steps=120)
+    train_seed(config, 0, tmp_path, QUIET)
+    trained = load_model(tmp_path / "policy", config)
+    same = [
+        torch.equal(one, two) for one, two in zip(trained.actor.parameters(), clone.actor.parameters(), strict=True)
+    ]
+    assert all(same) if stays else not any(same)
+    assert not torch.equal(next(trained.critic.parameters()), next(clone.critic.parameters()))
 
 
 def test_training_with_all_that_demonstrations_can_do_goes_to_its_end(tmp_path):
