@@ -9,14 +9,13 @@ The last line of the output is where the run is; `policy.npz` in it is what `age
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import yaml
 
-from agents.configuration import find_config, to_mapping
+from agents.command_line import choose_run, run_parser
+from agents.configuration import to_mapping
 from agents.rllib_configuration import read_rllib
 from agents.saving import write_text
 
@@ -30,31 +29,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit status: 0 if all went well.
     """
-    parser = argparse.ArgumentParser(prog="python -m agents.train_rllib", description="Train an agent with RLlib.")
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--config", metavar="NAME", help="how to train: a YAML file, or the name of one in configs")
-    what.add_argument("--resume", type=Path, metavar="DIR", help="go on with an interrupted run")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
-        help="a change of the configuration, such as env_runners.count=4",
-    )  # fmt: skip
-    parser.add_argument("--output", type=Path, metavar="DIR", help="default: runs/ and the file's name")
+    parser = run_parser("python -m agents.train_rllib", "Train an agent with RLlib.", "env_runners.count=4")
     parser.add_argument(
         "--address", help="of a cluster of Ray, 'auto' for one that runs here; default: one is started for the run"
     )
-    parser.add_argument("--quiet", action="store_true", help="show nothing but where the run is")
     chosen = parser.parse_args(arguments)
     if chosen.resume is not None and (chosen.changes or chosen.output):
         parser.error("--resume goes on as the run began: it takes neither --set nor --output")
     try:
-        if chosen.resume is not None:
-            output, config = chosen.resume, read_rllib(chosen.resume / "config.yaml")
-        else:
-            file = find_config(chosen.config)
-            config = read_rllib(file, chosen.changes)
-            output = chosen.output or Path("runs") / file.stem
-            if (output / "config.yaml").exists():
-                raise ValueError(f"{output} holds a run already: go on with it (--resume) or name another (--output)")
+        output, config = choose_run(chosen, read_rllib, chosen.changes)
     except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
         return _fail(str(error))
     try:

@@ -204,7 +204,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
     saved = checkpoints_in(folder / "checkpoints")
     checkpoint = saved[-1] if saved else None
     if not (folder / CONFIG).exists() or checkpoint is None:
-        _write_config(folder, config)
+        write_config(folder, config)
         for stale in ("best", "policy", "tensorboard"):
             shutil.rmtree(folder / stale, ignore_errors=True)
         (folder / "curve.jsonl").unlink(missing_ok=True)
@@ -293,8 +293,8 @@ def train(config: TrainingConfig, output: Path, view: ProgressView) -> dict[str,
     return summary
 
 
-def _write_config(folder: Path, config: TrainingConfig) -> None:
-    """Write the configuration of a run, all at once."""
+def write_config(folder: Path, config: TrainingConfig) -> None:
+    """Write the configuration of a run into its folder, all at once."""
     temporary = folder / f".{CONFIG}.tmp"
     write_training(config, temporary)
     temporary.replace(folder / CONFIG)
