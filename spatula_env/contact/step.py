@@ -57,7 +57,7 @@ MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
 MOST_SWEEPS = 200
-"""Most sweeps in one solve of a tool that holds still. Where these are too few, friction at more points than the organ
+"""Most sweeps in one solve of positions under a tool that holds still. Where these are too few, friction at more points than the organ
 has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
 
 MOST_SWEEPS_MOVING = 25
@@ -66,6 +66,10 @@ goes on from where the last one ended."""
 
 MOST_SWEEPS_DIVIDED = 50
 """The same in a step that is divided into several queries."""
+
+MOST_SWEEPS_VELOCITY = 25
+"""Most sweeps of the velocity solve in a step that is not divided. It begins with what the position solve has found, and
+more sweeps change neither forces nor how still a held organ is."""
 
 SLOW = 1e-3
 """Motion of a tool in a step that counts as holding still [u]."""
@@ -455,6 +459,8 @@ def resolve_step(
         start_warm(count, rows, features, constraints.names, IMPULSE, warm_count[0], warm, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
     lone = count_lone(count, features, touched)
+    if queries == 1:
+        sweeps = MOST_SWEEPS_VELOCITY
     solve_velocities(count, rows, features, inverse_mass, velocities, dt, lone, sweeps, VELOCITY_TOLERANCE, relaxation)
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
