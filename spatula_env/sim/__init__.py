@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from spatula_env._kernels import announce_compilation
 
-with announce_compilation():
+with announce_compilation("the simulation"):
     from spatula_env.sim.report import Report
     from spatula_env.sim.simulation import Simulation, SimulationDiverged, SimulationState
 
