@@ -42,8 +42,8 @@ MEASURES = (
 greatest force [N] and pressure [Pa], when it succeeded [s] (NaN: never), the way of the tool [m], control steps, and
 whether physics broke down."""
 
-WORLDS_PER_PROCESS = {"batch": 64, "bullet": 4}
-"""How many worlds are stepped together at most."""
+WORLDS_PER_PROCESS = {"batch": 64, "bullet": 1}
+"""How many worlds are stepped together at most: in Bullet each for itself, so that none waits for another."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,6 @@ def run_episodes(
     policy: Policy,
     seeds: Sequence[int],
     *,
-    stop_at_success: bool = False,
     end_at_success: bool = False,
     watch: Callable[[SpatulaVectorEnv], None] | None = None,
 ) -> Episodes:
@@ -94,9 +93,7 @@ def run_episodes(
         env: In the mode "next_step", with a limit of steps.
         policy: What acts.
         seeds: (n,) of the episodes' environments.
-        stop_at_success: Whether to stop once all goals have been held; then only success, and when it came, are what
-            they would be otherwise.
-        end_at_success: Whether an episode is over for all measures when its goal has been held.
+        end_at_success: Whether an episode is over when its goal has been held.
         watch: Called with the environment at the beginning and after each step.
 
     Returns:
@@ -109,10 +106,7 @@ def run_episodes(
         # The last worlds go through episodes that nobody asks for, if there are more worlds than episodes.
         filled = chunk + [chunk[-1]] * (count - len(chunk))
         results.append(
-            {
-                name: values[: len(chunk)]
-                for name, values in _run(env, policy, filled, stop_at_success, end_at_success, watch).items()
-            }
+            {name: values[: len(chunk)] for name, values in _run(env, policy, filled, end_at_success, watch).items()}
         )
     return {name: np.concatenate([result[name] for result in results]) for name in MEASURES}
 
@@ -121,7 +115,6 @@ def _run(
     env: SpatulaVectorEnv,
     policy: Policy,
     seeds: list[int],
-    stop_at_success: bool,
     end_at_success: bool,
     watch: Callable[[SpatulaVectorEnv], None] | None,
 ) -> Episodes:
@@ -138,7 +131,7 @@ def _run(
     going = np.ones(count, dtype=np.bool_)
     position = _tool_position(env, observation)
     while going.any():
-        actions = policy(observation)
+        actions = np.where(going[:, None], policy(observation), 0.0)
         observation, rewards, terminated, truncated, infos = env.step(actions)
         if watch is not None:
             watch(env)
@@ -155,10 +148,13 @@ def _run(
             episodes[name] = np.where(going, infos[f"episode_{name}"], episodes[name])
         episodes["violation"] |= going & (infos["episode_violation_time"] > 0.0)
         going &= ~(terminated | truncated)
-        if end_at_success:
-            going &= ~episodes["success"]
-        if stop_at_success and bool((episodes["success"] | ~going).all()):
-            break
+        done = going & episodes["success"]
+        if end_at_success and done.any():
+            going &= ~done
+            if going.any():
+                # The others go on; at the beginning of an episode, with the tool in the air, a world costs least.
+                observation, _ = env.reset(options={"reset_mask": done})
+                position = _tool_position(env, observation)
     return episodes
 
 
@@ -297,7 +293,7 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
     try:
         policy = source.make(env)
         seeds = [plan.seed + k for k in range(min(episodes, plan.episodes))]
-        run_episodes(env, policy, seeds, stop_at_success=True, watch=watch)
+        run_episodes(env, policy, seeds, end_at_success=True, watch=watch)
         rate = env.metadata["render_fps"]
     finally:
         env.close()

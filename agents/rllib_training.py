@@ -335,7 +335,7 @@ class RLlibTrainer:
         env = plan.make(math.ceil(plan.episodes / rounds))
         try:
             seeds = [plan.seed + k for k in range(plan.episodes)]
-            summary = summarize(run_episodes(env, policy.bound_to(env), seeds, stop_at_success=True))
+            summary = summarize(run_episodes(env, policy.bound_to(env), seeds, end_at_success=True))
         finally:
             env.close()
         line = {"step": self.steps, "seconds": self.seconds, **summary}

@@ -146,7 +146,7 @@ class Trainer(BaseCallback):
             rounds = math.ceil(self._plan.episodes / WORLDS_PER_PROCESS[self._plan.engine])
             self._env = self._plan.make(math.ceil(self._plan.episodes / rounds))
         seeds = [self._plan.seed + k for k in range(self._plan.episodes)]
-        summary = summarize(run_episodes(self._env, policy.bound_to(self._env), seeds, stop_at_success=True))
+        summary = summarize(run_episodes(self._env, policy.bound_to(self._env), seeds, end_at_success=True))
         line = {
             "step": steps,
             "seconds": self.seconds,
@@ -163,7 +163,9 @@ class Trainer(BaseCallback):
                 self.logger.record(f"evaluation/{name}", value)
         self.logger.dump(steps)
         self.view.evaluated(line)
-        rank = [line["success_rate"], line["return"]]
+        # Of two that succeed as often the faster is better, whose return is smaller: its episodes are shorter.
+        needed = line["time_to_success"]
+        rank = [line["success_rate"], line["return"] if needed is None else -needed]
         if self.progress["best"] is None or rank >= self.progress["best"]:
             self.progress["best"] = rank
             save_policy(self.folder / "best", self.model, self.normalizer, self.config, line)

@@ -23,7 +23,7 @@ from agents.demonstrations import (
 )
 from agents.evaluation import Plan, evaluate
 from agents.export import export_policy
-from agents.imitation import CloneConfig, Imitator, calm_down
+from agents.imitation import CloneConfig, calm_down
 from agents.policies import find_policy, make_expert
 
 PRESS = "Spatula/Press-v0"
@@ -147,23 +147,6 @@ def test_noise_comes_in_bursts():
     assert 0.03 < astray.mean() < 0.7
     # Most steps follow one of the same kind.
     assert (astray[1:] == astray[:-1]).mean() > 0.7
-
-
-def test_imitation_fades_while_rewards_take_over():
-    model, normalizer, _ = clone(config(), list(steering()), CloneConfig(gradient_steps=1))
-    (some,) = steering(1, seed=4)
-    imitated = (some.observations[:-1], some.actions)
-    imitator = Imitator(model, imitated, until=1000, learning_rate=1e-2, batch_size=16)
-
-    def moved(steps):
-        model.num_timesteps = steps
-        before = model.policy.actor.mu.weight.detach().clone()
-        imitator.step(normalizer)
-        return float((model.policy.actor.mu.weight.detach() - before).abs().max())
-
-    first, late, over = moved(0), moved(990), moved(1000)
-    assert first > 20 * late > 0.0
-    assert over == 0.0
 
 
 def test_an_actor_that_has_imitated_explores_little():
