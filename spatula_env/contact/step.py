@@ -57,8 +57,8 @@ MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
 MOST_SWEEPS = 200
-"""Most sweeps in one solve of positions under a tool that holds still. Where these are too few, friction at more points than the organ
-has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
+"""Most sweeps in one solve of positions under a tool that holds still. Where these are too few, friction at more points
+than the organ has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
 
 MOST_SWEEPS_MOVING = 25
 """The same where a tool moves farther than `SLOW` in a step: what it touches changes from step to step, and each solve
@@ -68,8 +68,8 @@ MOST_SWEEPS_DIVIDED = 50
 """The same in a step that is divided into several queries."""
 
 MOST_SWEEPS_VELOCITY = 25
-"""Most sweeps of the velocity solve in a step that is not divided. It begins with what the position solve has found, and
-more sweeps change neither forces nor how still a held organ is."""
+"""Most sweeps of the velocity solve in a step that is not divided. It begins with what the position solve has found,
+and more sweeps change neither forces nor how still a held organ is."""
 
 SLOW = 1e-3
 """Motion of a tool in a step that counts as holding still [u]."""
