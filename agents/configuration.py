@@ -342,7 +342,7 @@ class TrainingConfig:
         demonstration_share: Of each batch, so much is demonstrations, from first to last (P. Ball et al., "Efficient
             Online Reinforcement Learning with Offline Data", ICML 2023); 0: they are experience like any other.
         clone_steps: Gradient steps in which the actor imitates the demonstrations before training begins.
-        imitation_weight: Of imitation beside rewards in each update of the actor: see `agents.imitation.Imitator`.
+        imitation_weight: Of imitation beside rewards in each update of the actor: see `hold_to_demonstrations`.
         actor_starts: Environment steps before which critics learn, and the actor stays as it is: a clone.
         overlap: Whether gradient steps are taken while the worlds are stepped, with the transitions before that step;
             not for PPO.

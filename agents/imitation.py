@@ -82,60 +82,49 @@ def calm_down(model: Any) -> None:
             actor.log_std.bias.fill_(CALM)
 
 
-class Imitator:
-    """Holds an actor close to demonstrations while it learns from rewards.
+def hold_to_demonstrations(
+    model: Any, imitated: tuple[NDArray[np.float32], NDArray[np.float32]], *, weight: float, batch_size: int
+) -> None:
+    """Hold an actor close to demonstrations, from now on, while it learns from rewards.
 
     Each update of the actor goes down the gradient of two losses at once: that of the rewards, divided by the mean size
     of the critics' estimates, so that it does not depend on how rewards are scaled, and `weight` times the mean squared
     difference from what was demonstrated (S. Fujimoto and S. Gu, "A Minimalist Approach to Offline Reinforcement
     Learning", NeurIPS 2021). Critics that have not seen what comes of an action overrate it; without the second loss
     the actor follows them away from what it has imitated.
+
+    Args:
+        model: SAC or TQC.
+        imitated: (N, ...) what demonstrators saw, not normalised, and (N, A) what they wanted to do.
+        weight: Of imitation beside rewards.
+        batch_size: Samples in an update.
     """
+    observations, actions = imitated
 
-    def __init__(
-        self,
-        model: Any,
-        imitated: tuple[NDArray[np.float32], NDArray[np.float32]],
-        *,
-        weight: float,
-        batch_size: int,
-    ) -> None:
-        """From now on, step in before each step of the actor's optimiser.
-
-        Args:
-            model: SAC or TQC.
-            imitated: (N, ...) what demonstrators saw, not normalised, and (N, A) what they wanted to do.
-            weight: Of imitation beside rewards.
-            batch_size: Samples in an update.
-        """
-        self._model, self._weight, self._batch_size = model, weight, batch_size
-        self._observations, self._actions = imitated
-        model.actor.optimizer.register_step_pre_hook(self._add_gradients)
-
-    def _add_gradients(self, optimizer: torch.optim.Optimizer, *_: Any) -> None:
-        """Scale the gradients of the rewards' loss, and add those of imitation."""
-        actor, critic = self._model.actor, self._model.critic
+    def add_gradients(optimizer: torch.optim.Optimizer, *_: Any) -> None:
         parameters = [each for group in optimizer.param_groups for each in group["params"] if each.grad is not None]
         if not parameters:
             return
         # From NumPy's global random numbers as Stable-Baselines3's batches, since checkpoints keep their state.
-        rows = np.random.randint(len(self._actions), size=self._batch_size)  # noqa: NPY002 - see above
-        seen, wanted = self._observations[rows], torch.as_tensor(self._actions[rows])
-        normalizer = self._model.get_vec_normalize_env()
+        rows = np.random.randint(len(actions), size=batch_size)  # noqa: NPY002 - see above
+        seen, wanted = observations[rows], torch.as_tensor(actions[rows])
+        normalizer = model.get_vec_normalize_env()
         if normalizer is not None:
             seen = normalizer.normalize_obs(seen)
         batch = as_tensors(seen)
         with torch.no_grad():
-            estimates = critic(batch, wanted)
+            estimates = model.critic(batch, wanted)
             size = (torch.cat(estimates, dim=1) if isinstance(estimates, tuple) else estimates).abs().mean()
         with torch.enable_grad():
-            loss = torch.nn.functional.mse_loss(actor(batch, deterministic=True), wanted)
+            loss = torch.nn.functional.mse_loss(model.actor(batch, deterministic=True), wanted)
             gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
         for parameter, gradient in zip(parameters, gradients, strict=True):
             # Critics that know nothing yet estimate next to nothing, which must not make them louder.
             parameter.grad.div_(size.clamp(min=LEAST_ESTIMATE))
             if gradient is not None:
-                parameter.grad.add_(gradient, alpha=self._weight)
+                parameter.grad.add_(gradient, alpha=weight)
+
+    model.actor.optimizer.register_step_pre_hook(add_gradients)
 
 
 def as_tensors(observations: Any) -> Any:

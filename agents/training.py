@@ -25,7 +25,7 @@ from agents.configuration import SACConfig, TrainingConfig, to_mapping, write_tr
 from agents.demonstrations import collect_successes, fill_buffer, joined_observations
 from agents.evaluation import WORLDS_PER_PROCESS, Plan, run_episodes, summarize
 from agents.export import export_policy
-from agents.imitation import CloneConfig, Imitator, calm_down, imitate
+from agents.imitation import CloneConfig, calm_down, hold_to_demonstrations, imitate
 from agents.models import make_model
 from agents.policies import interface_of
 from agents.progress import ProgressView
@@ -235,7 +235,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         if config.overlap and isinstance(config.hyperparameters, SACConfig):
             _overlap_gradients(model, overlap, config)
         if config.imitation_weight and isinstance(config.hyperparameters, SACConfig):
-            Imitator(
+            hold_to_demonstrations(
                 model,
                 model.replay_buffer.imitated,
                 weight=config.imitation_weight,

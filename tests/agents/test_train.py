@@ -22,7 +22,7 @@ from agents import train as command
 from agents import training
 from agents.configuration import training_from_mapping
 from agents.evaluation import Plan, evaluate
-from agents.imitation import Imitator
+from agents.imitation import hold_to_demonstrations
 from agents.policies import find_policy
 from agents.progress import ProgressView
 from agents.saving import (
@@ -307,7 +307,7 @@ def test_imitation_holds_an_actor_that_is_pulled_elsewhere(algorithm):
         _, model, env = demonstrated(algorithm=algorithm, demonstration_share=0.5, clone_steps=300)
         seen, wanted = model.replay_buffer.imitated
         if weight:
-            Imitator(model, (seen, wanted), weight=weight, batch_size=64)
+            hold_to_demonstrations(model, (seen, wanted), weight=weight, batch_size=64)
         batch = torch.as_tensor(env.normalize_obs(seen))
         for _ in range(200):
             # In place of the critics: the greatest actions are best everywhere.
