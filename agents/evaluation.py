@@ -7,19 +7,22 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 import spatula_env
 from agents.policies import Policy, PolicySource
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.naming import find_spec, vector_spec
+from spatula_env.processes import available_cores, in_processes
 
 gymnasium.register_envs(spatula_env)
 
@@ -51,7 +54,7 @@ class Plan:
     """What is evaluated.
 
     Attributes:
-        env_id: Of the environment.
+        env_id: Of the environment, with or without its module, which has been imported.
         kwargs: What it is made with.
         engine: "batch" or "bullet".
         episodes: How many.
@@ -68,14 +71,18 @@ class Plan:
         """The environment, in many worlds.
 
         Raises:
-            ValueError: If it is not one of this package.
+            ValueError: If it is not one of this package or built on it.
         """
-        if not str(gymnasium.spec(self.env_id).vector_entry_point).startswith("spatula_env."):
-            raise ValueError(f"env must be an environment of this package, got {self.env_id!r}")
         env: Any = gymnasium.make_vec(
-            self.env_id, num_envs=num_envs, autoreset_mode="next_step", **{**self.kwargs, "engine": self.engine, **more}
+            vector_spec(self.env_id),
+            num_envs=num_envs,
+            autoreset_mode="next_step",
+            **{**self.kwargs, "engine": self.engine, **more},
         )
-        made: SpatulaVectorEnv = env.unwrapped
+        made = env.unwrapped
+        if not isinstance(made, SpatulaVectorEnv):
+            env.close()
+            raise ValueError(f"{self.env_id} must have a vector environment that is a SpatulaVectorEnv, got {made}")
         return made
 
 
@@ -181,14 +188,24 @@ def evaluate(
         episodes, seconds = _evaluate_some(source, plan, seeds, end_at_success)
         return episodes, float(episodes["steps"].sum()) / seconds
     shares = [share.tolist() for share in np.array_split(np.array(seeds), processes)]
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(_evaluate_some, source, plan, share, end_at_success) for share in shares]
-        parts = [future.result() for future in futures]
+    work = partial(_evaluate_some, source, plan, end_at_success=end_at_success)
+    prepare = partial(_register, find_spec(plan.env_id))
+    # An interruption ends the processes at once.
+    with closing(in_processes(work, shares, processes, prepare)) as stream:
+        found = dict(stream)
+    parts = [found[number] for number in range(len(shares))]
     episodes = {name: np.concatenate([part[0][name] for part in parts]) for name in MEASURES}
     return episodes, float(episodes["steps"].sum()) / max(part[1] for part in parts)
 
 
-def _evaluate_some(source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool) -> tuple[Episodes, float]:
+def _register(spec: EnvSpec) -> None:
+    """Let another process know an environment that only this one may have been told of."""
+    gymnasium.registry.setdefault(spec.id, spec)
+
+
+def _evaluate_some(
+    source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool = False
+) -> tuple[Episodes, float]:
     """Some of the episodes of a plan, in this process, and how long they took without setting up [s]."""
     worlds = min(WORLDS_PER_PROCESS[plan.engine], len(seeds))
     # As many rounds, with as few worlds to spare.
@@ -304,13 +321,6 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
         clip.write_gif(str(file), logger=None)
     else:
         clip.write_videofile(str(file), codec="libx264", audio=False, logger=None)
-
-
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:

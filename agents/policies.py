@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from agents.experts import ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert
 from agents.experts.base import Expert
+from spatula_env.naming import same_environment
 from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenance
 
 NAMES = ("expert", "random", "pretrained")
@@ -151,7 +152,7 @@ def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _check_env(trained: str, wanted: str, path: Path) -> None:
-    if trained != wanted:
+    if not same_environment(trained, wanted):
         raise ValueError(f"the policy {path} is for {trained}, not for {wanted}")
 
 

@@ -6,9 +6,11 @@ import argparse
 import json
 import os
 import platform
+import sys
 import time
 from collections.abc import Callable
 from importlib.metadata import version
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -51,9 +53,18 @@ def machine() -> dict[str, Any]:
 
 def parser(description: str) -> argparse.ArgumentParser:
     """A command line with the options that all benchmarks have."""
+    sys.excepthook = _excepthook
     made = argparse.ArgumentParser(description=description)
     made.add_argument("--json", action="store_true", help="print nothing but the JSON line")
     return made
+
+
+def _excepthook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """Say in a word that a benchmark was interrupted."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
 
 
 def finish(result: dict[str, Any]) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TypeVar
+
+from spatula_env.processes import WorkerDied, available_cores, in_processes
+
+__all__ = ["WorkerDied", "available_cores", "results"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -19,23 +18,12 @@ PLAIN_STEPS = 20
 """How often a plain counter says something."""
 
 
-class WorkerDied(RuntimeError):
-    """A process ended in the middle of its work, as it does when the physics engine crashes."""
-
-
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def results(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int, label: str
 ) -> Generator[tuple[Item, Result], None, None]:
     """Do some work for each item, show progress on standard error, and yield each result when it is there.
 
-    Closing the iterator, as an exception in the loop around it does, gives up what has not begun.
+    Closing the iterator, as an exception in the loop around it does, ends the processes at once.
 
     Args:
         work: What to do; a function that other processes can import.
@@ -48,7 +36,7 @@ def results(
 
     Raises:
         ValueError: If `workers` is not positive.
-        WorkerDied: If a process crashes; the message names the items that may have been the reason.
+        WorkerDied: If a process crashes; the message names the item that may have been the reason.
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
@@ -58,30 +46,10 @@ def results(
                 yield item, work(item)
                 advance()
             return
-        # Not forked: the kernels' threads would not survive that.
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupts)
-        waiting = list(reversed(items))
-        running: dict[Future[Result], Item] = {}
-        try:
-            while waiting or running:
-                # Only as much as keeps the processes busy: a crash then has few suspects.
-                while waiting and len(running) < workers + 1:
-                    item = waiting.pop()
-                    running[pool.submit(work, item)] = item
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    result = future.result()
-                    yield running.pop(future), result
-                    advance()
-        except BrokenProcessPool as error:
-            raise WorkerDied(f"a process died while it worked on one of {list(running.values())}") from error
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _ignore_interrupts() -> None:
-    """The first process is told too, and ends the others."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with closing(in_processes(work, items, workers)) as stream:
+            for number, result in stream:
+                yield items[number], result
+                advance()
 
 
 @contextmanager

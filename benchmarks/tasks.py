@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterable
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -165,8 +166,11 @@ def measure(jobs: list[Job], workers: int) -> dict[str, dict[str, dict[str, Any]
     others = [job for job in jobs if job.engine != "batch"]
     # The batch engine uses all cores by itself.
     for chosen, processes in ((batch, 1), (others, workers)):
-        for job, episodes in results(run_job, chosen, processes, "episodes") if chosen else ():
-            found.setdefault((job.task, job.engine, job.policy), []).append(episodes)
+        if not chosen:
+            continue
+        with closing(results(run_job, chosen, processes, "episodes")) as stream:
+            for job, episodes in stream:
+                found.setdefault((job.task, job.engine, job.policy), []).append(episodes)
     table: dict[str, dict[str, dict[str, Any]]] = {}
     for job in jobs:
         entry = table.setdefault(job.task, {}).setdefault(job.engine, {})

@@ -1,5 +1,12 @@
 from __future__ import annotations
 
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
 from hypothesis import HealthCheck, settings
 
 # No deadline: the machine may be busy, and the first example of a test may load kernels. Tests whose cases come from a
@@ -10,3 +17,52 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 settings.load_profile("spatula_env")
+
+OWN_PRESS = dedent('''
+    """Press under other names."""
+
+    import gymnasium
+    from spatula_env.envs import PressEnv, SpatulaEnv, SpatulaVectorEnv
+
+    class MyEnv(PressEnv):
+        """Press, in one's own words."""
+
+    class MyVectorEnv(SpatulaVectorEnv):
+        """Many."""
+        definition = PressEnv.definition
+
+    class AloneEnv(SpatulaEnv):
+        """Press without a class for many worlds."""
+        definition = PressEnv.definition
+
+    class MoreEnv(AloneEnv):
+        """One that does more than its definition says."""
+        def step(self, action):
+            return super().step(action)
+
+    MINE = (("Press", "MyEnv", "MyVectorEnv"), ("Alone", "AloneEnv", None), ("More", "MoreEnv", None))
+    for name, maker, many in MINE:
+        gymnasium.register(
+            id=f"Mine/{name}-v0", entry_point=f"{__name__}:{maker}",
+            vector_entry_point=None if many is None else f"{__name__}:{many}", max_episode_steps=200,
+        )
+''')  # fmt: skip
+
+
+@pytest.fixture
+def own_press(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The name of a module of a user's own, in `tmp_path`, that registers "Mine/Press-v0" once it is imported.
+
+    Nobody has imported it yet, also no process that is started; at the end all that it has registered is forgotten.
+    """
+    import gymnasium
+
+    name = "own_press"
+    (tmp_path / f"{name}.py").write_text(OWN_PRESS, encoding="utf-8")
+    ids = set(gymnasium.registry)
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.invalidate_caches()
+    yield name
+    sys.modules.pop(name, None)
+    for added in set(gymnasium.registry) - ids:
+        del gymnasium.registry[added]

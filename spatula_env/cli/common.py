@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-import spatula_env
+from spatula_env.naming import find_environment
 
 if TYPE_CHECKING:
     Parsers = argparse._SubParsersAction[argparse.ArgumentParser]
-
-assert spatula_env.TASKS
 
 FAILURE = 1
 INTERRUPTED = 130
@@ -78,7 +76,11 @@ def add_root_option(parser: argparse.ArgumentParser) -> None:
 
 def add_environment_options(parser: argparse.ArgumentParser) -> None:
     """Add an environment's id and options."""
-    parser.add_argument("env", metavar="ID", help="environment, such as Spatula/Press-v0, or press for short")
+    parser.add_argument(
+        "env",
+        metavar="ID",
+        help="environment, such as Spatula/Press-v0, press for short, or MODULE:ID for one of your own",
+    )
     parser.add_argument(
         "--engine", choices=ENGINES, default="bullet", help="what integrates the organ (default: %(default)s)"
     )
@@ -111,28 +113,18 @@ def at_least(least: int) -> Any:
 
 
 def resolve_env(text: str) -> str:
-    """The id of an environment of this package.
+    """The environment that the command line names.
 
     Args:
-        text: An id in any case, or the task's name alone.
+        text: See `spatula_env.naming.find_environment`.
 
     Raises:
         CommandError: If there is no such environment; says which there are.
     """
-    ids = env_ids()
-    names: dict[str, str] = {}
-    for each in ids:
-        short = each.partition("/")[2]
-        names |= {each.lower(): each, short.lower(): each, short.rpartition("-v")[0].lower(): each}
-    found = names.get(text.removeprefix("spatula_env:").lower())
-    if found is None:
-        raise CommandError(f"there is no environment {text!r}; there are {', '.join(ids)}")
-    return found
-
-
-def env_ids() -> list[str]:
-    """Ids of the environments of this package."""
-    return sorted(key for key, spec in gymnasium.registry.items() if spec.namespace == "Spatula")
+    try:
+        return find_environment(text)
+    except (ImportError, ValueError) as error:
+        raise CommandError(str(error)) from error
 
 
 def make_environment(

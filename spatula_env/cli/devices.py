@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
 from spatula_env.cli.common import CommandError, at_least, note, read_changes, resolve_env
+from spatula_env.naming import same_environment
 
 if TYPE_CHECKING:
     import gymnasium
@@ -153,7 +154,7 @@ def _check_recording(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -
 
     dataset = open_dataset(chosen.recording, chosen.root)
     wanted = resolve_env(chosen.env)
-    if dataset.spec.env_spec.id != wanted:
+    if not same_environment(dataset.spec.env_spec.id, wanted):
         raise CommandError(f"{chosen.recording!r} was recorded in {dataset.spec.env_spec.id}, not in {wanted}")
     if chosen.episode >= dataset.total_episodes:
         raise CommandError(f"{chosen.recording!r} has {dataset.total_episodes} episodes, there is no {chosen.episode}")

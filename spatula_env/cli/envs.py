@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from spatula_env.cli.common import add_json_option, env_ids, new_parser, print_json
+from spatula_env.cli.common import add_json_option, new_parser, print_json
+from spatula_env.naming import env_ids
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers

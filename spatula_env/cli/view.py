@@ -15,6 +15,7 @@ from spatula_env.cli.common import (
     resolve_env,
 )
 from spatula_env.cli.showing import FILMS, PICTURES, Film, check_ending, has_window
+from spatula_env.naming import task_name
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers
@@ -53,7 +54,7 @@ def run(chosen: argparse.Namespace) -> int:
     actor = find_actor(chosen.policy, env_id)
     output: Path | None = chosen.output
     if output is None and not has_window():
-        output = Path("out/view") / f"{env_id.partition('/')[2].rpartition('-v')[0].lower()}.png"
+        output = Path("out/view") / f"{task_name(env_id)}.png"
     if output is not None:
         check_ending(output, (*PICTURES, *FILMS))
     env = make_environment(

@@ -32,7 +32,11 @@ def start_workers(count: int = 2) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
+        # What is in the middle of something would keep this process from its end.
+        running = list((pool._processes or {}).values())
         pool.shutdown(wait=False, cancel_futures=True)
+        for process in running:
+            process.terminate()
         raise
     pool.shutdown()
 

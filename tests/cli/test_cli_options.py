@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from spatula_env import cli
-from spatula_env.cli.common import CommandError, env_ids, print_json, read_changes, resolve_env
+from spatula_env.cli.common import CommandError, print_json, read_changes, resolve_env
 from spatula_env.cli.main import COMMANDS, make_parser
 from spatula_env.cli.showing import Film
+from spatula_env.naming import env_ids
 
 COMMAND_LINES = [
     ["play"],
