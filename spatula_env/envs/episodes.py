@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -17,9 +16,10 @@ from spatula_env.envs.frames import Frames
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
 from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import COST_PRESSURE, Safety
-from spatula_env.envs.settings import Definition, EnvSettings, check_choice
-from spatula_env.envs.workspace import Workspace, place_workspace, setting_of
-from spatula_env.tasks.base import Evaluation, Task, weighted_sum
+from spatula_env.envs.settings import Definition, EnvSettings
+from spatula_env.envs.start_options import chosen_starts
+from spatula_env.envs.workspace import place_workspace, setting_of
+from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situation, Start
 
 if TYPE_CHECKING:
@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
     from spatula_env.sim.worlds import Loads, Worlds
     from spatula_env.tasks.marks import Mark
-
-START_OPTIONS = ("goal", "tool_position")
-"""What of an episode's beginning can be chosen."""
 
 Info = dict[str, NDArray[Any]]
 """What there is to tell of W worlds: (W,) each, under keys that never change."""
@@ -163,6 +160,12 @@ class Episodes:
         return np.zeros(shape) if self.situation is None else self.situation.contact_forces
 
     @property
+    def grips(self) -> FloatArray:
+        """(W, 3) where the middle of the tools is now, workspace frames [m]."""
+        positions = self.frames.points_from_scene(self.worlds.tool_positions, np.arange(self.count))
+        return np.asarray(positions.mean(axis=1))
+
+    @property
     def pressures(self) -> tuple[FloatArray, ...]:
         """(W, n) for each tool: on its contact nodes in the last physics step [Pa]."""
         return tuple(pressures.copy() for pressures in self._node_pressures)
@@ -191,40 +194,9 @@ class Episodes:
         memory = {name: values[row] for name, values in self._memory.items()}
         return self.task.marks(self.goals[world], situation, memory)
 
-    def choose(self, options: Mapping[str, Any] | None, worlds: IntArray) -> dict[str, FloatArray]:
-        """Check what is chosen of an episode's beginning.
-
-        Args:
-            options: "goal" (G,) or (W, G), and "tool_position" (3,) or (W, 3) [m].
-            worlds: (n,) those in which an episode is to begin; the rows of others are not looked at.
-
-        Returns:
-            What there is of the two, (n, G) and (n, 3).
-
-        Raises:
-            ValueError: If an option is unknown, malformed or out of its range.
-        """
-        chosen: dict[str, FloatArray] = {}
-        for name, value in (options or {}).items():
-            check_choice(name, "options", START_OPTIONS)
-            size = self.goals.shape[1] if name == "goal" else 3
-            try:
-                array = np.array(value, dtype=np.float64)
-            except (TypeError, ValueError):
-                array = np.zeros(0)
-            fits = array.shape in ((size,), (self.count, size))
-            rows = np.broadcast_to(array, (self.count, size))[worlds] if fits else array
-            if not fits or not np.isfinite(rows).all():
-                each = f", or {self.count} times {size}" if self.count > 1 else ""
-                raise ValueError(f"options[{name!r}] must be {size} finite numbers{each}, got {value!r}")
-            chosen[name] = rows
-        for goal in np.unique(chosen.get("goal", self.goals[:0]), axis=0):
-            self.task.check_goal(goal)
-        low, high = self.workspace.low, self.workspace.high
-        for position in chosen.get("tool_position", ()):
-            if ((position < low) | (position > high)).any():
-                raise ValueError(f"options['tool_position'] must lie in {low} to {high} m, got {position}")
-        return chosen
+    def choose(self, options: Mapping[str, Any], worlds: IntArray) -> dict[str, FloatArray]:
+        """Check what is chosen of an episode's beginning in worlds (n,); see `chosen_starts`."""
+        return chosen_starts(options, worlds, self.count, self.task, self.workspace)
 
     def begin(
         self, generators: Mapping[int, np.random.Generator], chosen: Mapping[str, FloatArray] | None = None
@@ -448,59 +420,6 @@ class Episodes:
         whole = self._observation if isinstance(self._observation, dict) else {"": self._observation}
         for name, values in frames.items():
             whole[name][worlds] = values
-
-
-class EpisodesEnv:
-    """What environments for one agent and for many tell of their episodes.
-
-    Attributes:
-        definition: Scene and task; subclasses with an id have one.
-    """
-
-    definition: ClassVar[Definition]
-    __signature__: ClassVar[inspect.Signature]
-    _episodes: Episodes
-
-    @property
-    def workspace(self) -> Workspace:
-        """The cube that the grip is kept in."""
-        return self._episodes.workspace
-
-    @property
-    def task(self) -> Task:
-        """What is asked."""
-        return self._episodes.task
-
-    @property
-    def control(self) -> VelocityControl:
-        """What an action means."""
-        return self._episodes.control
-
-    @property
-    def observation_builder(self) -> ObservationBuilder:
-        """How observations are laid out."""
-        return self._episodes.observation_builder
-
-    @property
-    def steps_per_action(self) -> int:
-        """Physics steps in a control step."""
-        return self._episodes.steps_per_action
-
-    @property
-    def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
-        """The sparse reward of goals, for hindsight replay: of (achieved_goal, desired_goal, info).
-
-        Goals are (..., G) and the result is (...); `info` is not looked at. There is no such attribute with
-        `reward="dense"`, because libraries tell by it which environments have the goal interface.
-        """
-        if self._episodes.settings.reward != "sparse":
-            raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
-        task = self.task
-
-        def compute(achieved: NDArray[Any], desired: NDArray[Any], info: Any) -> NDArray[np.float32]:
-            return task.compute_reward(achieved, desired)
-
-        return compute
 
 
 def _share_of_face(face: NDArray[np.int32]) -> FloatArray:

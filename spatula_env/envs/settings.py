@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
@@ -159,12 +160,15 @@ class Definition:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
 
-    def read(self, options: Mapping[str, Any], owner: str, **defaults: Any) -> EnvSettings:
+    def read(
+        self, options: Mapping[str, Any], owner: str, others: tuple[str, ...] = (), **defaults: Any
+    ) -> EnvSettings:
         """Check the options of an environment.
 
         Args:
             options: By name.
             owner: Whose options, for errors.
+            others: Names of further arguments that it takes, for errors.
             **defaults: That differ from those of `EnvSettings`.
 
         Returns:
@@ -174,10 +178,15 @@ class Definition:
             TypeError: If there is no such option.
             ValueError: If a value is not one of those allowed, or out of its range.
         """
-        allowed = [each.name for each in fields(EnvSettings)]
-        unknown = sorted(set(options) - set(allowed))
-        if unknown:
-            raise TypeError(f"{owner} has no option {', '.join(unknown)}; allowed are {', '.join(sorted(allowed))}")
+        allowed = sorted([*(each.name for each in fields(EnvSettings)), *others])
+        for name in options:
+            if name not in allowed:
+                near = difflib.get_close_matches(name, allowed, 1)
+                hint = f". Did you mean {near[0]!r}? Allowed" if near else "; allowed"
+                # Python's own words: libraries look for them to try again without an argument.
+                raise TypeError(
+                    f"{owner}.__init__() got an unexpected keyword argument {name!r}{hint} are {', '.join(allowed)}"
+                )
         values = {**defaults, **self.defaults, **options}
         settings = EnvSettings(**values)
         check_choice(settings.control, "control", tuple(self.controls))

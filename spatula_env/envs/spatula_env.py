@@ -10,13 +10,15 @@ import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from numpy.typing import NDArray
 
+from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_action
-from spatula_env.envs.episodes import Episodes, EpisodesEnv
+from spatula_env.envs.episodes import Episodes
 from spatula_env.envs.listening import PhysicsListener, PhysicsStep
 from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
 from spatula_env.envs.settings import RENDER_MODES
+from spatula_env.envs.start_options import START_OPTIONS, own_options
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 from spatula_env.sim.worlds import SeparateWorlds
 from spatula_env.tasks.situation import FloatArray
@@ -180,6 +182,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         settings: All options.
     """
 
+    _gymnasium_class = gymnasium.Env
+
     # Not a ClassVar: Gymnasium lets an environment have metadata of its own.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
 
@@ -231,10 +235,11 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             The first observation, and `info` with the same keys as after a step.
 
         Raises:
-            ValueError: If an option is unknown, malformed or out of its range.
+            ValueError: If an option is misspelt, malformed or out of its range. Options that are not of this package
+                are ignored, with a warning.
         """
         self._check_open()
-        chosen = self._episodes.choose(options, np.zeros(1, dtype=np.int64))
+        chosen = self._episodes.choose(own_options(options, START_OPTIONS), np.zeros(1, dtype=np.int64))
         super().reset(seed=seed)
         self._episodes.begin({0: self.np_random}, chosen)
         self._started = True
@@ -288,8 +293,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     @property
     def grip(self) -> FloatArray:
         """(3,) where the middle of the tools is now, workspace frame [m]."""
-        points = self._episodes.frames.points_from_scene(self.simulation.tool_positions[None], np.zeros(1, np.int64))
-        return np.asarray(points[0].mean(axis=0))
+        return np.asarray(self._episodes.grips[0])
 
     @property
     def moment(self) -> Moment:

@@ -15,12 +15,16 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from spatula_env.envs.attributes import call_worlds, set_in_worlds
+from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_actions
-from spatula_env.envs.episodes import START_OPTIONS, Episodes, EpisodesEnv, Info
+from spatula_env.envs.episodes import Episodes, Info
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures
 from spatula_env.envs.settings import check_choice
+from spatula_env.envs.start_options import START_OPTIONS, own_options
+from spatula_env.envs.time_limit import read_step_limit
 from spatula_env.geometry.checks import check_count
 from spatula_env.sim.worlds import Worlds, make_worlds
 from spatula_env.tasks.situation import BoolArray, FloatArray
@@ -30,6 +34,9 @@ if TYPE_CHECKING:
 
 AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
 """Names of what can happen when an episode has ended."""
+
+OWN_ARGUMENTS = ("num_envs", "max_episode_steps", "autoreset_mode")
+"""Arguments beside those of the environment for one agent."""
 
 StepResult = tuple[Observation, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
@@ -56,10 +63,15 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
     `infos["final_info"]` ("same_step"); or `reset` with the option "reset_mask" begins new episodes ("disabled").
     Gymnasium's `AutoresetMode` has the same.
 
+    `gymnasium.vector.VectorEnv` is a direct base of every subclass, whether it is named there or not.
+
     Attributes:
         definition: Scene and task; subclasses have one.
         settings: All options.
+        constructed_names: Of attributes that are decided when the environment is made.
     """
+
+    _gymnasium_class = VectorEnv
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Let Python tell what arguments there are."""
@@ -82,11 +94,10 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             TypeError: If there is no such option.
             ValueError: If an option is not one of those allowed, or a number is out of its range.
         """
+        before = set(vars(self))
         check_count(num_envs, "num_envs", 1)
-        if max_episode_steps is not None:
-            check_count(max_episode_steps, "max_episode_steps", 1)
         self._mode = _as_autoreset_mode(autoreset_mode)
-        settings = self.definition.read(options, type(self).__name__, engine="batch")
+        settings = self.definition.read(options, type(self).__name__, OWN_ARGUMENTS, engine="batch")
         if settings.render_mode is not None:
             check_choice(settings.render_mode, "render_mode", (None, "rgb_array"))
         self._episodes = Episodes(
@@ -97,7 +108,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         )
         self.settings = settings
         self.num_envs = int(num_envs)
-        self.max_episode_steps = max_episode_steps
+        self._step_limit = read_step_limit(max_episode_steps)
         self.render_mode = settings.render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -113,6 +124,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         self._seeds: list[int | None] = [None] * self.num_envs
         self._begun: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
         self._over: BoolArray = np.zeros(self.num_envs, dtype=np.bool_)
+        self.constructed_names = frozenset({*dir(SpatulaVectorEnv), "definition", *vars(self)} - before)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -129,7 +141,8 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             The observations of all worlds, and infos of those that begin, with the same keys as after a step.
 
         Raises:
-            ValueError: If a seed or an option is unknown, malformed or out of its range; nothing has then changed.
+            ValueError: If a seed or an option is misspelt, malformed or out of its range; nothing has then changed.
+                Options that are not of this package are ignored, with a warning.
         """
         self._check_open()
         worlds, rest = self._read_mask(options)
@@ -171,8 +184,8 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             outcome = episodes.step(wanted)
             rewards, lost = np.where(going, outcome.reward, 0.0), outcome.diverged & going
             terminated, truncated = outcome.terminated & going, lost.copy()
-            if self.max_episode_steps is not None:
-                truncated |= (episodes.elapsed >= self.max_episode_steps) & going
+            if self._step_limit is not None:
+                truncated |= (episodes.elapsed >= self._step_limit) & going
         else:
             rewards = np.zeros(self.num_envs)
             terminated, truncated, lost = resting & False, resting & False, resting & False
@@ -203,10 +216,76 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """Free the engine; `close` calls it once."""
         self._episodes.close()
 
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of every world, or read an attribute of it, as Gymnasium's vector environments do.
+
+        Args:
+            name: Of a method or an attribute of the environment for one agent, such as "render", "goal",
+                "task_description" or "_max_episode_steps".
+            *args: For the method.
+            **kwargs: For the method.
+
+        Returns:
+            (W,) what it returns, or what it is, in each world.
+
+        Raises:
+            AttributeError: If worlds have no such thing, or it is nothing that one world could do alone.
+        """
+        return call_worlds(self, name, *args, **kwargs)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of every world (W,); see `call`.
+
+        Raises:
+            AttributeError: If worlds have no such thing.
+        """
+        return call_worlds(self, name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute in all worlds.
+
+        Args:
+            name: "_max_episode_steps", a property that has a setter, or an attribute that a subclass has of its own.
+            values: One value, or a list or tuple of W of them, which must be the same: worlds share attributes.
+
+        Raises:
+            AttributeError: If there is no such attribute, or setting it has no effect.
+            ValueError: If there are not W values, or they differ.
+        """
+        set_in_worlds(self, name, values)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What happens when an episode has ended."""
+        return self._mode
+
     @property
     def worlds(self) -> Worlds:
         """The physics."""
         return self._episodes.worlds
+
+    @property
+    def max_episode_steps(self) -> int | None:
+        """Episodes are cut after this many control steps; None: never. It can be set at any time."""
+        return self._step_limit
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, value: int | None) -> None:
+        self._step_limit = read_step_limit(value)
+
+    @property
+    def _max_episode_steps(self) -> int | None:
+        """Under the name that Gymnasium's `TimeLimit` has for it, by which libraries ask."""
+        return self._step_limit
+
+    @_max_episode_steps.setter
+    def _max_episode_steps(self, value: int | None) -> None:
+        self._step_limit = read_step_limit(value)
+
+    @property
+    def grips(self) -> FloatArray:
+        """(W, 3) where the middle of the tools is in each world, workspace frames [m]."""
+        return self._episodes.grips
 
     @property
     def goals(self) -> FloatArray:
@@ -252,9 +331,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     def _read_mask(self, options: Mapping[str, Any] | None) -> tuple[IntArray, dict[str, Any]]:
         """Which worlds are to begin, and the other options."""
-        rest = dict(options or {})
-        for name in rest:
-            check_choice(name, "options", (*START_OPTIONS, "reset_mask"))
+        rest = own_options(options, (*START_OPTIONS, "reset_mask"))
         mask = rest.pop("reset_mask", None)
         if mask is None:
             return np.arange(self.num_envs), rest

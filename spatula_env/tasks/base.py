@@ -70,12 +70,14 @@ class Task(ABC):
     Subclasses name their goal, and say how episodes begin, what a situation is worth and when a goal is fulfilled.
 
     Attributes:
+        description: What is asked, as a sentence that instructs; "" where nobody wrote one.
         goal_names: Names of the G numbers in a goal.
         goal_units: Their units.
         extra_parts: The task's own pieces of the observation.
         setting: Where it is asked, as far as nothing of it is drawn at random.
     """
 
+    description: ClassVar[str] = ""
     goal_names: ClassVar[tuple[str, ...]]
     goal_units: ClassVar[tuple[str, ...]]
     extra_parts: tuple[PartSpec, ...] = ()

@@ -102,6 +102,9 @@ class ClampTask(Task):
     goal is fulfilled if the lift is right within a tolerance and the slip is not greater than allowed.
     """
 
+    description = (
+        "Grip the ridge between the jaws, lift it by the given height without letting it slip, and hold it there."
+    )
     goal_names = ("lift", "slip")
     goal_units = ("m", "m")
 

@@ -132,6 +132,10 @@ class FissureTask(Task):
     within a wide tolerance, and no less is seen than is asked for: more is better.
     """
 
+    description = (
+        "Enter the fissure with the blade and lean it against the wall until the given share of "
+        "the target is seen, and hold it there."
+    )
     goal_names = ("place", "view", "exposure")
     goal_units = ("m", "rad", "1")
 

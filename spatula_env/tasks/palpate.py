@@ -131,6 +131,10 @@ class PalpateTask(Task):
         config: What is asked.
     """
 
+    description = (
+        "Slide the spatula along the path with a normal force in the given band until the given "
+        "share of it is felt, and stay at its end."
+    )
     goal_names = ("share", "x", "y", "force")
     goal_units = ("1", "m", "m", "N")
 

@@ -89,6 +89,7 @@ class PressTask(Task):
         config: What is asked.
     """
 
+    description = "Press the organ with the spatula to the given depth at the given place, and hold it there."
     goal_names = ("x", "y", "depth")
     goal_units = ("m", "m", "m")
 

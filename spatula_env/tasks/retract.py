@@ -100,6 +100,7 @@ class RetractTask(Task):
         config: What is asked.
     """
 
+    description = "Push the marked patch of the fold aside by the given displacement with the blade, and hold it there."
     goal_names = ("shift_x", "shift_y")
     goal_units = ("m", "m")
 

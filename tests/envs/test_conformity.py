@@ -380,7 +380,7 @@ def test_what_does_not_exist_is_refused(make: Env, id: str) -> None:
     def made(**options: Any) -> Any:
         return gym.make(id, engine="batch", **options)
 
-    with pytest.raises(TypeError, match="has no option colour; allowed are contact, control"):
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'colour'.* are contact, control"):
         made(colour=1)
     for option, value, allowed in (
         ("obs_mode", "smell", r"\['state', 'dict', 'rgb', 'rgbd', 'pointcloud'\]"),
@@ -400,7 +400,7 @@ def test_what_does_not_exist_is_refused(make: Env, id: str) -> None:
     for bad in (np.zeros(size + 1), np.full(size, np.nan), "left"):
         with pytest.raises(ValueError, match="action must"):
             env.step(bad)
-    for options in ({"goal": "far"}, {"goal": [0.0]}, {"tool_position": (0.0, 0.0, 1.0)}, {"speed": 1.0}):
+    for options in ({"goal": "far"}, {"goal": [0.0]}, {"tool_position": (0.0, 0.0, 1.0)}, {"goals": 1.0}):
         with pytest.raises(ValueError, match="options"):
             env.reset(options=options)
 

@@ -338,14 +338,14 @@ def test_options_that_do_not_exist_are_refused(options: dict[str, Any], message:
 
 
 def test_unknown_options_are_refused() -> None:
-    with pytest.raises(TypeError, match="PressEnv has no option colour; allowed are contact, control, control_freq"):
+    with pytest.raises(TypeError, match=r"unexpected keyword argument 'colour'.* are contact, control, control_freq"):
         PressEnv(colour=1)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"speed": 1.0}, r"options must be one of \['goal', 'tool_position'\], got 'speed'"),
+        ({"goals": (0.0, 0.0, 0.01)}, "options has no 'goals'; did you mean 'goal'"),
         ({"goal": (0.0, 0.0)}, r"options\['goal'\] must be 3 finite numbers"),
         ({"goal": (0.0, 0.0, np.nan)}, r"options\['goal'\] must be 3 finite numbers"),
         ({"goal": (0.0, 0.0, 0.03)}, "goal must have a depth from 0.005 to 0.018 m, got 0.03"),

@@ -270,7 +270,7 @@ def test_options_choose_goals_and_starts_and_change_nothing_else(env: PressVecto
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"options": {"speed": 1.0}}, r"options must be one of \['goal', 'tool_position', 'reset_mask'\], got 'speed'"),
+        ({"options": {"reset_masks": 1}}, "options has no 'reset_masks'; did you mean 'reset_mask'"),
         ({"options": {"goal": (0.0, 0.0)}}, r"options\['goal'\] must be 3 finite numbers, or 3 times 3, got"),
         ({"options": {"goal": [GOAL] * 2}}, r"options\['goal'\] must be 3 finite numbers, or 3 times 3, got"),
         ({"options": {"goal": [GOAL, GOAL, (0.0, 0.0, 0.03)]}}, "goal must have a depth from 0.005 to 0.018 m"),

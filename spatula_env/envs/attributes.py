@@ -1,0 +1,116 @@
+"""What single worlds of a vector environment tell, and what of it can be set: Gymnasium's `call` and its like."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from spatula_env.envs.vector import SpatulaVectorEnv
+
+ABOUT_ALL = frozenset(
+    {
+        "call",
+        "close",
+        "close_extras",
+        "closed",
+        "get_attr",
+        "goals",
+        "max_episode_steps",
+        "num_envs",
+        "reset",
+        "set_attr",
+        "single_action_space",
+        "single_observation_space",
+        "step",
+        "worlds",
+    }
+)
+"""What a vector environment has as a whole, and no world of it."""
+
+READ: dict[str, Callable[[SpatulaVectorEnv], Iterable[Any]]] = {
+    "_max_episode_steps": lambda env: [env.max_episode_steps] * env.num_envs,
+    "action_space": lambda env: [env.single_action_space] * env.num_envs,
+    "goal": lambda env: env.goals,
+    "grip": lambda env: env.grips,
+    "np_random": lambda env: env.np_random,
+    "np_random_seed": lambda env: env.np_random_seed,
+    "observation_space": lambda env: [env.single_observation_space] * env.num_envs,
+    "render": lambda env: env.render() or [None] * env.num_envs,
+}
+"""What differs from world to world, or has another name for one of them."""
+
+
+def call_worlds(env: SpatulaVectorEnv, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+    """Call a method of every world, or read an attribute, as `gymnasium.vector.SyncVectorEnv.call` does.
+
+    Args:
+        env: With W worlds.
+        name: Of a method or an attribute of the environment for one agent.
+        *args: For the method.
+        **kwargs: For the method.
+
+    Returns:
+        (W,) what it returns, or what it is, in each world.
+
+    Raises:
+        AttributeError: If worlds have no such thing, or it is nothing that one world could do alone.
+    """
+    if name in READ:
+        return tuple(READ[name](env))
+    if name in ABOUT_ALL or not hasattr(env, name):
+        raise AttributeError(_missing(env, name))
+    value = getattr(env, name)
+    if callable(value) and not isinstance(value, type):
+        return tuple(value(*args, **kwargs) for _ in range(env.num_envs))
+    return (value,) * env.num_envs
+
+
+def set_in_worlds(env: SpatulaVectorEnv, name: str, values: Any) -> None:
+    """Set an attribute in all worlds, as `gymnasium.vector.SyncVectorEnv.set_attr` does.
+
+    Args:
+        env: With W worlds.
+        name: "_max_episode_steps", a property that has a setter, or an attribute that a subclass has of its own.
+        values: A list or tuple of W values, which must be the same: worlds share their attributes. Or one value.
+
+    Raises:
+        AttributeError: If there is no such attribute, or setting it has no effect.
+        ValueError: If there are not W values, or they differ.
+    """
+    if isinstance(values, list | tuple):
+        if len(values) != env.num_envs:
+            raise ValueError(f"values must be {env.num_envs}, one for each world, got {len(values)}")
+        if any(not _same(value, values[0]) for value in values[1:]):
+            raise ValueError(f"values must be the same for all worlds, which share {name!r}; got {values!r}")
+        values = values[0]
+    declared = getattr(type(env), name, None)
+    if isinstance(declared, property):
+        if declared.fset is None:
+            raise AttributeError(f"{name!r} of {type(env).__name__} can be read only: setting it has no effect")
+    elif name in READ:
+        raise AttributeError(f"{name!r} of {type(env).__name__} can be read only: setting it has no effect")
+    elif not hasattr(env, name):
+        raise AttributeError(_missing(env, name))
+    elif name in env.constructed_names or callable(declared):
+        raise AttributeError(
+            f"{name!r} of {type(env).__name__} cannot be set: it is decided when the environment is made, and setting "
+            "it later has no effect"
+        )
+    setattr(env, name, values)
+
+
+def _same(one: Any, other: Any) -> bool:
+    return one is other or bool(np.all(one == other))
+
+
+def _missing(env: SpatulaVectorEnv, name: str) -> str:
+    """Why a world has no attribute, with what may be meant."""
+    known = sorted({*READ, *(each for each in dir(env) if not each.startswith("_"))} - ABOUT_ALL)
+    near = difflib.get_close_matches(name, known, 1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    whole = ", only the environment as a whole has" if name in ABOUT_ALL else ""
+    return f"a world of {type(env).__name__} has no attribute {name!r}{whole}{hint}"
