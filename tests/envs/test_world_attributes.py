@@ -170,7 +170,7 @@ def test_unknown_options_are_refused_in_pythons_words(many: bool) -> None:
     owner = "PressVectorEnv" if many else "PressEnv"
     with pytest.raises(TypeError, match=rf"{owner}.__init__\(\) got an unexpected keyword argument 'frameskip'; allow"):
         make(frameskip=1)
-    with pytest.raises(TypeError, match=r"argument 'controls'\. Did you mean 'control'\? Allowed are .*contact, control"):
+    with pytest.raises(TypeError, match=r"argument 'controls'\. Did you mean 'control'\? Allowed are "):
         make(controls="velocity")
 
 
