@@ -2,7 +2,7 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-ray check format lock clean distclean setup-demo setup-test setup-ray
+.PHONY: help demo test test-ray test-libraries check format lock clean distclean setup-demo setup-test setup-ray setup-libraries
 
 BIN := .venv/bin
 UV ?= uv
@@ -29,6 +29,9 @@ test: setup-test  ## Set up, then run the tests; ARGS="tests/contact -n 0" is pa
 
 test-ray: setup-ray  ## Set up .venv-ray, then run the tests that need Ray
 	@$(THREADS) .venv-ray/bin/python -m pytest -rs -m ray -n 0 $(or $(ARGS),tests/agents/test_rllib.py)
+
+test-libraries: setup-libraries  ## Set up .venv-libraries, then run the tests with other RL libraries
+	@$(THREADS) .venv-libraries/bin/python -m pytest -rs -m libraries -n 0 $(ARGS)
 
 check: setup-test  ## Set up, then lint, check the format, the types and the spelling
 	$(BIN)/ruff check
@@ -59,8 +62,8 @@ clean:  ## Remove caches and build outputs
 	rm -rf build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -path './.venv*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
-distclean: clean  ## Remove .venv and .venv-ray as well
-	rm -rf .venv .venv-ray
+distclean: clean  ## Remove .venv, .venv-ray and the like as well
+	rm -rf .venv .venv-*
 
 setup-demo:
 	@scripts/bootstrap.sh demo
@@ -70,3 +73,6 @@ setup-test:
 
 setup-ray:
 	@scripts/bootstrap.sh ray
+
+setup-libraries:
+	@scripts/bootstrap.sh libraries

@@ -38,6 +38,7 @@ from agents.configuration import TrainingConfig, read_training, to_mapping, writ
 from agents.export import export_policy
 from agents.policies import find_policy, interface_of
 from spatula_env import __version__
+from spatula_env.engines import BULLET_DISTRIBUTIONS
 from spatula_env.policies import ExportedPolicy
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ PACKAGES = (
     "gymnasium",
     "numpy",
     "numba",
-    "pybullet",
+    *BULLET_DISTRIBUTIONS,
     "torch",
     "stable-baselines3",
     "sb3-contrib",

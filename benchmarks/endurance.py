@@ -21,7 +21,7 @@ import gymnasium
 import numpy as np
 
 from benchmarks.inspection import Inspector
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, parser, without_bullet
 from spatula_env import TASKS
 from spatula_env.sim.worlds import SeparateWorlds
 
@@ -215,8 +215,9 @@ def main() -> None:
     arguments = options.parse_args()
     table: dict[str, dict[str, Any]] = {}
     good = True
+    engines = without_bullet(arguments.engines)
     for task in arguments.tasks:
-        for engine in arguments.engines:
+        for engine in engines:
             outcome = run(task, engine, arguments.steps or STEPS[engine], arguments.seed)
             table.setdefault(task, {})[engine] = {**asdict(outcome), "passed": outcome.passed}
             good = good and outcome.passed

@@ -8,12 +8,16 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+from spatula_env.engines import bullet_hint, bullet_is_there, bullet_version
+
+Name = TypeVar("Name", bound=str)
 
 
 def median_microseconds(call: Callable[[], object], repeats: int, before: Callable[[], object] | None = None) -> float:
@@ -47,8 +51,27 @@ def machine() -> dict[str, Any]:
         "python": platform.python_version(),
         "numba": version("numba"),
         "numpy": version("numpy"),
-        "pybullet": version("pybullet"),
+        **dict(filter(None, [bullet_version()])),
     }
+
+
+def without_bullet(names: Iterable[Name]) -> list[Name]:
+    """Engines or contact models to measure. Bullet is left out where PyBullet is not installed, and that is said.
+
+    Args:
+        names: Of engines or contact models, "bullet" among them.
+    """
+    wanted = list(names)
+    if "bullet" not in wanted or bullet_is_there():
+        return wanted
+    print(f"PyBullet is not installed: 'bullet' is left out. {bullet_hint()}", file=sys.stderr)
+    return [name for name in wanted if name != "bullet"]
+
+
+def require_bullet(benchmark: str) -> None:
+    """End a benchmark that has nothing to measure where PyBullet is not installed."""
+    if not bullet_is_there():
+        raise SystemExit(f"{benchmark} compares with PyBullet, which is not installed. {bullet_hint()}")
 
 
 def parser(description: str) -> argparse.ArgumentParser:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, parser, require_bullet
 from spatula_env import Simulation, scenes
 from spatula_env.scenes import PlacedOrgan, Scene
 from spatula_env.sim.batch import BatchSimulation
@@ -448,6 +448,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.add_argument("--steps", type=int, default=200, help="of the free body")
     options.add_argument("--rest-steps", type=int, default=480, help="of falling, and of lying")
     given = options.parse_args(arguments)
+    require_bullet("parity")
     result = run(scenes.seed(), given.steps, given.rest_steps)
     if not given.json:
         _print(result)

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numba
 import numpy as np
 
+from spatula_env.engines import bullet_version, import_bullet
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -487,9 +489,8 @@ class BulletRays(Rival):
 
     def __init__(self, question: Question) -> None:
         """Load the first shape as a soft body."""
-        import pybullet
-
-        self.version = f"pybullet {version('pybullet')}"
+        pybullet = import_bullet("rayTestBatch")
+        self.version = " ".join(bullet_version() or ("pybullet",))
         self._bullet = pybullet
         self._client = pybullet.connect(pybullet.DIRECT)
         pybullet.resetSimulation(0, physicsClientId=self._client)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, parser, require_bullet
 from spatula_env import Simulation, scenes
 
 MOTIONS: dict[str, Callable[[int], tuple[float, float, float]]] = {
@@ -47,7 +47,7 @@ def measure(faces: str, steps: int) -> dict[str, Any]:
     Returns:
         Microseconds and share, by motion.
     """
-    simulation = Simulation(scenes.seed(faces=faces))
+    simulation = Simulation(scenes.seed(faces=faces), engine="bullet")
     bullet = simulation._world._bullet
     watch = _Watch(bullet)
     simulation._world._bullet = SimpleNamespace(**{**vars(bullet), "stepSimulation": watch})
@@ -82,6 +82,7 @@ def main() -> None:
     options = parser(__doc__ or "")
     options.add_argument("--steps", type=int, default=2000)
     arguments = options.parse_args()
+    require_bullet("step")
     result = {faces: measure(faces, arguments.steps) for faces in ("largest", "all")}
     if not arguments.json:
         for faces, rows in result.items():

@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 
 import agents.experts as experts
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, parser, without_bullet
 from benchmarks.parallel import available_cores, results
 from spatula_env import TASKS
 
@@ -222,7 +222,8 @@ def main() -> None:
     arguments = options.parse_args()
     if arguments.episodes < 1:
         options.error(f"argument --episodes: must be at least 1, got {arguments.episodes}")
-    jobs = plan(arguments.tasks, arguments.engines, arguments.policies, arguments.episodes, arguments.seed)
+    engines = without_bullet(arguments.engines)
+    jobs = plan(arguments.tasks, engines, arguments.policies, arguments.episodes, arguments.seed)
     start = time.perf_counter()
     table = measure(jobs, arguments.workers)
     if not arguments.json:

@@ -37,7 +37,7 @@ import numpy as np
 
 import spatula_env
 from agents.experts import PressExpert
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, parser, require_bullet
 from benchmarks.parallel import available_cores
 from benchmarks.parity import DEPTH, HOLD, place_above, press_velocities
 from spatula_env import Simulation, scenes
@@ -1057,6 +1057,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options.add_argument("--rounds", type=int, default=Size.rounds, help="turns of each side")
     options.add_argument("--cold", action="store_true", help="also time the first step of new processes (minutes)")
     given = options.parse_args(arguments)
+    require_bullet("throughput")
     start = time.perf_counter()
 
     def tell(words: str) -> None:

@@ -33,7 +33,7 @@ import numpy as np
 
 from benchmarks import plunges
 from benchmarks.inspection import Inspection
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, parser, without_bullet
 from benchmarks.parallel import WorkerDied, available_cores, results
 from benchmarks.plunges import Outcome
 from spatula_env.sim import Report, Simulation
@@ -189,13 +189,16 @@ def _print_step(step: int, simulation: Simulation, report: Report, seen: Inspect
     )
 
 
-def plan(seed: int, numbers: Sequence[int], subset: int) -> list[Job]:
+def plan(
+    seed: int, numbers: Sequence[int], subset: int, contacts: Sequence[ContactName] = get_args(ContactName)
+) -> list[Job]:
     """Which cases to run with which contact model.
 
     Args:
         seed: Of the benchmark.
         numbers: Of the cases.
         subset: How many of them all contact models run; the rest is for the flags method.
+        contacts: The contact models.
 
     Returns:
         The jobs, one case after the other, so that an interrupted run has something of each contact model.
@@ -203,7 +206,7 @@ def plan(seed: int, numbers: Sequence[int], subset: int) -> list[Job]:
     return [
         Job(seed, number, contact)
         for index, number in enumerate(numbers)
-        for contact in get_args(ContactName)
+        for contact in contacts
         if contact == "flags" or index < subset
     ]
 
@@ -256,11 +259,12 @@ def _run_all(arguments: argparse.Namespace) -> None:
     numbers = range(arguments.first, arguments.first + arguments.cases)
     outcomes: dict[str, list[Outcome]] = {}
     stopped: str | None = None
+    contacts = without_bullet(get_args(ContactName)) if arguments.subset else ["flags"]
     start = time.perf_counter()
     # So that `timeout` ends a run with what there is.
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        measure(plan(arguments.seed, numbers, arguments.subset), arguments.workers, outcomes)
+        measure(plan(arguments.seed, numbers, arguments.subset, contacts), arguments.workers, outcomes)
     except KeyboardInterrupt:
         stopped = "interrupted"
     except (WorkerDied, RuntimeError) as error:

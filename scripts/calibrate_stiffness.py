@@ -17,6 +17,7 @@ import argparse
 import dataclasses
 import json
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env import scenes
+from spatula_env.engines import bullet_hint, bullet_is_there
 from spatula_env.geometry import FissuredBlock, RidgedBlock
 from spatula_env.geometry.transforms import random_quaternion
 from spatula_env.sim.worlds import Worlds, make_worlds
@@ -408,11 +410,14 @@ def main() -> None:
     if not chosen:
         parser.error(f"scene must be one of {[made.name for made in indentations()]}, got {given.scene}")
     calibrations, results = [], {}
+    bullet = not given.no_bullet and bullet_is_there()
+    if not bullet and not given.no_bullet:
+        print(f"PyBullet is not installed: the check with it is left out. {bullet_hint()}", file=sys.stderr)
     for indentation in chosen:
         found = calibrate(indentation)
         calibrations.append(found)
         results[indentation.name] = found.as_dict()
-        if not given.no_bullet:
+        if bullet:
             results[indentation.name]["engines_pa"] = check_with_bullet(indentation)
         secants = [
             f"{depth:g} mm {1e-3 * modulus:.2f}"

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from textwrap import dedent
 
@@ -66,3 +68,41 @@ def own_press(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     sys.modules.pop(name, None)
     for added in set(gymnasium.registry) - ids:
         del gymnasium.registry[added]
+
+
+WITHOUT_BULLET = "SPATULA_TESTS_WITHOUT_BULLET"
+"""An environment variable: with "1" PyBullet cannot be imported in the tests and the processes that they start."""
+
+if os.environ.get(WITHOUT_BULLET) == "1":
+    stand_in = str(Path(__file__).parent / "without_bullet")
+    sys.path.insert(0, stand_in)
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [stand_in, os.environ.get("PYTHONPATH")]))
+
+
+def no_bullet() -> str | None:
+    """Why PyBullet cannot be imported; None if it can."""
+    try:
+        import_module("pybullet")
+    except ImportError as error:
+        return str(error)
+    return None
+
+
+NO_BULLET = no_bullet()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if NO_BULLET is not None:
+        # That the default is then another engine is said where it is tested.
+        config.addinivalue_line("filterwarnings", "ignore:PyBullet is not installed, so environments:UserWarning")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests for which an engine or a contact model of that name is a parameter, and skip those of Bullet's."""
+    for item in items:
+        parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+        if "bullet" in (parameters.get("engine"), parameters.get("contact")):
+            item.add_marker(pytest.mark.bullet)
+        if NO_BULLET is not None and item.get_closest_marker("bullet"):
+            item.add_marker(pytest.mark.skip(reason=f"needs PyBullet: {NO_BULLET}"))

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.common import CommandError, add_json_option, new_parser, note, print_json
+from spatula_env.engines import bullet_hint, bullet_is_there
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,6 +30,9 @@ CORE: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """Those that `--core` runs, and how: a few minutes in all."""
+
+NEED_BULLET = ("parity", "step")
+"""Those of them that have nothing to measure without PyBullet."""
 
 DESCRIPTION = """Run the measurements of speed and quality.
 
@@ -98,6 +102,9 @@ def _core(as_json: bool) -> int:
     results: dict[str, Any] = {}
     failed = []
     for name, arguments in CORE.items():
+        if name in NEED_BULLET and not bullet_is_there():
+            note(f"{name} is left out: PyBullet is not installed. {bullet_hint()}")
+            continue
         note(f"{name} {' '.join(arguments)}".rstrip())
         done = subprocess.run([*_command(name), *arguments, "--json"], stdout=subprocess.PIPE, text=True, check=False)
         lines = done.stdout.strip().splitlines()

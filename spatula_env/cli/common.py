@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from spatula_env import engines
 from spatula_env.naming import find_environment
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 FAILURE = 1
 INTERRUPTED = 130
-ENGINES = ("bullet", "batch")
 
 
 class CommandError(Exception):
@@ -82,7 +82,7 @@ def add_environment_options(parser: argparse.ArgumentParser) -> None:
         help="environment, such as Spatula/Press-v0, press for short, or MODULE:ID for one of your own",
     )
     parser.add_argument(
-        "--engine", choices=ENGINES, default="bullet", help="what integrates the organ (default: %(default)s)"
+        "--engine", choices=engines.ENGINES, help=f"what integrates the organ (default: {engines.DEFAULT})"
     )
     parser.add_argument(
         "--set",
@@ -95,6 +95,11 @@ def add_environment_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=at_least(0), default=0, help="of the first episode (default: %(default)s)"
     )
+
+
+def engine_option(chosen: argparse.Namespace) -> dict[str, str]:
+    """The engine as an option of an environment, if the command line names one."""
+    return {} if chosen.engine is None else {"engine": chosen.engine}
 
 
 def at_least(least: int) -> Any:
@@ -141,7 +146,7 @@ def make_environment(
         CommandError: If there is no such environment or option.
     """
     env_id = resolve_env(chosen.env)
-    wanted = {"engine": chosen.engine, **(options or {}), **read_changes(chosen.changes), **more}
+    wanted = {**engine_option(chosen), **(options or {}), **read_changes(chosen.changes), **more}
     try:
         return gymnasium.make(env_id, **wanted)
     except (TypeError, ValueError) as error:

@@ -8,12 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from spatula_env import engines
 from spatula_env.cli.common import (
     CommandError,
     Stopped,
     add_json_option,
     add_root_option,
     at_least,
+    engine_option,
     new_parser,
     note,
     print_json,
@@ -109,7 +111,7 @@ def _add_make(inner: Parsers) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=at_least(0), default=0, help="of the first episode (default: %(default)s)"
     )
-    parser.add_argument("--engine", choices=("bullet", "batch"), default="bullet", help="(default: %(default)s)")
+    parser.add_argument("--engine", choices=engines.ENGINES, help=f"(default: {engines.DEFAULT})")
     parser.add_argument("--no-states", action="store_true", help="leave out the organ's nodes")
     parser.set_defaults(run=_make)
     _add_common(parser)
@@ -310,7 +312,7 @@ def _make(chosen: argparse.Namespace) -> int:
                 make_expert,
                 episodes=chosen.episodes,
                 seed=chosen.seed,
-                options={"engine": chosen.engine},
+                options=engine_option(chosen),
                 states=not chosen.no_states,
                 root=chosen.root,
                 progress=tell,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
-from spatula_env.cli.common import CommandError, at_least, note, read_changes, resolve_env
+from spatula_env.cli.common import CommandError, at_least, engine_option, note, read_changes, resolve_env
 from spatula_env.naming import same_environment
 
 if TYPE_CHECKING:
@@ -185,7 +185,7 @@ def serve_page(chosen: argparse.Namespace, dataset: str | None = None) -> int:
         token=chosen.token,
         dataset=dataset if dataset is not None else chosen.root,
         seed=chosen.seed,
-        env_kwargs={"engine": chosen.engine, **read_changes(chosen.changes)},
+        env_kwargs={**engine_option(chosen), **read_changes(chosen.changes)},
         on_ready=lambda url: note(f"Open {url} in a browser. Ctrl-C ends it."),
     )
     return 0

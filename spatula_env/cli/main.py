@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 
 import gymnasium
@@ -53,6 +54,9 @@ def _run(run: Callable[[], int]) -> int:
     # Looked up here: importing it brings NumPy, which `spatula --version` can do without.
     from spatula_env.teleop.device import DeviceError
 
+    usual = warnings.formatwarning
+    # People who type a command are not helped by the line of code that warns.
+    warnings.formatwarning = lambda message, *_: f"spatula: {message}\n"
     try:
         return run()
     except Stopped as stopped:
@@ -65,3 +69,5 @@ def _run(run: Callable[[], int]) -> int:
         return FAILURE
     except (CommandError, DeviceError, gymnasium.error.Error, ImportError, OSError, ValueError) as error:
         return fail(str(error))
+    finally:
+        warnings.formatwarning = usual

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,13 +86,18 @@ def replay(
         How each compares.
 
     Raises:
-        ImportError: If Minari is missing.
+        ImportError: If Minari is missing, or PyBullet is and the episodes were recorded with it.
         FileNotFoundError: If there is no such dataset.
         ValueError: If an episode has no seed.
     """
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
-    env = gymnasium.make(dataset.spec.env_spec, render_mode=render_mode)
+    spec = copy.deepcopy(dataset.spec.env_spec)
+    if numbers and spec.kwargs.get("engine") is None:
+        # Datasets did not always name the engine in what they were recorded with. The default here may be another one.
+        (first,) = dataset.storage.get_episode_metadata(numbers[:1])
+        spec.kwargs["engine"] = first.get("engine")
+    env = gymnasium.make(spec, render_mode=render_mode)
     results = []
     try:
         for number in numbers:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from spatula_env.demo import require_extra
+from spatula_env.engines import import_bullet
 
 TABLE_PLACE = re.compile(r"(?<=<!-- comparison -->\n).*?(?=<!-- end of comparison -->)", re.DOTALL)
 """Where the table is in a document: between two comments, each on a line of its own."""
@@ -23,6 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: Of the command line.
 
     Raises:
+        ImportError: If the extra "demo" or PyBullet is not installed.
         ValueError: If the document has no place for the table.
     """
     parser = argparse.ArgumentParser(prog="python -m spatula_env.demo.figures", description=__doc__)
@@ -32,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     chosen = parser.parse_args(arguments)
     require_extra()
+    import_bullet("The figure of three contact models")
 
     from spatula_env.demo.pictures import figure, side_by_side
     from spatula_env.demo.report import markdown_table, write_bytes, write_text

@@ -16,6 +16,7 @@ from spatula_env import __version__, scenes
 from spatula_env.demo.measure import GRID
 from spatula_env.demo.press import FINAL_HEIGHT, GAP, SURFACE_STRIDE, WINDOW, PressResult
 from spatula_env.demo.verdict import CRITERIA
+from spatula_env.engines import bullet_version
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -127,7 +128,8 @@ def as_document(
         "versions": {
             "spatula_env": __version__,
             "python": platform.python_version(),
-            **{name: metadata.version(name) for name in ("gymnasium", "numba", "numpy", "pybullet")},
+            **{name: metadata.version(name) for name in ("gymnasium", "numba", "numpy")},
+            **dict(filter(None, [bullet_version()])),
         },
         "platform": platform.platform(),
         "units": {

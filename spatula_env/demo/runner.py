@@ -24,6 +24,7 @@ from spatula_env.demo.report import (
     write_text,
 )
 from spatula_env.demo.workers import start_workers, submit_cases
+from spatula_env.engines import bullet_hint, bullet_is_there
 from spatula_env.render.renderer import Renderer
 
 if TYPE_CHECKING:
@@ -51,9 +52,13 @@ def comparison_cases(quick: bool = False) -> list[PressCase]:
 
     Args:
         quick: Whether to run two speeds and to hold shortly.
+
+    Returns:
+        The cases; without those of Bullet's own contact where PyBullet is not installed.
     """
     speeds, hold_time = (QUICK_SPEEDS, 1.0) if quick else (SPEEDS, 2.0)
-    return [PressCase(contact, speed, hold_time) for contact in CONTACTS for speed in speeds]
+    contacts = [contact for contact in CONTACTS if contact != "bullet" or bullet_is_there()]
+    return [PressCase(contact, speed, hold_time) for contact in contacts for speed in speeds]
 
 
 def figure_results(results: list[PressResult]) -> list[PressResult]:
@@ -77,6 +82,12 @@ def run_demo(output: Path, console: Console, *, actor: Actor | None = None, quic
     """
     require_extra()
     prepare_folder(output)
+    if not bullet_is_there():
+        console.print(
+            f"PyBullet is not installed: left out is its own contact, contact='bullet'; all else runs with "
+            f"engine='batch'. {bullet_hint()}",
+            highlight=False,
+        )
     with start_workers() as pool:
         results, episode, film = _compute(pool, actor or trained_actor(), console, quick)
     console.print(terminal_table(results, console.width))

@@ -8,10 +8,10 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from importlib import import_module
 from typing import TypeVar
 
 from spatula_env.demo.press import PressCase, PressResult, run_press
+from spatula_env.engines import bullet_is_there
 
 Result = TypeVar("Result")
 
@@ -77,7 +77,7 @@ def _prepare_worker() -> None:
     try:
         for number in (1, 2):
             os.dup2(nowhere, number)
-        import_module("pybullet")
+        bullet_is_there()
     finally:
         for number, copy in zip((1, 2), kept, strict=True):
             os.dup2(copy, number)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.engines import choose_engine
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.randomization import DEFAULT_RANGES, Ranges, read_ranges
 from spatula_env.geometry.checks import check_count, check_not_negative, check_positive
@@ -74,7 +75,8 @@ class EnvSettings:
     """The options that all environments have.
 
     Attributes:
-        engine: What integrates the organ: "bullet" or "batch".
+        engine: What integrates the organ: "bullet" or "batch". None: the default, "bullet" where PyBullet is installed,
+            else "batch"; many environments at once have "batch".
         contact: What resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
         control: "velocity": what the task needs. "velocity_6d": six degrees of freedom.
@@ -96,7 +98,7 @@ class EnvSettings:
         height: Of pictures [pixels].
     """
 
-    engine: str = "bullet"
+    engine: str | None = None
     contact: ContactName = "flags"
     obs_mode: str = "state"
     control: str = "velocity"
@@ -172,11 +174,13 @@ class Definition:
             **defaults: That differ from those of `EnvSettings`.
 
         Returns:
-            All options; `task` is a configuration, `observation` `ObservationSettings`, `randomization` ranges.
+            All options; `engine` is the one to use, `task` is a configuration, `observation` `ObservationSettings`,
+            `randomization` ranges.
 
         Raises:
             TypeError: If there is no such option.
             ValueError: If a value is not one of those allowed, or out of its range.
+            ImportError: If PyBullet is asked for and is not installed; says what to install.
         """
         allowed = sorted([*(each.name for each in fields(EnvSettings)), *others])
         for name in options:
@@ -188,11 +192,14 @@ class Definition:
                     f"{owner}.__init__() got an unexpected keyword argument {name!r}{hint} are {', '.join(allowed)}"
                 )
         values = {**defaults, **self.defaults, **options}
+        if values.get("engine") is None:
+            values["engine"] = {**defaults, **self.defaults}.get("engine")
         settings = EnvSettings(**values)
         check_choice(settings.control, "control", tuple(self.controls))
         return EnvSettings(
             **{
                 **vars(settings),
+                "engine": choose_engine(settings.engine, settings.contact),
                 "task": config_from_mapping(self.config, settings.task, "task"),
                 "randomization": read_ranges(settings.randomization, self.randomization),
             }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,8 @@ from spatula_env.sim.worlds import SeparateWorlds
 from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
+
     from spatula_env.render.moment import Moment
     from spatula_env.scenes import Scene
     from spatula_env.sim.report import Report
@@ -157,7 +160,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     | Parameter              | Type               | Default      | Description                                         |
     | ---------------------- | ------------------ | ------------ | --------------------------------------------------- |
-    | `engine`               | **str**            | `"bullet"`   | What integrates the organ: `"bullet"`, `"batch"`    |
+    | `engine`               | **str \| None**    | `None`       | What integrates the organ: `"bullet"`, `"batch"`    |
     | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"` or, in Bullet, `"bullet"`|
     | `obs_mode`             | **str**            | `"state"`    | See above                                           |
     | `control`              | **str**            | `"velocity"` | `"velocity"` or `"velocity_6d"`                     |
@@ -176,6 +179,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `width`                | **int**            | `480`        | Of pictures [pixels]                                |
     | `height`               | **int**            | `480`        | Of pictures [pixels]                                |
 
+    With `engine=None` it is `"bullet"` where PyBullet is installed, else `"batch"`, and a warning says so once;
+    `env.spec` has the one that is used.
+
     Attributes:
         definition: Scene and task; subclasses have one.
         simulation: The physics.
@@ -183,6 +189,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     """
 
     _gymnasium_class = gymnasium.Env
+    _spec: EnvSpec | None = None
 
     # Not a ClassVar: Gymnasium lets an environment have metadata of its own.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -202,6 +209,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             TypeError: If there is no such option.
             ValueError: If an option is not one of those allowed, or a number is out of its range.
+            ImportError: If PyBullet is asked for and is not installed; says what to install.
         """
         settings = self.definition.read(options, type(self).__name__)
         self.simulation: Simulation
@@ -289,6 +297,18 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._closed = True
         self._pictures.close()
         self._episodes.close()
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How the environment was made. It names the engine, whose default is another one where PyBullet is missing."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, made: EnvSpec | None) -> None:
+        if made is not None:
+            made = copy.copy(made)
+            made.kwargs = {**made.kwargs, "engine": self.settings.engine}
+        self._spec = made
 
     @property
     def grip(self) -> FloatArray:

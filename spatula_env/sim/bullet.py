@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.engines import import_bullet
 from spatula_env.geometry.transforms import rotate
 from spatula_env.sim.exchange import forces_of_changes, velocities_of_positions
 from spatula_env.sim.soft_body import node_masses
@@ -52,10 +53,10 @@ class BulletWorld:
             with_tools: Whether the tools are in Bullet's world, to be collided with by Bullet's own algorithm.
 
         Raises:
+            ImportError: If PyBullet is not installed; says what to install.
             RuntimeError: If PyBullet offers no further physics server.
         """
-        import pybullet
-
+        pybullet = import_bullet("Bullet's soft body")
         self._bullet: Any = pybullet
         self._client: int = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:

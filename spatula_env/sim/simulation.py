@@ -10,6 +10,7 @@ import numpy as np
 
 from spatula_env.contact.model import ContactMemory, ContactModel, Motions, Pressures
 from spatula_env.contact.motion import turned_by
+from spatula_env.engines import ENGINES, choose_engine
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.batch_world import BatchWorld
 from spatula_env.sim.bullet import BulletWorld
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
 
 ContactName = Literal["flags", "second_step", "bullet"]
 """What resolves contact between tools and organs; see `Simulation`."""
-
-ENGINES = ("bullet", "batch")
-"""What can integrate the organs."""
 
 PRECISIONS = {"single": np.float32, "double": np.float64}
 """Of the batch engine."""
@@ -95,7 +93,7 @@ class Simulation:
     def __init__(
         self,
         scene: Scene,
-        engine: str = "bullet",
+        engine: str | None = None,
         contact: ContactName = "flags",
         first_step: FirstStep = "inside",
         precision: Literal["single", "double"] = "single",
@@ -105,7 +103,8 @@ class Simulation:
         Args:
             scene: What is in it.
             engine: What integrates the organs. "bullet": PyBullet's soft body. "batch": this package's own, which
-                computes the same, faster; `BatchSimulation` steps many worlds with it.
+                computes the same, faster; `BatchSimulation` steps many worlds with it. None: "bullet" where PyBullet
+                is installed, else "batch".
             contact: "flags": the flags method with both its steps. "second_step": without the first step, so that
                 both faces of a thin tool push. "bullet": PyBullet's own collision algorithm; the detector only
                 watches.
@@ -115,8 +114,9 @@ class Simulation:
 
         Raises:
             ValueError: If an argument is not one of those, or the batch engine is asked for Bullet's contact.
+            ImportError: If PyBullet is asked for and is not installed; says what to install.
         """
-        if engine not in ENGINES:
+        if engine is not None and engine not in ENGINES:
             raise ValueError(f"engine must be one of {list(ENGINES)}, got {engine!r}")
         if contact not in get_args(ContactName):
             raise ValueError(f"contact must be one of {list(get_args(ContactName))}, got {contact!r}")
@@ -124,6 +124,7 @@ class Simulation:
             raise ValueError(f"precision must be one of {list(PRECISIONS)}, got {precision!r}")
         if engine == "batch" and contact == "bullet":
             raise ValueError("contact must be 'flags' or 'second_step' with engine 'batch', got 'bullet'")
+        engine = choose_engine(engine, contact)
         self.scene = scene
         self.contact: ContactName = contact
         self.listeners: list[Callable[[Report], None]] = []

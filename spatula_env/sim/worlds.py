@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.engines import choose_engine
 from spatula_env.sim.drive import restrain
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 
@@ -316,13 +317,14 @@ class SeparateWorlds:
             simulation.close()
 
 
-def make_worlds(scene: Scene, count: int, engine: str = "batch", contact: ContactName = "flags") -> Worlds:
+def make_worlds(scene: Scene, count: int, engine: str | None = "batch", contact: ContactName = "flags") -> Worlds:
     """Load many worlds of a scene, all at rest.
 
     Args:
         scene: What is in each.
         count: How many.
-        engine: "batch": all of them in compiled code, in step. "bullet": as many simulations with PyBullet.
+        engine: "batch": all of them in compiled code, in step. "bullet": as many simulations with PyBullet. None: that
+            of `Simulation`.
         contact: What resolves contact; see `Simulation`.
 
     Returns:
@@ -330,14 +332,14 @@ def make_worlds(scene: Scene, count: int, engine: str = "batch", contact: Contac
 
     Raises:
         ValueError: If `engine` is not one of those, or `contact` is not one of the engine's.
+        ImportError: If PyBullet is asked for and is not installed; says what to install.
     """
+    engine = choose_engine(engine, contact)
     if engine == "batch":
         from spatula_env.sim.batch import BatchSimulation
 
         # It says itself what it does not have.
         return BatchSimulation(scene, count, contact=cast("BatchContactName", contact))
-    if engine != "bullet":
-        raise ValueError(f"engine must be one of ['batch', 'bullet'], got {engine!r}")
     simulations: list[Simulation] = []
     try:
         for _ in range(count):

@@ -156,7 +156,7 @@ class TestWeb:
             "token": "secret",
             "dataset": None,
             "seed": 3,
-            "env_kwargs": {"engine": "bullet", "randomization": "default"},
+            "env_kwargs": {"randomization": "default"},
         }
         assert "Open http://127.0.0.1:9/ in a browser" in noted
 

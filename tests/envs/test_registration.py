@@ -66,10 +66,11 @@ def test_the_specification_can_be_written_to_a_file() -> None:
     assert not spec.nondeterministic
     with gym.make(spec, reward="sparse", task={"depth_range": [0.006, 0.01]}) as env:
         assert env.spec is not None
+        engine = env.unwrapped.settings.engine
         written = env.spec.to_json()
     with gym.make(EnvSpec.from_json(written)) as again:
         assert again.spec is not None
-        assert again.spec.kwargs == {"reward": "sparse", "task": {"depth_range": [0.006, 0.01]}}
+        assert again.spec.kwargs == {"reward": "sparse", "task": {"depth_range": [0.006, 0.01]}, "engine": engine}
         again.reset(seed=0)
         assert 0.006 <= again.unwrapped.goal[2] <= 0.01
 

@@ -1,0 +1,131 @@
+"""Which engines there are, and which one is taken when none is named. Importing this loads none of them."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import warnings
+from functools import cache
+from importlib import import_module, metadata
+from typing import Any
+
+ENGINES = ("bullet", "batch")
+"""What can integrate the organs."""
+
+DEFAULT = '"bullet" where PyBullet is installed, else "batch"'
+"""The engine that is taken when none is named, for people."""
+
+BULLET_DISTRIBUTIONS = ("pybullet", "pybullet-arm64")
+"""What brings the module `pybullet`: the original, and a fork with wheels for more platforms."""
+
+
+def choose_engine(engine: str | None = None, contact: str = "flags") -> str:
+    """The engine to use.
+
+    Args:
+        engine: Its name; None: the default.
+        contact: What is to resolve contact: only Bullet has "bullet".
+
+    Returns:
+        Its name.
+
+    Raises:
+        ValueError: If there is no such engine.
+        ImportError: If PyBullet is asked for and is not installed; says what to install.
+    """
+    if engine is not None and engine not in ENGINES:
+        raise ValueError(f"engine must be one of {list(ENGINES)}, got {engine!r}")
+    if engine == "bullet":
+        import_bullet("engine='bullet'")
+    elif engine is None and contact == "bullet":
+        import_bullet("contact='bullet'")
+        return "bullet"
+    return default_engine() if engine is None else engine
+
+
+@cache
+def default_engine() -> str:
+    """The engine that is taken when none is named: "bullet" where PyBullet can be imported, else "batch".
+
+    The first time that it is "batch", a warning says so.
+    """
+    if bullet_is_there():
+        return "bullet"
+    warnings.warn(
+        "PyBullet is not installed, so environments and simulations use engine='batch', this package's own soft body, "
+        f"unless told otherwise. {bullet_hint()}",
+        UserWarning,
+        stacklevel=2,
+    )
+    return "batch"
+
+
+def bullet_is_there() -> bool:
+    """Whether PyBullet can be imported. It is imported to tell."""
+    try:
+        import_module("pybullet")
+    except ImportError:
+        return False
+    return True
+
+
+def import_bullet(wanted: str) -> Any:
+    """The module `pybullet`.
+
+    Args:
+        wanted: What needs it, for the error.
+
+    Raises:
+        ImportError: If it is not installed; says what to install.
+    """
+    try:
+        return import_module("pybullet")
+    except ImportError as error:
+        raise ImportError(
+            f"{wanted} needs PyBullet, which cannot be imported ({error}). {bullet_hint()}", name="pybullet"
+        ) from error
+
+
+def bullet_hint() -> str:
+    """What to do to have PyBullet here: a sentence."""
+    found = bullet_distribution()
+    if found is None:
+        return (
+            f"There is no ready-made PyBullet for Python {sys.version_info[0]}.{sys.version_info[1]} on "
+            f"{platform.system()} {platform.machine()}; engine='batch' needs none."
+        )
+    return f"To have it: pip install {found}"
+
+
+def bullet_distribution(
+    system: str | None = None, machine: str | None = None, version: tuple[int, int] | None = None
+) -> str | None:
+    """The distribution with a wheel of PyBullet; the dependencies' markers in pyproject.toml say the same.
+
+    Args:
+        system: As `sys.platform`; this one's by default.
+        machine: As `platform.machine()`; this one's by default.
+        version: Of CPython; this one's by default.
+
+    Returns:
+        Its name; None if there is no wheel.
+    """
+    system, machine = system or sys.platform, machine or platform.machine()
+    version = version or sys.version_info[:2]
+    if not (3, 10) <= version <= (3, 13):
+        return None
+    place = (system, machine)
+    if place == ("linux", "x86_64"):
+        return "pybullet" if version <= (3, 11) else "pybullet-arm64"
+    universal = place == ("darwin", "x86_64") and version in ((3, 11), (3, 12))
+    return "pybullet-arm64" if universal or place in (("darwin", "arm64"), ("win32", "AMD64")) else None
+
+
+def bullet_version() -> tuple[str, str] | None:
+    """Name and version of the distribution that brings PyBullet; None if none is installed."""
+    for name in BULLET_DISTRIBUTIONS:
+        try:
+            return name, metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return None
