@@ -47,8 +47,9 @@ def __dir__() -> list[str]:
 TASKS = ("Press", "Retract", "Fissure", "Clamp", "Palpate")
 """Names of the tasks; their ids are Spatula/<name>-v0."""
 
-EPISODE_STEPS = 200
-"""Control steps in an episode, unless `max_episode_steps` says otherwise: 10 s."""
+EPISODE_TIME = 10.0
+"""After which episodes are cut [s], in as many control steps as that makes, unless `episode_time` or
+`max_episode_steps` says otherwise."""
 
 
 def _register() -> None:
@@ -60,7 +61,7 @@ def _register() -> None:
                 id=f"Spatula/{name}-v0",
                 entry_point=f"{module}:{name}Env",
                 vector_entry_point=f"{module}:{name}VectorEnv",
-                max_episode_steps=EPISODE_STEPS,
+                kwargs={"episode_time": EPISODE_TIME},
             )
 
 

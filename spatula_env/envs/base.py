@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.envs.time_limit import read_step_limit
+from spatula_env.tasks.plain import as_recorded
+
 if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
+
     from spatula_env.envs.control import VelocityControl
     from spatula_env.envs.episodes import Episodes
     from spatula_env.envs.observations import ObservationBuilder
-    from spatula_env.envs.settings import Definition
+    from spatula_env.envs.settings import Definition, EnvSettings
     from spatula_env.envs.workspace import Workspace
     from spatula_env.tasks.base import Task
 
@@ -29,6 +35,9 @@ class EpisodesEnv:
     __signature__: ClassVar[inspect.Signature]
     _gymnasium_class: ClassVar[type[Any]]
     _episodes: Episodes
+    settings: EnvSettings
+    _spec: EnvSpec | None = None
+    _step_limit: int | None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Make Gymnasium's class a direct base of every subclass: libraries look there for what an environment is."""
@@ -36,6 +45,34 @@ class EpisodesEnv:
         kind = getattr(cls, "_gymnasium_class", None)
         if kind is not None and kind not in cls.__bases__:
             cls.__bases__ = (*cls.__bases__, kind)
+
+    # A property, for Gymnasium's class attribute: what is recorded is to be written to a file and compared.
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How the environment was made, in Python's own numbers, lists and names, and when its episodes are cut.
+
+        It names the engine, whose default is another one where PyBullet is missing.
+        """
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        if value is not None:
+            kwargs = {**as_recorded(value.kwargs), "engine": self.settings.engine}
+            if "episode_time" in kwargs:
+                # None where a number of steps was told.
+                kwargs["episode_time"] = self.settings.episode_time
+            value = replace(value, kwargs=kwargs, max_episode_steps=self._max_episode_steps)
+        self._spec = value
+
+    @property
+    def _max_episode_steps(self) -> int | None:
+        """After how many control steps episodes are cut, under the name that Gymnasium's `TimeLimit` has for it."""
+        return self._step_limit
+
+    @_max_episode_steps.setter
+    def _max_episode_steps(self, value: int | None) -> None:
+        self._step_limit = read_step_limit(value)
 
     @property
     def workspace(self) -> Workspace:

@@ -152,6 +152,11 @@ class EpisodePictures:
             )
 
 
+def as_frame_rate(frequency: float) -> int | float:
+    """Pictures in a second for a frequency of control [Hz]: an integer where it is one, which is what most expect."""
+    return int(frequency) if frequency == int(frequency) else float(frequency)
+
+
 def in_scene(mark: Mark, workspace: Workspace) -> Mark:
     """A mark in the frame and the unit of the scene."""
     if isinstance(mark, Ring):

@@ -15,6 +15,7 @@ from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.randomization import DEFAULT_RANGES, Ranges, read_ranges
 from spatula_env.geometry.checks import check_count, check_not_negative, check_positive
 from spatula_env.tasks.configuration import config_from_mapping
+from spatula_env.tasks.plain import make_fields_plain
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
@@ -53,7 +54,8 @@ class ObservationSettings:
     tool_points: int = 64
 
     def __post_init__(self) -> None:
-        """Check the values, and take a list as it comes from a file."""
+        """Check the values, and take a list as it comes from a file, and NumPy's numbers and arrays."""
+        make_fields_plain(self)
         check_not_negative(self.noise, "observation.noise")
         check_count(self.delay, "observation.delay", 0)
         check_count(self.history, "observation.history", 1)
@@ -89,6 +91,7 @@ class EnvSettings:
         max_force: A tool that has met a greater force in a physics step does not push on in the next one [N]; None:
             there is no such stop.
         control_frequency: Control steps in a second [Hz].
+        episode_time: After which an episode is cut [s]; None: never.
         terminate_on_success: Whether success ends an episode.
         damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
         randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
@@ -109,6 +112,7 @@ class EnvSettings:
     max_jaw_speed: float = 0.05
     max_force: float | None = 2.0
     control_frequency: float = 20.0
+    episode_time: float | None = None
     terminate_on_success: bool = False
     damage_limit: float | None = None
     randomization: Any = "none"
@@ -118,15 +122,17 @@ class EnvSettings:
     height: int = 480
 
     def __post_init__(self) -> None:
-        """Check what does not depend on the scene."""
+        """Check what does not depend on the scene, and take NumPy's numbers and arrays."""
+        make_fields_plain(self)
         check_choice(self.obs_mode, "obs_mode", OBS_MODES)
         check_choice(self.reward, "reward", REWARDS)
         if self.render_mode is not None:
             check_choice(self.render_mode, "render_mode", (None, *RENDER_MODES))
         for name in ("max_speed", "max_rotation_rate", "max_jaw_speed", "control_frequency"):
             check_positive(getattr(self, name), name)
-        if self.max_force is not None:
-            check_positive(self.max_force, "max_force")
+        for name in ("max_force", "episode_time"):
+            if getattr(self, name) is not None:
+                check_positive(getattr(self, name), name)
         if self.damage_limit is not None and not 0.0 <= self.damage_limit < np.inf:
             raise ValueError(f"damage_limit must be None, or zero or more and finite, got {self.damage_limit!r}")
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import copy
+import operator
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -17,16 +18,15 @@ from spatula_env.envs.episodes import Episodes
 from spatula_env.envs.listening import PhysicsListener, PhysicsStep
 from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
-from spatula_env.envs.pictures import EpisodePictures
+from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import RENDER_MODES
 from spatula_env.envs.start_options import START_OPTIONS, own_options
+from spatula_env.envs.time_limit import is_told_in_steps, steps_in
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 from spatula_env.sim.worlds import SeparateWorlds
 from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
-    from gymnasium.envs.registration import EnvSpec
-
     from spatula_env.render.moment import Moment
     from spatula_env.scenes import Scene
     from spatula_env.sim.report import Report
@@ -110,7 +110,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     By success if `terminate_on_success` is set, and by damage if `damage_limit` is; else never.
 
     ### Truncation
-    After 200 steps (10 s), by the `TimeLimit` that `gymnasium.make` applies.
+    After `episode_time`. `gymnasium.make` passes 10 s, which are 200 steps at 20 Hz and 600 at 60 Hz. Who tells
+    `gymnasium.make` a number of steps, with `max_episode_steps`, gets that many; with -1 episodes are never cut.
 
     ## Domain Randomisation
     `randomization` is "none", "default" or a mapping of some of these names to their ranges, from which each episode
@@ -154,7 +155,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `reward/<name>`          | each reward term before weighting                                                   |
     | `randomization/<name>`   | what was drawn, of all that is drawn                                                |
 
-    and what the task measures.
+    and what the task measures. Numbers are `numpy.float64`, which is a Python `float` too; truth values are `bool`.
 
     ## Arguments
 
@@ -171,6 +172,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `max_jaw_speed`        | **float**          | `0.05`       | Greatest speed at which jaws open and close [m/s]   |
     | `max_force`            | **float \| None**  | `2.0`        | With a greater one no tool pushes on [N]            |
     | `control_frequency`    | **float**          | `20.0`       | Control steps in a second, divides 240 Hz           |
+    | `episode_time`         | **float \| None**  | `None`       | After which the episode is cut; `make` passes 10 [s]|
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
     | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |
     | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
@@ -189,7 +191,6 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     """
 
     _gymnasium_class = gymnasium.Env
-    _spec: EnvSpec | None = None
 
     # Not a ClassVar: Gymnasium lets an environment have metadata of its own.
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012
@@ -212,6 +213,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             ImportError: If PyBullet is asked for and is not installed; says what to install.
         """
         settings = self.definition.read(options, type(self).__name__)
+        if is_told_in_steps(self):
+            settings = replace(settings, episode_time=None)
         self.simulation: Simulation
 
         def load(scene: Scene) -> SeparateWorlds:
@@ -221,12 +224,13 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._episodes = Episodes(self.definition, settings, load, observed_pictures)
         self.settings = settings
         self.render_mode = settings.render_mode
-        self.metadata = {**self.metadata, "render_fps": round(settings.control_frequency)}
+        self.metadata = {**self.metadata, "render_fps": as_frame_rate(settings.control_frequency)}
         self.observation_space = self._episodes.observation_builder.space
         self.action_space = self._episodes.action_space
         self._pictures = EpisodePictures(
             self._episodes, settings.width, settings.height, frames_per_second=settings.control_frequency
         )
+        self._step_limit = steps_in(settings.episode_time, self._episodes.period)
         self._closed = False
         self._started = False
 
@@ -248,7 +252,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         self._check_open()
         chosen = self._episodes.choose(own_options(options, START_OPTIONS), np.zeros(1, dtype=np.int64))
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else operator.index(seed))
         self._episodes.begin({0: self.np_random}, chosen)
         self._started = True
         self._show()
@@ -261,7 +265,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             action: What `control` says; clipped to [-1, 1].
 
         Returns:
-            Observation, reward, whether the episode ends by success or by damage, False, and `info`.
+            Observation, reward, whether the episode ends by success or by damage, whether its time is over, and `info`.
 
         Raises:
             ValueError: If `action` has the wrong shape or is not finite; nothing has then changed.
@@ -280,7 +284,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             first_of(episodes.observation),
             float(outcome.reward[0]),
             bool(outcome.terminated[0]),
-            False,
+            self._step_limit is not None and bool(episodes.elapsed[0] >= self._step_limit),
             self._info(),
         )
 
@@ -297,18 +301,6 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._closed = True
         self._pictures.close()
         self._episodes.close()
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How the environment was made. It names the engine, whose default is another one where PyBullet is missing."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, made: EnvSpec | None) -> None:
-        if made is not None:
-            made = copy.copy(made)
-            made.kwargs = {**made.kwargs, "engine": self.settings.engine}
-        self._spec = made
 
     @property
     def grip(self) -> FloatArray:
@@ -361,7 +353,12 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._pictures.show()
 
     def _info(self) -> dict[str, Any]:
-        return {name: values[0].item() for name, values in self._episodes.info.items()}
+        # Numbers that are Python's and NumPy's at once: JSON takes the one, learning libraries ask for `dtype`. Truth
+        # values are Python's alone: NumPy's are no numbers to Gymnasium, and JSON does not take them.
+        return {
+            name: bool(values[0]) if values.dtype == np.bool_ else np.float64(values[0])
+            for name, values in self._episodes.info.items()
+        }
 
     def _check_open(self) -> None:
         if self._closed:

@@ -1,14 +1,22 @@
-"""When episodes are cut."""
+"""When episodes are cut: after a time, unless whoever makes an environment tells a number of steps."""
 
 from __future__ import annotations
 
+import sys
 from typing import Any
+
+import gymnasium
 
 from spatula_env.geometry.checks import check_count
 
 
+def steps_in(time: float | None, period: float) -> int | None:
+    """How many control steps of a length [s] fill a time [s], one at least; None where there is no time."""
+    return None if time is None else max(1, round(time / period))
+
+
 def read_step_limit(value: Any) -> int | None:
-    """After how many control steps episodes are cut, in Gymnasium's words: a number, or None or -1 for never.
+    """After how many control steps episodes are cut: a number, or None or -1 for never.
 
     Raises:
         ValueError: If it is something else.
@@ -17,3 +25,21 @@ def read_step_limit(value: Any) -> int | None:
         return None
     check_count(value, "max_episode_steps", 1)
     return int(value)
+
+
+def is_told_in_steps(env: gymnasium.Env[Any, Any]) -> bool:
+    """Whether `gymnasium.make` is making an environment just now, and was told `max_episode_steps`.
+
+    That argument does not reach environments: Gymnasium makes a `TimeLimit` of it, or nothing of -1. An environment
+    that cuts its episodes itself has to know of it, or the shorter of two limits would hold. So it looks at what calls
+    its constructor.
+
+    Args:
+        env: In its constructor.
+    """
+    frame = sys._getframe(1)
+    while frame is not None and frame.f_locals.get("self") is env:
+        frame = frame.f_back  # type: ignore[assignment]
+    if frame is None or frame.f_code is not gymnasium.make.__code__:
+        return False
+    return frame.f_locals.get("max_episode_steps") is not None

@@ -6,6 +6,7 @@ import inspect
 import operator
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,10 +22,10 @@ from spatula_env.envs.control import as_actions
 from spatula_env.envs.episodes import Episodes, Info
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
-from spatula_env.envs.pictures import EpisodePictures
+from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import check_choice
 from spatula_env.envs.start_options import START_OPTIONS, own_options
-from spatula_env.envs.time_limit import read_step_limit
+from spatula_env.envs.time_limit import read_step_limit, steps_in
 from spatula_env.geometry.checks import check_count
 from spatula_env.sim.worlds import Worlds, make_worlds
 from spatula_env.tasks.situation import BoolArray, FloatArray
@@ -54,7 +55,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
     | Parameter           | Type                     | Default       | Description                                   |
     | ------------------- | ------------------------ | ------------- | --------------------------------------------- |
     | `num_envs`          | **int**                  | `1`           | How many worlds, W                            |
-    | `max_episode_steps` | **int \| None**          | `None`        | Episodes are cut then; `make_vec` passes 200  |
+    | `max_episode_steps` | **int \| None**          | `None`        | Instead of `episode_time`; -1: never cut      |
     | `autoreset_mode`    | **str or AutoresetMode** | `"next_step"` | `"next_step"`, `"same_step"` or `"disabled"`  |
     | `engine`            | **str**                  | `"batch"`     | What integrates organs: `"batch"`, `"bullet"` |
 
@@ -95,6 +96,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             ValueError: If an option is not one of those allowed, or a number is out of its range.
         """
         before = set(vars(self))
+        limit = read_step_limit(max_episode_steps)
         check_count(num_envs, "num_envs", 1)
         self._mode = _as_autoreset_mode(autoreset_mode)
         settings = self.definition.read(options, type(self).__name__, OWN_ARGUMENTS, engine="batch")
@@ -106,13 +108,17 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             lambda scene: make_worlds(scene, num_envs, settings.engine, settings.contact),
             observed_pictures,
         )
+        if max_episode_steps is None:
+            limit = steps_in(settings.episode_time, self._episodes.period)
+        else:
+            settings = replace(settings, episode_time=None)
         self.settings = settings
         self.num_envs = int(num_envs)
-        self._step_limit = read_step_limit(max_episode_steps)
+        self._step_limit = limit
         self.render_mode = settings.render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
-            "render_fps": round(settings.control_frequency),
+            "render_fps": as_frame_rate(settings.control_frequency),
             "autoreset_mode": self._mode,
         }
         self.single_observation_space = self._episodes.observation_builder.space
@@ -271,15 +277,6 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     @max_episode_steps.setter
     def max_episode_steps(self, value: int | None) -> None:
-        self._step_limit = read_step_limit(value)
-
-    @property
-    def _max_episode_steps(self) -> int | None:
-        """Under the name that Gymnasium's `TimeLimit` has for it, by which libraries ask."""
-        return self._step_limit
-
-    @_max_episode_steps.setter
-    def _max_episode_steps(self, value: int | None) -> None:
         self._step_limit = read_step_limit(value)
 
     @property

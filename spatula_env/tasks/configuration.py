@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from spatula_env.geometry.checks import check_not_negative, check_positive
+from spatula_env.tasks.plain import as_plain, make_fields_plain
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -29,6 +30,7 @@ class Weights:
 
     def __post_init__(self) -> None:
         """Check the weights."""
+        make_fields_plain(cast("DataclassInstance", self))
         for name, value in vars(self).items():
             if not np.isfinite(value):
                 raise ValueError(f"weights.{name} must be finite, got {value!r}")
@@ -50,12 +52,12 @@ class TaskConfig:
     def _check_not_negative(self, *names: str) -> None:
         """Check that the fields with these names are zero or more."""
         for name in names:
-            check_not_negative(getattr(self, name), name)
+            check_not_negative(self._plain(name), name)
 
     def _check_positive(self, *names: str) -> None:
         """Check that the fields with these names are above zero."""
         for name in names:
-            check_positive(getattr(self, name), name)
+            check_positive(self._plain(name), name)
 
     def _read_ranges(self, *names: str, not_negative: bool = False) -> None:
         """Take two numbers in ascending order, also a list, for each of the fields with these names."""
@@ -64,6 +66,12 @@ class TaskConfig:
             if not_negative and ends[0] < 0.0:
                 raise ValueError(f"{name} must not be negative, got {ends}")
             object.__setattr__(self, name, ends)
+
+    def _plain(self, name: str) -> Any:
+        """The value of a field, which becomes Python's own if it is NumPy's."""
+        value = as_plain(getattr(self, name))
+        object.__setattr__(self, name, value)
+        return value
 
     def _read_weights(self, kind: type[Weights]) -> None:
         """Take a mapping from names to weights for the field `weights`."""
@@ -94,7 +102,7 @@ def config_from_mapping(kind: type[Config], values: Mapping[str, Any] | Config |
     unknown = sorted(str(key) for key in values if key not in allowed)
     if unknown:
         raise ValueError(f"{name} has no {', '.join(unknown)}; allowed are {', '.join(allowed)}")
-    return kind(**values)
+    return kind(**as_plain(values))
 
 
 def check_range(value: Any, name: str) -> tuple[float, float]:

@@ -250,7 +250,9 @@ def test_info_has_the_same_keys_and_kinds_at_reset_and_at_every_step(make: Env, 
     env = make(id, engine=engine)
     results = episode(env, actions_of(env, 4))
     kinds = {name: type(value) for name, value in results[0][1].items()}
-    assert set(kinds.values()) == {bool, float}
+    # What JSON, Stable-Baselines3, Gymnasium's vector environments and TorchRL's reader (`dtype`) take.
+    assert set(kinds.values()) == {bool, np.float64}
+    assert json.loads(json.dumps(results[-1][-1])) == results[-1][-1]
     for result in results:
         assert {name: type(value) for name, value in result[-1].items()} == kinds
         assert all(np.isfinite(value) for value in result[-1].values())
@@ -337,7 +339,7 @@ def test_all_modes_of_beginning_anew_are_offered(id: str, mode: str) -> None:
 @pytest.mark.parametrize("id", IDS)
 def test_specifications_can_be_sent_and_kept(id: str) -> None:
     spec = gym.spec(id)
-    assert spec.max_episode_steps == spatula_env.EPISODE_STEPS
+    assert spec.kwargs == {"episode_time": spatula_env.EPISODE_TIME}
     assert not spec.nondeterministic
     assert pickle.loads(pickle.dumps(spec)) == spec
     with gym.make(spec, engine="batch", reward="sparse", observation={"noise": 0.5}) as env:
@@ -345,7 +347,8 @@ def test_specifications_can_be_sent_and_kept(id: str) -> None:
         written = env.spec.to_json()
     with gym.make(EnvSpec.from_json(written)) as again:
         assert again.spec is not None
-        assert again.spec.kwargs == {"engine": "batch", "reward": "sparse", "observation": {"noise": 0.5}}
+        chosen = {"engine": "batch", "reward": "sparse", "observation": {"noise": 0.5}}
+        assert again.spec.kwargs == {"episode_time": 10.0, **chosen}
         again.reset(seed=0)
 
 

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from spatula_env.envs import PressEnv
+from spatula_env.envs import PressEnv, PressVectorEnv
 from spatula_env.envs.pictures import in_scene
 from spatula_env.render import Moment
 from spatula_env.render.scene_view import SceneView
@@ -122,3 +124,31 @@ def test_a_cut_shows_the_inside(env: PressEnv) -> None:
     whole, cut = view.draw(moment), view.draw(moment, cut=((0.0, 0.0, 3.0), (0.4, -1.0, 0.0)))
     # Dark red in the middle of the organ.
     assert cut[60, 48].astype(int).sum() < whole[60, 48].astype(int).sum() - 60
+
+
+@pytest.mark.parametrize(("frequency", "rate"), [(20.0, 20), (7.5, 7.5), (0.5, 0.5), (240.0, 240), (60, 60)])
+def test_the_rate_of_pictures_is_that_of_control(frequency: float, rate: float) -> None:
+    with PressEnv(engine="batch", control_frequency=frequency) as one:
+        assert one.metadata["render_fps"] == rate
+        assert type(one.metadata["render_fps"]) is type(rate)
+    many = PressVectorEnv(1, control_frequency=frequency)
+    assert many.metadata["render_fps"] == rate
+
+
+@pytest.mark.parametrize("frequency", [7.5, 0.5])
+def test_slow_episodes_can_be_filmed(frequency: float, tmp_path: Path) -> None:
+    pytest.importorskip("moviepy")
+    from moviepy import VideoFileClip
+
+    made = gym.make(
+        "Spatula/Press-v0", engine="batch", control_frequency=frequency, max_episode_steps=3, render_mode="rgb_array",
+        width=64, height=48,
+    )  # fmt: skip
+    with gym.wrappers.RecordVideo(made, str(tmp_path / "films"), episode_trigger=lambda episode: True) as env:
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(np.zeros(3))
+    (film,) = tmp_path.glob("films/*.mp4")
+    with VideoFileClip(str(film)) as clip:
+        assert clip.fps == pytest.approx(frequency, rel=1e-3)
+        assert clip.duration == pytest.approx(4 / frequency, rel=0.3)

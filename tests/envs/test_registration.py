@@ -70,7 +70,8 @@ def test_the_specification_can_be_written_to_a_file() -> None:
         written = env.spec.to_json()
     with gym.make(EnvSpec.from_json(written)) as again:
         assert again.spec is not None
-        assert again.spec.kwargs == {"reward": "sparse", "task": {"depth_range": [0.006, 0.01]}, "engine": engine}
+        chosen = {"reward": "sparse", "task": {"depth_range": [0.006, 0.01]}, "engine": engine}
+        assert again.spec.kwargs == {"episode_time": 10.0, **chosen}
         again.reset(seed=0)
         assert 0.006 <= again.unwrapped.goal[2] <= 0.01
 
