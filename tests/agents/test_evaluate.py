@@ -140,7 +140,7 @@ def test_the_command_ends_with_one_json_object(capsys):
         (["--env", "Spatula/Nothing-v0", "--policy", "random"], "Nothing"),
         (["--env", "CartPole-v1", "--policy", "random"], "environment of this package"),
         (["--env", PRESS, "--policy", "/no/such/policy"], "no /no/such/policy"),
-        (["--env", PRESS, "--policy", "random", "--set", "smell=3"], "no option smell"),
+        (["--env", PRESS, "--policy", "random", "--set", "smell=3"], "unexpected keyword argument 'smell'"),
     ],
 )
 def test_what_is_wrong_is_said(arguments, message, capsys):
