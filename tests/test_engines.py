@@ -82,7 +82,7 @@ def test_many_environments_have_batch_in_any_case(without_bullet: None) -> None:
 def test_a_spec_names_the_engine_so_that_it_means_the_same_elsewhere(without_bullet: None) -> None:
     with pytest.warns(UserWarning), gym.make("Spatula/Press-v0") as env:
         written = env.spec.to_json()
-    assert EnvSpec.from_json(written).kwargs == {"engine": "batch"}
+    assert EnvSpec.from_json(written).kwargs["engine"] == "batch"
 
 
 def test_an_unknown_engine_is_an_error_in_any_case(without_bullet: None) -> None:
