@@ -154,7 +154,8 @@ def run(chosen: argparse.Namespace) -> int:
 
 def _wanted(chosen: argparse.Namespace) -> tuple[int, int]:
     """How many episodes are to be added, and how many there are."""
-    from spatula_env.data.dataset import METADATA_FILE, dataset_folder
+    from spatula_env.data.dataset import dataset_folder
+    from spatula_env.data.index import METADATA_FILE
     from spatula_env.data.replaying import open_dataset
 
     there = 0

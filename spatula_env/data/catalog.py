@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env.data.dataset import METADATA_FILE, DatasetWriter, dataset_folder, read_layout
+from spatula_env.data.dataset import DatasetWriter, check_dataset_id, dataset_folder, read_layout, register_namespaces
 from spatula_env.data.episode import Episode
-from spatula_env.data.replaying import open_dataset
-
-OWN_ATTRIBUTES = ("id", "seed", "total_steps", "options")
-"""Of an episode's attributes, those that a copy gets anew."""
+from spatula_env.data.files import check_can_write, recording_lock
+from spatula_env.data.index import (
+    INDEX_FILE,
+    MAIN_FILE,
+    METADATA_FILE,
+    OWN_ATTRIBUTES,
+    DatasetDamaged,
+    EpisodeEntry,
+    check_files,
+    read_index,
+    read_metadata,
+)
+from spatula_env.data.origin import MEANING
+from spatula_env.data.replaying import data_folder, open_dataset, read_entries, recorded_specs
 
 Keep = Callable[[Mapping[str, Any]], bool]
 """Takes an episode's attributes, and says whether it is wanted."""
@@ -35,6 +47,7 @@ class DatasetSummary:
         successes: How many reached their goal.
         operators: How many episodes each kind of operator did.
         devices: How many were done with each device.
+        authors: How many episodes each author did.
         mean_return: Mean sum of the rewards of an episode.
         mean_length: Mean length [steps].
         mean_peak_force: Mean of the greatest force on a tool in an episode [N]; NaN if that was not recorded.
@@ -49,6 +62,7 @@ class DatasetSummary:
     successes: int
     operators: Mapping[str, int]
     devices: Mapping[str, int]
+    authors: Mapping[str, int]
     mean_return: float
     mean_length: float
     mean_peak_force: float
@@ -61,40 +75,46 @@ def list_datasets(root: str | Path | None = None) -> list[str]:
         root: Folder of all datasets; Minari's own by default.
     """
     top = dataset_folder("", root)
-    return sorted(str(file.parents[1].relative_to(top)) for file in top.glob(f"**/data/{METADATA_FILE}"))
+    found = [file.parents[1].relative_to(top) for file in top.glob(f"**/data/{METADATA_FILE}")]
+    # What is being made has a name with a dot.
+    return sorted(path.as_posix() for path in found if not any(part.startswith(".") for part in path.parts))
 
 
 def summarize(dataset_id: str, root: str | Path | None = None) -> DatasetSummary:
-    """Look through a dataset.
+    """Tell what is in a dataset, from its index; no episode is opened.
 
     Args:
         dataset_id: Its id.
         root: Folder of all datasets; Minari's own by default.
 
     Raises:
-        ImportError: If Minari is missing.
         FileNotFoundError: If there is no such dataset.
+        DatasetDamaged: If something of it is missing, or cannot be read.
     """
-    dataset = open_dataset(dataset_id, root)
-    attributes = list(dataset.storage.get_episode_metadata(range(dataset.total_episodes)))
-    returns, peaks = [], []
-    for episode in dataset.iterate_episodes():
-        returns.append(float(episode.rewards.sum()))
-        if episode.infos and "episode_peak_force" in episode.infos:
-            peaks.append(float(episode.infos["episode_peak_force"][-1]))
-    path = dataset_folder(dataset_id, root)
+    data = data_folder(dataset_id, root)
+    metadata = read_metadata(data)
+    entries = read_index(data, metadata)
+    check_files(data, entries)
+    try:
+        env_id = json.loads(metadata["env_spec"])["id"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetDamaged(f"{data / METADATA_FILE} does not say what environment the episodes are of") from error
+    own = [data / name for name in (MAIN_FILE, INDEX_FILE, METADATA_FILE)]
+    peaks = [entry.peak_force for entry in entries if entry.peak_force is not None]
+    steps = sum(entry.steps for entry in entries)
     return DatasetSummary(
         dataset_id=dataset_id,
-        path=path,
-        env_id=dataset.spec.env_spec.id,
-        episodes=int(dataset.total_episodes),
-        steps=int(dataset.total_steps),
-        megabytes=sum(file.stat().st_size for file in path.rglob("*") if file.is_file()) / 1e6,
-        successes=sum(bool(each.get("success", False)) for each in attributes),
-        operators=_count(attributes, "operator"),
-        devices=_count(attributes, "device"),
-        mean_return=float(np.mean(returns)) if returns else float("nan"),
-        mean_length=dataset.total_steps / dataset.total_episodes if dataset.total_episodes else float("nan"),
+        path=data.parent,
+        env_id=env_id,
+        episodes=len(entries),
+        steps=steps,
+        megabytes=sum([entry.size for entry in entries] + [file.stat().st_size for file in own if file.exists()]) / 1e6,
+        successes=sum(bool(entry.attributes.get("success", False)) for entry in entries),
+        operators=_count(entries, "operator"),
+        devices=_count(entries, "device"),
+        authors=_count(entries, "author"),
+        mean_return=float(np.mean([entry.total_reward for entry in entries])) if entries else float("nan"),
+        mean_length=steps / len(entries) if entries else float("nan"),
         mean_peak_force=float(np.mean(peaks)) if peaks else float("nan"),
     )
 
@@ -103,6 +123,9 @@ def copy_episodes(
     sources: Sequence[str], target: str, *, root: str | Path | None = None, keep: Keep | None = None
 ) -> DatasetSummary:
     """Copy episodes of some datasets into another: merge them, or drop what is not wanted.
+
+    The new dataset is there whole, or not at all. Episodes keep what is told of them, author and options of their
+    environment included; the options may differ as long as observations and actions mean the same.
 
     Args:
         sources: Ids, of the same environment.
@@ -118,44 +141,92 @@ def copy_episodes(
         FileNotFoundError: If there is no such source.
         FileExistsError: If the target exists.
         ValueError: If there is no source, or they are of different environments; nothing is then written.
-        DatasetWriteError: If it cannot be written.
+        DatasetBusy: If another program makes such a dataset.
+        OSError: If it cannot be written.
     """
     if not sources:
         raise ValueError("sources must name a dataset at least")
-    if (dataset_folder(target, root) / "data" / METADATA_FILE).exists():
+    check_dataset_id(target)
+    folder = dataset_folder(target, root)
+    if (folder / "data" / METADATA_FILE).exists():
         raise FileExistsError(f"there is a dataset {target!r} already; take another name")
     opened = [open_dataset(source, root) for source in sources]
     # Before anything is written.
+    _check_sources(sources, opened, root)
+    check_can_write(folder)
+    new = folder.with_name(f".{folder.name}.new")
+    with recording_lock(new, target):
+        # Of a program that was killed.
+        shutil.rmtree(new / "data", ignore_errors=True)
+        try:
+            for source, dataset in zip(sources, opened, strict=True):
+                _copy_into(new, target, source, dataset, f"Episodes of {', '.join(sources)}.", keep, root)
+            folder.mkdir(parents=True, exist_ok=True)
+            register_namespaces(target, root)
+            (new / "data").replace(folder / "data")
+        finally:
+            shutil.rmtree(new / "data", ignore_errors=True)
+    return summarize(target, root)
+
+
+def _check_sources(sources: Sequence[str], opened: Sequence[Any], root: str | Path | None) -> None:
+    """Check that datasets can be joined."""
     kinds = {source: dataset.spec.env_spec.id for source, dataset in zip(sources, opened, strict=True)}
     if len(set(kinds.values())) > 1:
         raise ValueError(
             f"sources must be of one environment, got {', '.join(f'{k} of {v}' for k, v in kinds.items())}"
         )
-    for source, dataset in zip(sources, opened, strict=True):
+    layouts = [read_layout(source, root) for source in sources]
+    for source, dataset, layout in zip(sources, opened, layouts, strict=True):
         spaces = (dataset.observation_space, dataset.action_space)
         if spaces != (opened[0].observation_space, opened[0].action_space):
             raise ValueError(f"sources must have the same observations and actions, those of {source!r} are others")
-    for source, dataset in zip(sources, opened, strict=True):
+        for name in MEANING:
+            pair = getattr(layouts[0], name), getattr(layout, name)
+            if pair[0] != pair[1]:
+                raise ValueError(
+                    f"sources must have the same {name.replace('_', ' ')}, got {pair[0]} in {sources[0]!r} and "
+                    f"{pair[1]} in {source!r}"
+                )
+
+
+def _copy_into(
+    folder: Path,
+    target: str,
+    source: str,
+    dataset: Any,
+    description: str,
+    keep: Keep | None,
+    root: str | Path | None,
+) -> None:
+    """Copy the episodes of a dataset into one that is being made."""
+    metadata = dataset.storage.metadata
+    author = ", ".join(sorted(metadata.get("author", ()))) or "unknown"
+    layout = read_layout(source, root)
+
+    def writer(spec: Any) -> DatasetWriter:
         # What a writer wants to know of an environment, without the physics.
         env: Any = SimpleNamespace(
-            spec=dataset.spec.env_spec,
-            observation_space=dataset.observation_space,
-            action_space=dataset.action_space,
+            spec=spec, observation_space=dataset.observation_space, action_space=dataset.action_space
         )
-        writer = DatasetWriter(
+        return DatasetWriter(
             target,
             env,
             root=root,
-            description=f"Episodes of {', '.join(sources)}.",
-            algorithm_name=dataset.storage.metadata.get("algorithm_name", "teleoperation"),
-            layout=read_layout(source, root),
+            author=author,
+            description=description,
+            algorithm_name=metadata.get("algorithm_name", "teleoperation"),
+            layout=layout,
+            several_settings=True,
+            path=folder,
         )
-        for number in range(dataset.total_episodes):
-            (attributes,) = dataset.storage.get_episode_metadata([number])
-            if keep is None or keep(attributes):
-                (found,) = dataset.iterate_episodes([number])
-                writer.add(_as_episode(found, attributes))
-    return summarize(target, root)
+
+    writers = [writer(spec) for spec in recorded_specs(source, root)]
+    for number, entry in enumerate(read_entries(source, root)):
+        (attributes,) = dataset.storage.get_episode_metadata([number])
+        if keep is None or keep(attributes):
+            (found,) = dataset.iterate_episodes([number])
+            writers[entry.spec].add(_as_episode(found, attributes))
 
 
 def _as_episode(found: Any, attributes: Mapping[str, Any]) -> Episode:
@@ -177,14 +248,14 @@ def _as_text(value: Any) -> Any:
     """Text as it was before HDF5 made bytes of it."""
     if isinstance(value, Mapping):
         return {name: _as_text(each) for name, each in value.items()}
-    if isinstance(value, np.ndarray) and value.dtype == object:
+    if isinstance(value, np.ndarray) and value.dtype.kind in "OS":
         return [each.decode() if isinstance(each, bytes) else str(each) for each in value.tolist()]
     return value
 
 
-def _count(attributes: Sequence[Mapping[str, Any]], name: str) -> dict[str, int]:
+def _count(entries: Sequence[EpisodeEntry], name: str) -> dict[str, int]:
     found: dict[str, int] = {}
-    for each in attributes:
-        value = str(each.get(name, "unknown"))
+    for entry in entries:
+        value = str(entry.attributes.get(name, "unknown"))
         found[value] = found.get(value, 0) + 1
     return found

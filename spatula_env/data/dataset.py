@@ -3,7 +3,10 @@
 Minari keeps all episodes in one HDF5 file, and a program that is killed while it writes to it can take all with it.
 Here every episode is a file of its own, and ``main_data.hdf5`` holds external links to them, which HDF5 follows by
 itself. Every file is written under another name, brought to the disk, and renamed: there is the old one or the new one
-and nothing in between. The order is episode, links, metadata; a reader takes the number of episodes from the metadata.
+and nothing in between. The order is episode, links, index, metadata; a reader takes the number of episodes from the
+metadata. There are links to more episodes than there are, so that they need not be written anew for each.
+
+Any number of programs may write to a dataset: an episode is added under a lock.
 
 Minari's own `DataCollector` needs JAX for no more than to append to lists, and stores pictures as JPEG by default; here
 they are lossless.
@@ -11,30 +14,41 @@ they are lossless.
 
 from __future__ import annotations
 
-import copy
 import json
 import os
-from collections.abc import Mapping
+import re
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from spatula_env import __version__
+from spatula_env.data.encoding import episode_image
 from spatula_env.data.episode import Episode
+from spatula_env.data.files import append_to_file, check_can_write, write_file, write_lock
+from spatula_env.data.index import (
+    EPISODES,
+    INDEX_FILE,
+    LENGTH,
+    MAIN_FILE,
+    METADATA_FILE,
+    EpisodeEntry,
+    build_index,
+    episode_file,
+    read_metadata,
+)
 from spatula_env.data.layout import KEY, Layout
+from spatula_env.data.origin import SPECS, Origin
 
 if TYPE_CHECKING:
     import gymnasium
 
-MAIN_FILE = "main_data.hdf5"
-METADATA_FILE = "metadata.json"
-EPISODES = "episodes"
-"""Folder with the episodes' files, beside the main file."""
-COMPRESSION = 4
-"""Of arrays of numbers, lossless."""
+LINKS = "links"
+"""Under which they keep how many links there are."""
+FIRST_LINKS = 64
+"""How many there are at first; they double."""
 AUTHOR = "unknown"
+NAME = re.compile(r"(?P<namespace>[-\w]+(/[-\w]+)*/)?[-\w]+-v\d+")
 
 
 class DatasetWriteError(OSError):
@@ -44,12 +58,12 @@ class DatasetWriteError(OSError):
 class DatasetWriter:
     """Adds episodes to a dataset, which can be read at any time by ``minari.load_dataset``.
 
-    One program at a time may write to a dataset.
+    Several programs may write to a dataset; each adds its episodes after those that are there.
 
     Attributes:
         dataset_id: By which `minari.load_dataset` finds it, as "spatula/press/human-v0".
         path: Its folder.
-        total_episodes: How many episodes there are.
+        total_episodes: How many episodes there are, as of the last `add`.
         total_steps: How many steps they have.
         last_seed: The greatest seed of an episode; None if none has one.
     """
@@ -66,69 +80,76 @@ class DatasetWriter:
         author_email: str = AUTHOR,
         code_permalink: str = "",
         layout: Layout | None = None,
+        several_settings: bool = False,
+        path: Path | None = None,
     ) -> None:
         """Make the dataset, or go on with it.
 
         Args:
             dataset_id: "namespace/name-v0"; the namespace may have several parts.
-            env: What the episodes are of; its `spec` is stored, without its mode of rendering, so that Minari can make
-                it again.
+            env: What the episodes are of; its `spec` is stored, so that the environment can be made again.
             root: Folder of all datasets; Minari's own by default, ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``.
-            author: Who made it.
+            author: Who makes the episodes; kept with each of them.
             description: What it is.
             algorithm_name: How it was made.
             author_email: Where to reach the author.
             code_permalink: Where the code is.
             layout: What the numbers are called; None takes it from `env`.
+            several_settings: Whether `env` may have other options than the episodes that are there. Each episode
+                then keeps its own.
+            path: Its folder, if that is another one than its id says.
 
         Raises:
-            ImportError: If Minari or h5py is missing.
-            ValueError: If the id is malformed, or there is such a dataset of another environment.
+            ImportError: If Minari, h5py or filelock is missing.
+            ValueError: If the id is malformed, there is such a dataset of another environment or with other options,
+                or `env` has a specification that cannot be kept.
             DatasetWriteError: If it cannot be written.
         """
         minari, _ = require_minari()
-        from minari.dataset.minari_dataset import parse_dataset_id
-        from minari.serialization import serialize_space
-
-        parse_dataset_id(dataset_id)
+        check_dataset_id(dataset_id)
         self.dataset_id = dataset_id
-        self.path = dataset_folder(dataset_id, root)
+        self.path = dataset_folder(dataset_id, root) if path is None else path
         self.total_episodes = self.total_steps = 0
         self.last_seed: int | None = None
-        data = self.path / "data"
-        self._metadata_file, self._main_file = data / METADATA_FILE, data / MAIN_FILE
-        if env.spec is None:
-            raise ValueError("env must have a spec: make it with gymnasium.make")
-        spaces = {
-            "observation_space": serialize_space(env.observation_space),
-            "action_space": serialize_space(env.action_space),
-        }
+        self._author = author
+        self._data = self.path / "data"
+        self._metadata_file, self._main_file = self._data / METADATA_FILE, self._data / MAIN_FILE
+        origin = Origin.of(env, layout)
+        self._spec = origin.spec.to_json()
         if self._metadata_file.exists():
-            self._go_on(spaces)
-            return
-        self._metadata: dict[str, Any] = {
-            "total_episodes": 0,
-            "total_steps": 0,
-            "data_format": "hdf5",
-            "jpeg_encoding": False,
-            **spaces,
-            "env_spec": _without_pictures(env.spec).to_json(),
-            "dataset_id": dataset_id,
-            "algorithm_name": algorithm_name,
-            "author": [author],
-            "author_email": [author_email],
-            "code_permalink": code_permalink,
-            "description": description,
-            "minari_version": minari.__version__,
-            "requirements": [f"spatula-env=={__version__}"],
-            "dataset_size": 0.0,
-            KEY: (layout if layout is not None else Layout.of(env)).as_record(),
-        }
+            origin.check(read_metadata(self._data), dataset_id, self.path, several_settings=several_settings)
         try:
-            (data / EPISODES).mkdir(parents=True, exist_ok=True)
-            self._register_namespaces(root)
-            self._link(0)
-            _write_file(self._metadata_file, json.dumps(self._metadata).encode())
+            # Before anything is made.
+            check_can_write(self._data / EPISODES)
+            (self._data / EPISODES).mkdir(parents=True, exist_ok=True)
+            with write_lock(self.path):
+                if not self._metadata_file.exists():
+                    if path is None:
+                        register_namespaces(dataset_id, root)
+                    self._link(FIRST_LINKS)
+                    append_to_file(self._data / INDEX_FILE, 0, b"")
+                    own = {**origin.layout.as_record(), SPECS: [self._spec], LINKS: FIRST_LINKS, LENGTH: 0}
+                    self._store(
+                        {
+                            "total_episodes": 0,
+                            "total_steps": 0,
+                            "data_format": "hdf5",
+                            "jpeg_encoding": False,
+                            **origin.spaces,
+                            "env_spec": self._spec,
+                            "dataset_id": dataset_id,
+                            "algorithm_name": algorithm_name,
+                            "author": [author],
+                            "author_email": [author_email],
+                            "code_permalink": code_permalink,
+                            "description": description,
+                            "minari_version": minari.__version__,
+                            "requirements": [f"spatula-env=={__version__}"],
+                            "dataset_size": 0.0,
+                            KEY: own,
+                        }
+                    )
+                self._take(read_metadata(self._data))
         except OSError as error:
             raise self._error("dataset could not be made", error) from error
 
@@ -145,40 +166,63 @@ class DatasetWriter:
             DatasetWriteError: If it could not be written, because the disk is full, for example. The dataset is as
                 before, and can be added to later.
         """
-        number = self.total_episodes
-        file = self._main_file.parent / EPISODES / f"{number:06d}.hdf5"
-        metadata = {
-            **self._metadata,
-            "total_episodes": number + 1,
-            "total_steps": self.total_steps + len(episode),
-            "last_seed": max((seed for seed in (self.last_seed, episode.seed) if seed is not None), default=None),
-        }
         try:
-            content = _episode_image(episode, number)
-            metadata["dataset_size"] = round(self._metadata["dataset_size"] + len(content) / 1e6, 6)
-            _write_file(file, content)
-            self._link(number + 1)
-            _write_file(self._metadata_file, json.dumps(metadata).encode())
+            with write_lock(self.path):
+                # Somebody else may have added some.
+                self._take(self._with_index(read_metadata(self._data)))
+                return self._add(episode)
         except OSError as error:
-            raise self._error(f"episode {number} could not be written", error) from error
-        self._metadata = metadata
-        self.total_episodes, self.total_steps = number + 1, metadata["total_steps"]
-        self.last_seed = metadata["last_seed"]
+            raise self._error(f"episode {self.total_episodes} could not be written", error) from error
+
+    def _add(self, episode: Episode) -> int:
+        number, metadata = self.total_episodes, dict(self._metadata)
+        own = dict(metadata[KEY])
+        own[SPECS], spec = _with(own[SPECS], self._spec)
+        author = str(episode.attributes.get("author", self._author))
+        metadata["author"], _ = _with(metadata.get("author", []), author)
+        known = replace(episode, attributes={**episode.attributes, "author": author, "spec": spec})
+        content = episode_image(known, number)
+        write_file(episode_file(self._data, number), content)
+        if number >= own[LINKS]:
+            own[LINKS] = max(FIRST_LINKS, 2 * number)
+            self._link(own[LINKS])
+        line = EpisodeEntry.of(known, spec, len(content)).as_line()
+        append_to_file(self._data / INDEX_FILE, own[LENGTH], line)
+        own[LENGTH] += len(line)
+        seeds = [seed for seed in (self.last_seed, episode.seed) if seed is not None]
+        self._store(
+            {
+                **metadata,
+                "total_episodes": number + 1,
+                "total_steps": self.total_steps + len(episode),
+                "last_seed": max(seeds, default=None),
+                "dataset_size": round(metadata["dataset_size"] + len(content) / 1e6, 6),
+                KEY: own,
+            }
+        )
         return number
 
-    def _go_on(self, spaces: Mapping[str, str]) -> None:
-        self._metadata = json.loads(self._metadata_file.read_text())
-        for name, value in spaces.items():
-            if self._metadata[name] != value:
-                raise ValueError(
-                    f"dataset {self.dataset_id!r} has episodes with another {name.replace('_', ' ')}; take another "
-                    f"name or delete {self.path}"
-                )
-        if self._metadata["total_episodes"] and not (self._main_file.parent / EPISODES / "000000.hdf5").exists():
-            raise ValueError(f"dataset {self.dataset_id!r} was not written by this program; take another name")
-        self.total_episodes = int(self._metadata["total_episodes"])
-        self.total_steps = int(self._metadata["total_steps"])
-        self.last_seed = self._metadata.get("last_seed")
+    def _store(self, metadata: dict[str, Any]) -> None:
+        """Write the metadata: from now on, all that was written before counts."""
+        write_file(self._metadata_file, json.dumps(metadata).encode())
+        self._take(metadata)
+
+    def _take(self, metadata: dict[str, Any]) -> None:
+        """Know what there is."""
+        self._metadata = metadata
+        self.total_episodes = int(metadata["total_episodes"])
+        self.total_steps = int(metadata["total_steps"])
+        self.last_seed = metadata.get("last_seed")
+
+    def _with_index(self, metadata: dict[str, Any]) -> dict[str, Any]:
+        """The metadata of a dataset, and its index if an older version wrote it without one."""
+        own = dict(metadata.get(KEY) or {})
+        if LENGTH in own:
+            return metadata
+        content = b"".join(entry.as_line() for entry in build_index(self._data, metadata["total_episodes"]))
+        append_to_file(self._data / INDEX_FILE, 0, content)
+        own |= {SPECS: [metadata["env_spec"]], LINKS: int(metadata["total_episodes"]), LENGTH: len(content)}
+        return {**metadata, KEY: own}
 
     def _link(self, count: int) -> None:
         """Write the main file with links to so many episodes."""
@@ -188,23 +232,70 @@ class DatasetWriter:
                 main[f"episode_{number}"] = h5py.ExternalLink(f"{EPISODES}/{number:06d}.hdf5", "/")
             main.flush()
             content = main.id.get_file_image()
-        _write_file(self._main_file, content)
-
-    def _register_namespaces(self, root: str | Path | None) -> None:
-        """Let Minari list the dataset: folders on the way to it are namespaces."""
-        top = dataset_folder("", root)
-        for folder in self.path.parents:
-            if folder == top:
-                break
-            file = folder / "namespace_metadata.json"
-            if not file.exists():
-                _write_file(file, b"{}")
+        write_file(self._main_file, content)
 
     def _error(self, what: str, error: OSError) -> DatasetWriteError:
         return DatasetWriteError(
             error.errno,
             f"{what}: {error.strerror or error}; the {self.total_episodes} episodes before are intact in {self.path}",
         )
+
+
+def register_namespaces(dataset_id: str, root: str | Path | None = None) -> None:
+    """Let Minari list a dataset: folders on the way to it are namespaces.
+
+    Args:
+        dataset_id: Its id.
+        root: Folder of all datasets; Minari's own by default.
+    """
+    top = dataset_folder("", root)
+    for folder in dataset_folder(dataset_id, root).parents:
+        if folder == top:
+            break
+        file = folder / "namespace_metadata.json"
+        if not file.exists():
+            write_file(file, b"{}")
+
+
+def check_target(dataset_id: str, env: gymnasium.Env[Any, Any], root: str | Path | None = None) -> None:
+    """Check that episodes of an environment can be added to a dataset, whether it is there or not. Nothing is made.
+
+    Args:
+        dataset_id: Its id.
+        env: What the episodes are to be of.
+        root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        ImportError: As by `DatasetWriter`.
+        ValueError: Likewise.
+        OSError: If it cannot be written.
+    """
+    require_minari()
+    check_dataset_id(dataset_id)
+    origin = Origin.of(env)
+    folder = dataset_folder(dataset_id, root)
+    if (folder / "data" / METADATA_FILE).exists():
+        origin.check(read_metadata(folder / "data"), dataset_id, folder)
+    check_can_write(folder / "data" / EPISODES)
+
+
+def check_dataset_id(dataset_id: str) -> None:
+    """Check that Minari takes a name for a dataset.
+
+    Raises:
+        ValueError: If not; says one that it takes.
+    """
+    found = NAME.fullmatch(dataset_id)
+    # Minari takes no namespace of one letter.
+    if found is not None and len(found["namespace"] or "...") > 2:
+        return
+    parts = [re.sub(r"[^-\w]+", "_", part).strip("_") for part in dataset_id.split("/")]
+    parts = [part for number, part in enumerate(parts) if part and (len(parts) > 2 or number or len(part) > 1)]
+    name = re.sub(r"(-v\d+)?$", lambda version: version[0] or "-v0", "/".join(parts) or "my_data", count=1)
+    raise ValueError(
+        f"dataset must be named as NAME-v0 or NAMESPACE/NAME-v0, of letters, digits, - and _, got {dataset_id!r}: "
+        f"say {name!r}"
+    )
 
 
 def dataset_folder(dataset_id: str, root: str | Path | None = None) -> Path:
@@ -229,8 +320,7 @@ def read_layout(dataset_id: str, root: str | Path | None = None) -> Layout:
     Raises:
         FileNotFoundError: If there is no such dataset.
     """
-    file = dataset_folder(dataset_id, root) / "data" / METADATA_FILE
-    return Layout.from_record(json.loads(file.read_text()).get(KEY))
+    return Layout.from_record(read_metadata(dataset_folder(dataset_id, root) / "data").get(KEY))
 
 
 def require_minari() -> tuple[ModuleType, ModuleType]:
@@ -247,65 +337,7 @@ def require_minari() -> tuple[ModuleType, ModuleType]:
     return minari, h5py
 
 
-def _without_pictures(spec: Any) -> Any:
-    """A specification without the mode of rendering: whoever watched a recording, its environment opens no windows."""
-    plain = copy.deepcopy(spec)
-    plain.kwargs.pop("render_mode", None)
-    return plain
-
-
-def _episode_image(episode: Episode, number: int) -> bytes:
-    """The bytes of an episode's file.
-
-    Made in memory first: then only plain writes can fail, and those say why.
-    """
-    _, h5py = require_minari()
-    with h5py.File("episode", "w", driver="core", backing_store=False) as file:
-        file.attrs["id"] = number
-        file.attrs["total_steps"] = len(episode)
-        if episode.seed is not None:
-            file.attrs["seed"] = episode.seed
-        for name, value in (episode.options or {}).items():
-            file.attrs[f"options/{name}"] = value
-        file.attrs.update(episode.attributes)
-        for name in ("observations", "actions", "rewards", "terminations", "truncations", "infos"):
-            _put(file, name, getattr(episode, name))
-        file.flush()
-        image: bytes = file.id.get_file_image()
-    return image
-
-
-def _put(group: Any, name: str, value: Any) -> None:
-    _, h5py = require_minari()
-    # A slash in a name is a path to HDF5, and a group of groups to Minari. `info` has such keys.
-    if isinstance(value, Mapping):
-        inner = group.require_group(name)
-        for key, each in value.items():
-            _put(inner, key, each)
-    elif isinstance(value, list):
-        group.create_dataset(name, data=value, dtype=h5py.string_dtype(encoding="utf-8"))
-    else:
-        array = np.asarray(value)
-        group.create_dataset(
-            name, data=array, chunks=True, compression="gzip", compression_opts=COMPRESSION, shuffle=True
-        )
-
-
-def _write_file(path: Path, content: bytes) -> None:
-    """Write a file: it has its old content or the new one, whatever happens."""
-    new = path.with_name(f".{path.name}.new")
-    try:
-        with new.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        new.replace(path)
-    except BaseException:
-        new.unlink(missing_ok=True)
-        raise
-    # The renaming itself has to get to the disk, too.
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+def _with(values: list[str], value: str) -> tuple[list[str], int]:
+    """A list that has a value, and where."""
+    found = values if value in values else [*values, value]
+    return found, found.index(value)

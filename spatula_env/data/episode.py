@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
+import json
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +17,9 @@ if TYPE_CHECKING:
 
 STATE = "state"
 """Where `info` of a recorded step keeps the physics' state."""
+StateType: TypeAlias = Literal["float32", "float64"]
+STATE_TYPES = ("float32", "float64")
+"""How precisely states can be recorded. Single precision is 5e-7 of a scene unit on an organ of the presets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,17 +56,28 @@ class Episode:
 class EpisodeRecorder:
     """Collects what happens in an episode.
 
-    `info` has to have the same keys in every step, as that of all Spatula environments has.
+    `info` may have keys that come late or vanish: where a number is missing there is NaN, 0 or False, where a text is
+    missing "", and a key ``_name`` tells where ``name`` was there, as in Gymnasium's vector environments. Values that
+    make no array, because their shapes or types vary, are kept as text in JSON.
     """
 
-    def __init__(self, env: gymnasium.Env[Any, Any], *, states: bool = True) -> None:
+    def __init__(
+        self, env: gymnasium.Env[Any, Any], *, states: bool = True, state_dtype: StateType = "float32"
+    ) -> None:
         """Prepare.
 
         Args:
             env: A Spatula environment for one agent, wrapped or not.
             states: Whether to record the state of the physics too: nodes of the organ, poses of the tools.
+            state_dtype: How precisely: "float32" or "float64". A replay is checked as precisely as that.
+
+        Raises:
+            ValueError: If `state_dtype` is another one.
         """
+        if state_dtype not in STATE_TYPES:
+            raise ValueError(f"state_dtype must be one of {list(STATE_TYPES)}, got {state_dtype!r}")
         self._simulation: Any = getattr(env.unwrapped, "simulation", None) if states else None
+        self._state_type = np.dtype(state_dtype)
         self._action_type = env.action_space.dtype
         self._observations: list[Any] = []
         self._infos: list[dict[str, Any]] = []
@@ -104,15 +121,8 @@ class EpisodeRecorder:
             terminated: Of the step.
             truncated: Of the step.
             info: Of the step.
-
-        Raises:
-            ValueError: If `info` has other keys than that of the reset.
         """
         kept = self._kept(info)
-        if kept.keys() != self._infos[0].keys():
-            raise ValueError(
-                f"info must have the same keys in every step; {sorted(kept.keys() ^ self._infos[0].keys())} vary"
-            )
         self._actions.append(np.array(action, dtype=self._action_type))
         self._observations.append(_copy(observation))
         self._infos.append(kept)
@@ -148,7 +158,8 @@ class EpisodeRecorder:
         # The action is recorded on its own.
         kept = {name: _copy(value) for name, value in info.items() if name != "action"}
         if self._simulation is not None:
-            kept[STATE] = physics_state(self._simulation)
+            state = physics_state(self._simulation)
+            kept[STATE] = {name: values.astype(self._state_type) for name, values in state.items()}
         return kept
 
 
@@ -160,13 +171,58 @@ def physics_state(simulation: Any) -> dict[str, NDArray[np.float64]]:
 
 def _copy(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {name: _copy(each) for name, each in value.items()}
-    return np.array(value) if isinstance(value, np.ndarray) else value
+        return {str(name): _copy(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return np.array(value)
+    if isinstance(value, list | tuple | set):
+        # What cannot be copied is told as it is in the end.
+        with suppress(Exception):
+            return copy.deepcopy(value)
+    return value
+
+
+class _Absent:
+    """In place of a value that was not there in a step."""
+
+
+ABSENT = _Absent()
 
 
 def _stack(values: list[Any]) -> Any:
-    """Lists of the same structure into a structure of arrays; text stays a list."""
-    first = values[0]
-    if isinstance(first, Mapping):
-        return {name: _stack([value[name] for value in values]) for name in first}
-    return list(values) if isinstance(first, str) else np.stack([np.asarray(value) for value in values])
+    """What came step by step as arrays of T + 1 rows; text as a list."""
+    there = [value for value in values if value is not ABSENT]
+    if all(isinstance(value, Mapping) for value in there):
+        return _stack_mappings(values)
+    if all(isinstance(value, str) for value in there):
+        return ["" if value is ABSENT else str(value) for value in values]
+    try:
+        arrays = [np.asarray(value) for value in there]
+        fits = len({array.shape for array in arrays}) == 1 and all(array.dtype.kind in "biufc" for array in arrays)
+    except ValueError:
+        # Lists whose inner lengths vary.
+        fits = False
+    if not fits:
+        return [json.dumps(None if value is ABSENT else value, default=_in_json) for value in values]
+    kind = np.result_type(*arrays)
+    nothing = np.full(arrays[0].shape, np.nan if kind.kind in "fc" else 0, dtype=kind)
+    rows = iter(arrays)
+    return np.stack([nothing if value is ABSENT else next(rows).astype(kind) for value in values])
+
+
+def _stack_mappings(values: list[Any]) -> dict[str, Any]:
+    stacked: dict[str, Any] = {}
+    names = dict.fromkeys(name for value in values if value is not ABSENT for name in value)
+    for name in names:
+        column = [ABSENT if value is ABSENT else value.get(name, ABSENT) for value in values]
+        stacked[name] = _stack(column)
+        # Where a whole mapping is missing, its own mask tells.
+        if any(each is ABSENT and value is not ABSENT for each, value in zip(column, values, strict=True)):
+            stacked.setdefault(f"_{name}", np.array([each is not ABSENT for each in column]))
+    return stacked
+
+
+def _in_json(value: Any) -> Any:
+    """What JSON does not know, as well as it can be told."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    return sorted(map(str, value)) if isinstance(value, set | frozenset) else repr(value)

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env import __version__
-from spatula_env.data.dataset import DatasetWriter, require_minari
-from spatula_env.data.episode import EpisodeRecorder
+from spatula_env.data.dataset import AUTHOR, DatasetWriter, check_target, dataset_folder
+from spatula_env.data.episode import EpisodeRecorder, StateType
+from spatula_env.data.files import recording_lock
 from spatula_env.teleop.device import DeviceLost, TeleopDevice
 from spatula_env.teleop.session import EpisodeSummary, run_episode
 from spatula_env.teleop.wrapper import FalconTeleop
@@ -47,6 +48,7 @@ def record(
     dataset_id: str,
     *,
     episodes: int = 1,
+    total: int | None = None,
     seed: int = 0,
     root: str | Path | None = None,
     options: Mapping[str, Any] | None = None,
@@ -55,7 +57,8 @@ def record(
     attempts: int | None = None,
     end_on_success: bool = False,
     states: bool = True,
-    author: str = "unknown",
+    state_dtype: StateType = "float32",
+    author: str = AUTHOR,
     description: str = "",
     progress: Callable[[str, EpisodeSummary], None] | None = None,
     after_step: Callable[[Any, dict[str, Any]], None] | None = None,
@@ -71,6 +74,7 @@ def record(
         device: What the operator holds, open and calibrated.
         dataset_id: As "spatula/press/human-v0"; is made, or added to.
         episodes: How many to add.
+        total: Add until the dataset has so many, instead; None: `episodes` counts.
         seed: Of the first episode, at least.
         root: Folder of all datasets; Minari's own by default.
         options: Of every reset.
@@ -79,7 +83,8 @@ def record(
         attempts: After so many tries recording ends, whatever came of them; None: it goes on.
         end_on_success: Whether reaching the goal ends an episode.
         states: Whether the physics' state is recorded, so that a replay can be checked and shown without physics.
-        author: Who holds the device.
+        state_dtype: How precisely; see `EpisodeRecorder`.
+        author: Who holds the device; kept with each episode.
         description: Of the dataset.
         progress: Called after each episode with what became of it, "recorded" or "discarded".
         after_step: Called with observation and info after every reset and step.
@@ -90,33 +95,88 @@ def record(
 
     Raises:
         ImportError: If Minari is missing.
-        ValueError: If a number is not one of those allowed.
+        ValueError: If a number is not one of those allowed, `env` cannot be kept in a dataset, or the dataset has
+            episodes of another environment or with other options.
+        DatasetBusy: If another program is recording into the dataset.
+        OSError: If the dataset cannot be written to.
         DatasetWriteError: If an episode could not be written; those before it are intact.
     """
-    require_minari()
-    if episodes < 1:
-        raise ValueError(f"episodes must be 1 or more, got {episodes!r}")
-    if attempts is not None and attempts < 1:
-        raise ValueError(f"attempts must be None, or 1 or more, got {attempts!r}")
+    for name, value in (("episodes", episodes), ("total", total), ("attempts", attempts)):
+        if value is not None and value < 1:
+            raise ValueError(f"{name} must be 1 or more, got {value!r}")
     operator = str(getattr(device, "operator", "human"))
     wrapped = FalconTeleop(env, device, **teleop)
-    writer = DatasetWriter(
-        dataset_id,
-        env,
-        root=root,
-        author=author,
-        description=description or f"Demonstrations by a {operator} operator with the {device.name}.",
-        algorithm_name=f"teleoperation ({operator})",
-    )
-    recorder = EpisodeRecorder(env, states=states)
+    # Before anything is made.
+    check_target(dataset_id, env, root)
+    with recording_lock(dataset_folder(dataset_id, root), dataset_id):
+        writer = DatasetWriter(
+            dataset_id,
+            env,
+            root=root,
+            author=author,
+            description=description or f"Demonstrations by a {operator} operator with the {device.name}.",
+            algorithm_name=f"teleoperation ({operator})",
+        )
+        return record_into(
+            writer,
+            wrapped,
+            EpisodeRecorder(env, states=states, state_dtype=state_dtype),
+            episodes=episodes if total is None else total - writer.total_episodes,
+            seed=seed,
+            options=options,
+            policy=policy,
+            keep_failures=keep_failures,
+            attempts=attempts,
+            end_on_success=end_on_success,
+            progress=progress,
+            after_step=after_step,
+        )
+
+
+def record_into(
+    writer: DatasetWriter,
+    env: FalconTeleop,
+    recorder: EpisodeRecorder,
+    *,
+    episodes: int,
+    seed: int,
+    options: Mapping[str, Any] | None = None,
+    policy: Callable[[Any], Any] | None = None,
+    keep_failures: bool = True,
+    attempts: int | None = None,
+    end_on_success: bool = False,
+    progress: Callable[[str, EpisodeSummary], None] | None = None,
+    after_step: Callable[[Any, dict[str, Any]], None] | None = None,
+) -> RecordingSummary:
+    """What `record` does when all is checked, and nobody else records into the dataset.
+
+    Args:
+        writer: Of the dataset.
+        env: The environment with its device.
+        recorder: For the environment.
+        episodes: How many to add; 0 or less: none.
+        seed: See `record`, and so for the others.
+        options: Of every reset.
+        policy: What acts while the operator does not.
+        keep_failures: Whether episodes that do not reach their goal are added, too.
+        attempts: After so many tries recording ends.
+        end_on_success: Whether reaching the goal ends an episode.
+        progress: Called after each episode.
+        after_step: Called after every reset and step.
+
+    Returns:
+        What came of it.
+
+    Raises:
+        DatasetWriteError: If an episode could not be written; those before it are intact.
+    """
     tried = recorded = successes = 0
     lost: str | None = None
-    first = seed if writer.last_seed is None else max(seed, writer.last_seed + 1)
-    made: Any = env.unwrapped
+    first = next_seed(writer, seed)
     while recorded < episodes and (attempts is None or tried < attempts):
         try:
             summary = run_episode(
-                wrapped,
+                env,
                 seed=first + tried,
                 options=options,
                 policy=policy,
@@ -130,16 +190,7 @@ def record(
         tried += 1
         keep = summary.kept and (keep_failures or summary.success)
         if keep:
-            writer.add(
-                recorder.finish(
-                    operator=operator,
-                    device=device.name,
-                    success=summary.success,
-                    operator_share=summary.operator_share,
-                    engine=made.settings.engine,
-                    spatula_env_version=__version__,
-                )
-            )
+            writer.add(recorder.finish(**episode_attributes(env, summary)))
             recorded += 1
             successes += summary.success
         if progress is not None:
@@ -147,7 +198,7 @@ def record(
         if summary.quit:
             break
     return RecordingSummary(
-        dataset_id=dataset_id,
+        dataset_id=writer.dataset_id,
         path=writer.path,
         recorded=recorded,
         discarded=tried - recorded,
@@ -155,3 +206,31 @@ def record(
         total_episodes=writer.total_episodes,
         lost=lost,
     )
+
+
+def next_seed(writer: DatasetWriter, least: int) -> int:
+    """The seed of the next episode of a dataset, so that none comes twice.
+
+    Args:
+        writer: Of the dataset.
+        least: Of the first episode.
+    """
+    return least if writer.last_seed is None else max(least, writer.last_seed + 1)
+
+
+def episode_attributes(env: FalconTeleop, summary: EpisodeSummary) -> dict[str, Any]:
+    """What a dataset tells of an episode beside what happened in it.
+
+    Args:
+        env: The environment with its device.
+        summary: How the episode went.
+    """
+    made: Any = env.unwrapped
+    return {
+        "operator": str(getattr(env.device, "operator", "human")),
+        "device": env.device.name,
+        "success": summary.success,
+        "operator_share": summary.operator_share,
+        "engine": made.settings.engine,
+        "spatula_env_version": __version__,
+    }

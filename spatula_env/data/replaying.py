@@ -14,8 +14,14 @@ from numpy.typing import NDArray
 
 from spatula_env.data.dataset import dataset_folder, require_minari
 from spatula_env.data.episode import STATE, physics_state
+from spatula_env.data.index import EpisodeEntry, read_index, read_metadata
+from spatula_env.data.layout import KEY
+from spatula_env.data.origin import SPECS
+from spatula_env.data.specs import make_recorded, spec_from_json
 
 if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
+
     FloatArray = NDArray[np.float64]
 
 TOLERANCE = 1e-9
@@ -29,7 +35,8 @@ class EpisodeReplay:
     Attributes:
         episode: Its number.
         steps: How many there were.
-        difference: Greatest difference of a recorded position or quaternion [u]; NaN if no states were recorded.
+        difference: Greatest difference of a recorded position or quaternion, beyond the precision in which it was
+            recorded [u]; NaN if no states were recorded.
         reward_difference: Greatest difference of a reward.
         matches: Whether both are within the tolerance; without states, the rewards.
         success: Whether the goal was reached, this time.
@@ -55,10 +62,36 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
         FileNotFoundError: If there is no such dataset.
     """
     minari, _ = require_minari()
-    data = dataset_folder(dataset_id, root) / "data"
-    if not (data / "metadata.json").exists():
-        raise FileNotFoundError(f"there is no dataset {dataset_id!r} in {data.parent}")
-    return minari.MinariDataset(data)
+    return minari.MinariDataset(data_folder(dataset_id, root))
+
+
+def read_entries(dataset_id: str, root: str | Path | None = None) -> list[EpisodeEntry]:
+    """What there is to know of each episode of a dataset, without opening any.
+
+    Args:
+        dataset_id: Its id.
+        root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        FileNotFoundError: If there is no such dataset.
+        DatasetDamaged: If something of it is missing.
+    """
+    return read_index(data_folder(dataset_id, root))
+
+
+def recorded_specs(dataset_id: str, root: str | Path | None = None) -> list[EnvSpec]:
+    """The specifications of the environments of a dataset's episodes; `EpisodeEntry.spec` says which.
+
+    Args:
+        dataset_id: Its id.
+        root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        FileNotFoundError: If there is no such dataset.
+        DatasetDamaged: If its metadata cannot be read.
+    """
+    metadata = read_metadata(data_folder(dataset_id, root))
+    return [spec_from_json(text) for text in (metadata.get(KEY) or {}).get(SPECS, [metadata["env_spec"]])]
 
 
 def replay(
@@ -69,18 +102,21 @@ def replay(
     tolerance: float = TOLERANCE,
     render_mode: str | None = None,
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None = None,
+    progress: Callable[[EpisodeReplay], None] | None = None,
 ) -> list[EpisodeReplay]:
     """Do the recorded actions again, from the recorded seeds, and compare what comes of them.
 
-    With the same engine and the same version all is the same; Bullet is deterministic.
+    With the same engine and the same version all is the same; Bullet is deterministic. Each episode is repeated in the
+    environment in which it was recorded, with the options it had.
 
     Args:
         dataset_id: Its id.
         root: Folder of all datasets; Minari's own by default.
         episodes: Which; all by default.
         tolerance: Greatest difference that counts as the same [u].
-        render_mode: Of the environment.
+        render_mode: Of the environment; None: as it was recorded, if its wrappers need pictures.
         after_step: Called with the environment and the step's number after the reset (0) and every step.
+        progress: Called after each episode with how it compares.
 
     Returns:
         How each compares.
@@ -92,20 +128,25 @@ def replay(
     """
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
-    spec = copy.deepcopy(dataset.spec.env_spec)
-    if numbers and spec.kwargs.get("engine") is None:
-        # Datasets did not always name the engine in what they were recorded with. The default here may be another one.
-        (first,) = dataset.storage.get_episode_metadata(numbers[:1])
-        spec.kwargs["engine"] = first.get("engine")
-    env = gymnasium.make(spec, render_mode=render_mode)
+    entries, specs = read_entries(dataset_id, root), recorded_specs(dataset_id, root)
     results = []
+    env: gymnasium.Env[Any, Any] | None = None
+    made: int | None = None
     try:
         for number in numbers:
+            if env is None or made != entries[number].spec:
+                if env is not None:
+                    env.close()
+                made = entries[number].spec
+                env = make_recorded(specs[made], render_mode)
             (metadata,) = dataset.storage.get_episode_metadata([number])
             (recorded,) = dataset.iterate_episodes([number])
             results.append(_repeat(env, number, recorded, metadata, tolerance, after_step))
+            if progress is not None:
+                progress(results[-1])
     finally:
-        env.close()
+        if env is not None:
+            env.close()
     return results
 
 
@@ -171,4 +212,29 @@ def _difference(simulation: Any, states: Any, step: int) -> float:
     if states is None:
         return 0.0
     now = physics_state(simulation)
-    return max(float(np.abs(now[name] - states[name][step]).max()) for name in now)
+    return max(_beyond_rounding(now[name], states[name][step]) for name in now)
+
+
+def _beyond_rounding(now: FloatArray, recorded: NDArray[Any]) -> float:
+    """The greatest difference of two arrays, less what comes of the precision of what was recorded."""
+    rounding = 0.5 * np.spacing(np.abs(recorded)).astype(np.float64)
+    apart = np.abs(now - recorded) - rounding
+    # What has diverged in both is the same.
+    apart[np.isnan(now) & np.isnan(recorded)] = 0.0
+    return max(0.0, float(np.nan_to_num(apart, nan=np.inf).max()))
+
+
+def data_folder(dataset_id: str, root: str | Path | None = None) -> Path:
+    """The folder with the data of a dataset.
+
+    Args:
+        dataset_id: Its id.
+        root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        FileNotFoundError: If there is no such dataset.
+    """
+    data = dataset_folder(dataset_id, root) / "data"
+    if not (data / "metadata.json").exists():
+        raise FileNotFoundError(f"there is no dataset {dataset_id!r} in {data.parent}")
+    return data

@@ -16,11 +16,15 @@ import gymnasium
 import numpy as np
 
 import spatula_env
-from spatula_env.data.dataset import METADATA_FILE, dataset_folder
-from spatula_env.data.recording import RecordingSummary, record
-from spatula_env.data.replaying import open_dataset
+from spatula_env.data.dataset import DatasetWriter, check_dataset_id, check_target, dataset_folder
+from spatula_env.data.episode import EpisodeRecorder, StateType
+from spatula_env.data.files import recording_lock
+from spatula_env.data.index import METADATA_FILE, read_index, read_metadata
+from spatula_env.data.recording import RecordingSummary, record_into
+from spatula_env.data.specs import spec_from_json
 from spatula_env.teleop.scripted import ScriptedFalcon
 from spatula_env.teleop.session import EpisodeSummary
+from spatula_env.teleop.wrapper import FalconTeleop
 
 Policy = Callable[[Any], Any]
 PolicyMaker = Callable[[gymnasium.Env[Any, Any]], Policy]
@@ -101,6 +105,7 @@ def make_scripted(
     options: Mapping[str, Any] | None = None,
     end_on_success: bool = True,
     states: bool = True,
+    state_dtype: StateType = "float32",
     root: str | Path | None = None,
     progress: Progress | None = None,
 ) -> ScriptedDataset:
@@ -118,74 +123,85 @@ def make_scripted(
         options: What the environment is made with.
         end_on_success: Whether reaching the goal ends an episode.
         states: Whether the physics' state is recorded.
+        state_dtype: How precisely; see `EpisodeRecorder`.
         root: Folder of all datasets; Minari's own by default.
         progress: Called after each episode with "recorded", how it went, and how long it took [s].
 
     Raises:
         ImportError: If Minari is missing.
-        ValueError: If `episodes` is not positive, or the dataset is one of another environment or not scripted.
+        ValueError: If `episodes` is not positive, or the dataset is one of another environment, has other options,
+            or is not scripted.
+        DatasetBusy: If another program is making it.
+        OSError: If it cannot be written to.
         DatasetWriteError: If an episode could not be written; those before it are intact.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be 1 or more, got {episodes!r}")
     name = dataset_id if dataset_id is not None else scripted_id(env_id)
+    check_dataset_id(name)
+    folder = dataset_folder(name, root)
     there = _count(name, env_id, root)
-    chosen = hand if hand is not None else HANDS.get(env_id, Hand())
     if there >= episodes:
-        return ScriptedDataset(RecordingSummary(name, dataset_folder(name, root), 0, 0, 0, there))
+        return ScriptedDataset(RecordingSummary(name, folder, 0, 0, 0, there))
+    chosen = hand if hand is not None else HANDS.get(env_id, Hand())
     seconds: list[float] = []
     successes = 0
-    result: RecordingSummary | None = None
     env = gymnasium.make(env_id, **(options or {}))
     try:
-        policy = make_policy(env)
-        for number in range(there, episodes):
-            began = time.perf_counter()
+        check_target(name, env, root)
+        with recording_lock(folder, name):
+            policy = make_policy(env)
+            writer = DatasetWriter(
+                name,
+                env,
+                root=root,
+                author=AUTHOR,
+                description=DESCRIPTION.format(env_id=env_id, operator=chosen),
+                algorithm_name="teleoperation (scripted)",
+            )
+            recorder = EpisodeRecorder(env, states=states, state_dtype=state_dtype)
+            for number in range(writer.total_episodes, episodes):
+                began = time.perf_counter()
 
-            def tell(fate: str, summary: EpisodeSummary, began: float = began) -> None:
-                seconds.append(time.perf_counter() - began)
-                if progress is not None:
-                    progress(fate, summary, seconds[-1])
+                def tell(fate: str, summary: EpisodeSummary, began: float = began) -> None:
+                    seconds.append(time.perf_counter() - began)
+                    if progress is not None:
+                        progress(fate, summary, seconds[-1])
 
-            generator = np.random.default_rng([seed, number])
-            # A hand of its own for each: none begins where the last one has ended.
-            with ScriptedFalcon(
-                policy,
-                generator,
-                reaction_delay=chosen.reaction_delay,
-                tremor=chosen.tremor,
-                gain=chosen.gain,
-            ) as device:
-                result = record(
-                    env,
-                    device,
-                    name,
-                    seed=seed + number,
-                    root=root,
-                    end_on_success=end_on_success,
-                    states=states,
-                    author=AUTHOR,
-                    description=DESCRIPTION.format(env_id=env_id, operator=chosen),
-                    progress=tell,
-                )
-            successes += result.successes
+                # A hand of its own for each: none begins where the last one has ended.
+                with ScriptedFalcon(
+                    policy,
+                    np.random.default_rng([seed, number]),
+                    reaction_delay=chosen.reaction_delay,
+                    tremor=chosen.tremor,
+                    gain=chosen.gain,
+                ) as device:
+                    result = record_into(
+                        writer,
+                        FalconTeleop(env, device),
+                        recorder,
+                        episodes=1,
+                        seed=seed + number,
+                        end_on_success=end_on_success,
+                        progress=tell,
+                    )
+                successes += result.successes
     finally:
         env.close()
-    assert result is not None
-    recording = RecordingSummary(name, result.path, len(seconds), 0, successes, result.total_episodes)
+    recording = RecordingSummary(name, folder, len(seconds), 0, successes, writer.total_episodes)
     return ScriptedDataset(recording, tuple(seconds))
 
 
 def _count(dataset_id: str, env_id: str, root: str | Path | None) -> int:
     """How many episodes a dataset has already."""
-    if not (dataset_folder(dataset_id, root) / "data" / METADATA_FILE).exists():
+    data = dataset_folder(dataset_id, root) / "data"
+    if not (data / METADATA_FILE).exists():
         return 0
-    dataset = open_dataset(dataset_id, root)
-    count = int(dataset.total_episodes)
-    found = dataset.spec.env_spec.id
+    metadata = read_metadata(data)
+    found = spec_from_json(metadata["env_spec"]).id
     if found != env_id:
         raise ValueError(f"dataset {dataset_id!r} is one of {found}, not of {env_id}; take another name")
-    operators = {str(each.get("operator")) for each in dataset.storage.get_episode_metadata(range(count))}
-    if operators - {"scripted"}:
+    entries = read_index(data, metadata)
+    if {str(entry.attributes.get("operator")) for entry in entries} - {"scripted"}:
         raise ValueError(f"dataset {dataset_id!r} has episodes of a human; scripted ones do not belong there")
-    return count
+    return len(entries)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from spatula_env.data.catalog import DatasetSummary, summarize
 from spatula_env.data.dataset import read_layout
 from spatula_env.data.layout import VECTOR, Layout
-from spatula_env.data.replaying import open_dataset
+from spatula_env.data.replaying import open_dataset, read_entries
 
 FloatArray = NDArray[np.float64]
 
@@ -134,7 +134,7 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
     """
     dataset = open_dataset(dataset_id, root)
     layout = read_layout(dataset_id, root)
-    attributes = list(dataset.storage.get_episode_metadata(range(dataset.total_episodes)))
+    attributes = [entry.attributes for entry in read_entries(dataset_id, root)]
     returns, lengths = [], []
     courses: dict[str, list[FloatArray]] = {"time": [], "force": [], "peak_pressure": []}
     ends: dict[str, list[float]] = {"episode_peak_force": [], "episode_peak_pressure": [], "episode_cost": []}

@@ -1,0 +1,107 @@
+"""An episode as the bytes of an HDF5 file, as Minari reads it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spatula_env.data.episode import Episode
+
+COMPRESSION = 4
+"""Of arrays of numbers, lossless."""
+SMALL = 1024
+"""Arrays up to this size are kept with their description: chunks and filters would cost more than they save [bytes]."""
+ONE_CHUNK = 1 << 20
+"""Arrays up to this size are one chunk, longer ones several of about this size [bytes]."""
+FORMAT = "v110"
+"""The oldest HDF5 that reads the files. Older formats need half as much again for short episodes."""
+LARGEST_ATTRIBUTE = 1 << 15
+"""Of which HDF5 takes somewhat more [bytes]."""
+LEAF = "value"
+"""What a value is called that has the name of a group: an `info` with both "reward" and "reward/term"."""
+
+
+def episode_image(episode: Episode, number: int) -> bytes:
+    """The bytes of an episode's file.
+
+    Made in memory first: then only plain writes can fail, and those say why.
+
+    Args:
+        episode: What to encode.
+        number: Of the episode in its dataset.
+    """
+    import h5py
+
+    with h5py.File("episode", "w", driver="core", backing_store=False, libver=(FORMAT, FORMAT)) as file:
+        file.attrs["id"] = number
+        file.attrs["total_steps"] = len(episode)
+        if episode.seed is not None:
+            file.attrs["seed"] = episode.seed
+        for name, value in _flat(episode.options or {}, "options").items():
+            file.attrs[name] = _as_attribute(value)
+        for name, value in episode.attributes.items():
+            file.attrs[name] = _as_attribute(value)
+        for name in ("observations", "actions", "rewards", "terminations", "truncations", "infos"):
+            _put(file, name, getattr(episode, name))
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
+def _put(group: Any, name: str, value: Any) -> None:
+    # A slash in a name is a path to HDF5, and a group of groups to Minari. `info` has such keys.
+    if isinstance(value, Mapping):
+        inner = group.require_group(name)
+        for key, each in value.items():
+            is_group = not isinstance(each, Mapping) and any(str(other).startswith(f"{key}/") for other in value)
+            _put(inner, f"{key}/{LEAF}" if is_group else str(key), each)
+    elif isinstance(value, list):
+        _put_array(group, name, np.array([text.encode() for text in value], dtype=np.bytes_), text=True)
+    else:
+        _put_array(group, name, np.asarray(value))
+
+
+def _put_array(group: Any, name: str, array: Any, *, text: bool = False) -> None:
+    import h5py
+
+    *folders, leaf = name.split("/")
+    for folder in folders:
+        group = group.require_group(folder)
+    created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    if array.nbytes > SMALL:
+        # Whole steps: what is read is episodes, or steps of them.
+        steps = max(1, ONE_CHUNK * len(array) // array.nbytes)
+        created.set_chunk((min(steps, len(array)), *array.shape[1:]))
+        created.set_shuffle()
+        created.set_deflate(COMPRESSION)
+    elif array.nbytes:
+        created.set_layout(h5py.h5d.COMPACT)
+    kind = h5py.h5t.py_create(array.dtype, logical=True)
+    if text:
+        kind.set_cset(h5py.h5t.CSET_UTF8)
+    space = h5py.h5s.create_simple(array.shape)
+    dataset = h5py.h5d.create(group.id, leaf.encode(), kind, space, created)
+    if array.nbytes:
+        dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(array), mtype=kind)
+
+
+def _flat(value: Mapping[str, Any], parent: str) -> dict[str, Any]:
+    """Mappings in mappings as one, with paths for names, as Minari reads them."""
+    flat: dict[str, Any] = {}
+    for name, each in value.items():
+        path = f"{parent}/{name}"
+        flat |= _flat(each, path) if isinstance(each, Mapping) else {path: each}
+    return flat
+
+
+def _as_attribute(value: Any) -> Any:
+    """A value as an attribute has it; what HDF5 does not know, as text in JSON."""
+    array = (
+        np.asarray(value) if isinstance(value, bool | int | float | np.generic | np.ndarray | list | tuple) else None
+    )
+    if isinstance(value, str) or (array is not None and array.dtype.kind in "biuf" and array.nbytes < 32768):
+        return value if isinstance(value, str) else array
+    return json.dumps(value, default=repr)

@@ -1,0 +1,209 @@
+"""What there is to know of each episode of a dataset, beside the episodes, so that nobody has to open them for it.
+
+A line of JSON for each episode. The dataset's metadata say how long the file is: what a program that was killed has
+written beyond that does not count, and the next line takes its place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spatula_env.data.episode import Episode
+from spatula_env.data.layout import KEY
+
+INDEX_FILE = "index.jsonl"
+METADATA_FILE = "metadata.json"
+MAIN_FILE = "main_data.hdf5"
+EPISODES = "episodes"
+"""Folder with the episodes' files, beside the main file."""
+LENGTH = "index_bytes"
+"""Under which the metadata keep how long the index is."""
+OWN_ATTRIBUTES = ("id", "seed", "total_steps", "options", "spec")
+"""Of an episode's attributes, those that follow from where it is."""
+PEAK_FORCE = "episode_peak_force"
+
+
+class DatasetDamaged(ValueError):
+    """Something of a dataset is missing or cannot be read; the message says what."""
+
+
+@dataclass(frozen=True)
+class EpisodeEntry:
+    """What the index tells of an episode.
+
+    Attributes:
+        steps: How many it has.
+        total_reward: Sum of its rewards.
+        peak_force: Greatest force on a tool [N]; None if that was not recorded.
+        seed: Of its reset; None if that is not known.
+        spec: Which of the dataset's specifications its environment has.
+        size: Of its file [bytes].
+        attributes: ``operator``, ``device``, ``success``, ``author`` …
+    """
+
+    steps: int
+    total_reward: float
+    peak_force: float | None
+    seed: int | None
+    spec: int
+    size: int
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, episode: Episode, spec: int, size: int) -> EpisodeEntry:
+        """That of an episode that is about to be added."""
+        peaks = episode.infos.get(PEAK_FORCE)
+        return cls(
+            steps=len(episode),
+            total_reward=float(episode.rewards.sum()),
+            peak_force=None if peaks is None or isinstance(peaks, list | Mapping) else _finite(np.ravel(peaks)[-1]),
+            seed=None if episode.seed is None else int(episode.seed),
+            spec=spec,
+            size=size,
+            attributes={name: plain(each) for name, each in episode.attributes.items() if name not in OWN_ATTRIBUTES},
+        )
+
+    @classmethod
+    def from_line(cls, line: str) -> EpisodeEntry:
+        """From what `as_line` made."""
+        return cls(**json.loads(line))
+
+    def as_line(self) -> bytes:
+        """A line of the index."""
+        return json.dumps(vars(self), default=repr).encode() + b"\n"
+
+
+def read_metadata(data: Path) -> dict[str, Any]:
+    """The metadata of a dataset.
+
+    Args:
+        data: The folder "data" in that of the dataset.
+
+    Raises:
+        FileNotFoundError: If there is no dataset.
+        DatasetDamaged: If they cannot be read.
+    """
+    file = data / METADATA_FILE
+    try:
+        found = json.loads(file.read_bytes())
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError) as error:
+        raise DatasetDamaged(f"{file} cannot be read: {error}") from error
+    if not isinstance(found, dict) or not isinstance(found.get("total_episodes"), int):
+        raise DatasetDamaged(f"{file} has no metadata of a dataset")
+    return found
+
+
+def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[EpisodeEntry]:
+    """What there is to know of each episode. Datasets without an index are gone through.
+
+    Args:
+        data: The folder "data" in that of the dataset.
+        metadata: Its metadata; None reads them.
+
+    Raises:
+        FileNotFoundError: If there is no dataset.
+        DatasetDamaged: If an episode is missing or cannot be read, or the index is not whole.
+    """
+    told = read_metadata(data) if metadata is None else metadata
+    length = (told.get(KEY) or {}).get(LENGTH)
+    if length is None:
+        return build_index(data, told["total_episodes"])
+    file = data / INDEX_FILE
+    try:
+        lines = file.read_bytes()[:length].decode().splitlines()
+        entries = [EpisodeEntry.from_line(line) for line in lines]
+    except (OSError, TypeError, ValueError) as error:
+        raise DatasetDamaged(f"{file} cannot be read: {error}") from error
+    if len(entries) != told["total_episodes"]:
+        raise DatasetDamaged(f"{file} has {len(entries)} episodes, there are to be {told['total_episodes']}")
+    return entries
+
+
+def check_files(data: Path, entries: Sequence[EpisodeEntry]) -> None:
+    """Check that all files of a dataset are there, and as long as they were written.
+
+    Args:
+        data: The folder "data" in that of the dataset.
+        entries: Its index.
+
+    Raises:
+        DatasetDamaged: If one is missing or shorter.
+    """
+    if not (data / MAIN_FILE).is_file():
+        raise DatasetDamaged(f"{data / MAIN_FILE} is missing")
+    for number, entry in enumerate(entries):
+        file = episode_file(data, number)
+        try:
+            size = file.stat().st_size
+        except OSError:
+            if not (data / EPISODES).exists():
+                # Minari's own: all episodes are in the main file.
+                return
+            raise DatasetDamaged(f"episode {number} is missing: there is no {file}") from None
+        if size != entry.size:
+            raise DatasetDamaged(f"episode {number} is damaged: {file} has {size} bytes instead of {entry.size}")
+
+
+def build_index(data: Path, count: int) -> list[EpisodeEntry]:
+    """Make the index of a dataset that has none, by going through its episodes.
+
+    Args:
+        data: The folder "data" in that of the dataset.
+        count: How many episodes it has.
+
+    Raises:
+        DatasetDamaged: If an episode cannot be read.
+    """
+    import h5py
+
+    entries = []
+    try:
+        with h5py.File(data / MAIN_FILE, "r") as main:
+            for number in range(count):
+                group = main[f"episode_{number}"]
+                attributes = dict(group.attrs)
+                seed, peaks = attributes.get("seed"), group.get(f"infos/{PEAK_FORCE}")
+                file = episode_file(data, number)
+                entries.append(
+                    EpisodeEntry(
+                        steps=len(group["rewards"]),
+                        total_reward=float(group["rewards"][()].sum()),
+                        peak_force=None if peaks is None else _finite(peaks[-1]),
+                        seed=None if seed is None else int(seed),
+                        spec=int(attributes.get("spec", 0)),
+                        size=file.stat().st_size if file.exists() else 0,
+                        attributes={
+                            name: plain(value)
+                            for name, value in attributes.items()
+                            if name.partition("/")[0] not in OWN_ATTRIBUTES
+                        },
+                    )
+                )
+    except (OSError, KeyError, RuntimeError) as error:
+        raise DatasetDamaged(f"episode {len(entries)} in {data} cannot be read: {error}") from error
+    return entries
+
+
+def episode_file(data: Path, number: int) -> Path:
+    """The file of an episode."""
+    return data / EPISODES / f"{number:06d}.hdf5"
+
+
+def plain(value: Any) -> Any:
+    """A value of NumPy's as Python has it."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def _finite(value: Any) -> float | None:
+    number = float(value)
+    return number if np.isfinite(number) else None

@@ -1,0 +1,173 @@
+"""How the environment of a dataset was made: kept, compared, and made again."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import json
+from collections.abc import Mapping
+from pathlib import PurePath
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+
+UNSEEN = ("render_mode",)
+"""Options of an environment that change nothing of an episode."""
+UNSEEN_WITHOUT_PICTURES = ("width", "height")
+"""Likewise, unless the observations or a wrapper have what `render` gives."""
+ONLOOKERS = ("HumanRendering", "RecordVideo")
+"""Gymnasium's wrappers that show or film what happens and change nothing of it. They are not kept: whoever makes the
+environment again wants neither windows nor films."""
+UNTOLD = "unspecified"
+
+
+def storable_spec(env: gymnasium.Env[Any, Any]) -> EnvSpec:
+    """The specification of an environment as a dataset keeps it.
+
+    The mode of rendering is kept unless it is "human": wrappers may need pictures, and nobody needs windows. The engine
+    is kept by name, as the default may be another one elsewhere.
+
+    Args:
+        env: From `gymnasium.make`, wrapped or not.
+
+    Raises:
+        ValueError: If it has none, or one that JSON cannot keep; says which argument of which wrapper.
+    """
+    if env.spec is None:
+        raise ValueError("env must have a spec: make it with gymnasium.make")
+    found = env.spec
+    wrappers = []
+    for each in found.additional_wrappers:
+        if each.name in ONLOOKERS and each.entry_point.startswith("gymnasium."):
+            continue
+        if each.kwargs is None:
+            raise ValueError(
+                f"env cannot be recorded in the wrapper {each.name}, which does not tell its arguments, so that nobody "
+                "could make the environment again: derive it from gymnasium.utils.RecordConstructorArgs too"
+            )
+        wrappers.append(type(each)(each.name, each.entry_point, _plain(each.kwargs, f"the wrapper {each.name}")))
+    # One by one: a copy of the whole would copy what cannot be kept.
+    kept = copy.copy(found)
+    kwargs = {name: value for name, value in found.kwargs.items() if (name, value) != ("render_mode", "human")}
+    made = getattr(env, "unwrapped", None)
+    engine = getattr(getattr(made, "settings", None), "engine", None)
+    if isinstance(engine, str):
+        kwargs["engine"] = engine
+    kept.kwargs = _plain(kwargs, found.id)
+    kept.additional_wrappers = tuple(wrappers)
+    for name in ("entry_point", "vector_entry_point"):
+        point = getattr(kept, name)
+        if point is not None and not isinstance(point, str):
+            setattr(kept, name, f"{point.__module__}:{point.__qualname__}")
+    return kept
+
+
+def spec_from_json(text: str) -> EnvSpec:
+    """A specification as a dataset keeps it; nothing is imported or made.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    try:
+        return EnvSpec.from_json(text)
+    except (TypeError, KeyError) as error:
+        raise ValueError(f"this is no specification of an environment: {text[:200]!r}") from error
+
+
+def differences(first: EnvSpec, second: EnvSpec, names: tuple[str, str] = ("here", "there")) -> list[str]:
+    """What two specifications differ in, as far as it changes an episode.
+
+    Args:
+        first: One of them.
+        second: The other.
+        names: What to call them.
+
+    Returns:
+        Each a few words, as "control_frequency (10.0 here, 20.0 there)"; empty if they mean the same.
+    """
+    values = [_options(spec) for spec in (first, second)]
+    found = []
+    for name in sorted({*values[0], *values[1]}):
+        pair = [each.get(name, UNTOLD) for each in values]
+        if pair[0] != pair[1]:
+            told = ", ".join(f"{_told(value)} {where}" for value, where in zip(pair, names, strict=True))
+            found.append(f"{name} ({told})")
+    return found
+
+
+def make_recorded(spec: EnvSpec, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
+    """Make the environment of a dataset again.
+
+    Args:
+        spec: As the dataset keeps it.
+        render_mode: How to look at it; None: as it was recorded, if that was needed.
+    """
+    return gymnasium.make(spec) if render_mode is None else gymnasium.make(spec, render_mode=render_mode)
+
+
+def _options(spec: EnvSpec) -> dict[str, Any]:
+    """What decides about an episode, by name; defaults included."""
+    kwargs = {**_defaults(spec), **spec.kwargs}
+    unseen = UNSEEN if spec.additional_wrappers else (*UNSEEN, *UNSEEN_WITHOUT_PICTURES)
+    for name in unseen:
+        kwargs.pop(name, None)
+    told: dict[str, Any] = {
+        "environment": spec.id,
+        "max_episode_steps": spec.max_episode_steps,
+        **_plain(kwargs, spec.id),
+    }
+    for number, each in enumerate(spec.additional_wrappers, start=1):
+        told[f"wrapper {number}"] = f"{each.name}({json.dumps(each.kwargs, sort_keys=True)})"
+    return told
+
+
+def _defaults(spec: EnvSpec) -> dict[str, Any]:
+    """Defaults of an environment's options, if it is registered here."""
+    registered = gymnasium.registry.get(spec.id)
+    if registered is None or registered.entry_point is None:
+        return {}
+    try:
+        point = registered.entry_point
+        maker = gymnasium.envs.registration.load_env_creator(point) if isinstance(point, str) else point
+        parameters = inspect.signature(maker).parameters.values()
+    except (ImportError, AttributeError, TypeError, ValueError):
+        return {}
+    told = {each.name: each.default for each in parameters if each.default is not inspect.Parameter.empty}
+    return {name: value for name, value in told.items() if _is_plain(value)}
+
+
+def _told(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _is_plain(value: Any) -> bool:
+    try:
+        _plain(value, "")
+    except ValueError:
+        return False
+    return True
+
+
+def _plain(value: Any, owner: str, name: str = "") -> Any:
+    """A value as JSON gives it back; NumPy's numbers and arrays become plain ones.
+
+    Raises:
+        ValueError: If JSON has no such thing.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each, owner, f"{name}.{key}" if name else str(key)) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each, owner, f"{name}[{number}]") for number, each in enumerate(value)]
+    if isinstance(value, np.generic | np.ndarray):
+        return _plain(value.tolist(), owner, name)
+    if isinstance(value, PurePath):
+        return str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ValueError(
+        f"env cannot be recorded: the argument {name} of {owner} is {value!r}, which JSON cannot keep, so that nobody "
+        "could make the environment again; use a wrapper of your own without such an argument, derived from "
+        "gymnasium.utils.RecordConstructorArgs"
+    )
