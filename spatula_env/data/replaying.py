@@ -101,6 +101,7 @@ def replay(
     episodes: Sequence[int] | None = None,
     tolerance: float = TOLERANCE,
     render_mode: str | None = None,
+    env_id: str | None = None,
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None = None,
     progress: Callable[[EpisodeReplay], None] | None = None,
 ) -> list[EpisodeReplay]:
@@ -115,6 +116,7 @@ def replay(
         episodes: Which; all by default.
         tolerance: Greatest difference that counts as the same [u].
         render_mode: Of the environment; None: as it was recorded, if its wrappers need pictures.
+        env_id: The environment as "module:id", if it is one of your own that is not registered yet.
         after_step: Called with the environment and the step's number after the reset (0) and every step.
         progress: Called after each episode with how it compares.
 
@@ -124,7 +126,7 @@ def replay(
     Raises:
         ImportError: If Minari is missing, or PyBullet is and the episodes were recorded with it.
         FileNotFoundError: If there is no such dataset.
-        ValueError: If an episode has no seed.
+        ValueError: If an episode has no seed, or its environment or a wrapper is not known here.
     """
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
@@ -138,7 +140,7 @@ def replay(
                 if env is not None:
                     env.close()
                 made = entries[number].spec
-                env = make_recorded(specs[made], render_mode)
+                env = make_recorded(specs[made], render_mode, env_id)
             (metadata,) = dataset.storage.get_episode_metadata([number])
             (recorded,) = dataset.iterate_episodes([number])
             results.append(_repeat(env, number, recorded, metadata, tolerance, after_step))

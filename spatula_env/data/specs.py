@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import inspect
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import PurePath
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, WrapperSpec, load_env_creator
+
+from spatula_env.naming import bare_id, registered_id
 
 UNSEEN = ("render_mode",)
 """Options of an environment that change nothing of an episode."""
@@ -20,6 +24,8 @@ UNSEEN_WITHOUT_PICTURES = ("width", "height")
 ONLOOKERS = ("HumanRendering", "RecordVideo")
 """Gymnasium's wrappers that show or film what happens and change nothing of it. They are not kept: whoever makes the
 environment again wants neither windows nor films."""
+TRUSTED = ("gymnasium", "spatula_env")
+"""Packages whose wrappers a dataset may name."""
 UNTOLD = "unspecified"
 
 
@@ -40,14 +46,14 @@ def storable_spec(env: gymnasium.Env[Any, Any]) -> EnvSpec:
     found = env.spec
     wrappers = []
     for each in found.additional_wrappers:
-        if each.name in ONLOOKERS and each.entry_point.startswith("gymnasium."):
+        if _only_looks_on(each):
             continue
         if each.kwargs is None:
             raise ValueError(
                 f"env cannot be recorded in the wrapper {each.name}, which does not tell its arguments, so that nobody "
                 "could make the environment again: derive it from gymnasium.utils.RecordConstructorArgs too"
             )
-        wrappers.append(type(each)(each.name, each.entry_point, _plain(each.kwargs, f"the wrapper {each.name}")))
+        wrappers.append(WrapperSpec(each.name, each.entry_point, _plain(each.kwargs, f"the wrapper {each.name}")))
     # One by one: a copy of the whole would copy what cannot be kept.
     kept = copy.copy(found)
     kwargs = {name: value for name, value in found.kwargs.items() if (name, value) != ("render_mode", "human")}
@@ -97,14 +103,46 @@ def differences(first: EnvSpec, second: EnvSpec, names: tuple[str, str] = ("here
     return found
 
 
-def make_recorded(spec: EnvSpec, render_mode: str | None = None) -> gymnasium.Env[Any, Any]:
+def make_recorded(spec: EnvSpec, render_mode: str | None = None, env_id: str | None = None) -> gymnasium.Env[Any, Any]:
     """Make the environment of a dataset again.
+
+    A dataset may come from anywhere, so nothing is imported for its sake: the environment is the one that is registered
+    here under its id, and wrappers are Gymnasium's, this package's, or of modules that are imported already.
 
     Args:
         spec: As the dataset keeps it.
         render_mode: How to look at it; None: as it was recorded, if that was needed.
+        env_id: The same environment as "module:id", if nobody has registered it yet.
+
+    Raises:
+        ImportError: If the module of `env_id` cannot be imported.
+        ValueError: If there is no such environment or wrapper here.
     """
-    return gymnasium.make(spec) if render_mode is None else gymnasium.make(spec, render_mode=render_mode)
+    found = copy.copy(spec)
+    found.id = bare_id(registered_id(spec.id, env_id))
+    registered = gymnasium.registry[found.id]
+    found.entry_point, found.vector_entry_point = registered.entry_point, registered.vector_entry_point
+    found.additional_wrappers = tuple(each for each in spec.additional_wrappers if not _only_looks_on(each))
+    for each in found.additional_wrappers:
+        _check_wrapper(each)
+    return gymnasium.make(found) if render_mode is None else gymnasium.make(found, render_mode=render_mode)
+
+
+def _only_looks_on(wrapper: WrapperSpec) -> bool:
+    return wrapper.name in ONLOOKERS and wrapper.entry_point.startswith("gymnasium.")
+
+
+def _check_wrapper(wrapper: WrapperSpec) -> None:
+    """Check that a wrapper that a dataset names is one, and that its module is known here."""
+    module, _, name = wrapper.entry_point.partition(":")
+    found: Any = None
+    if module.partition(".")[0] in TRUSTED or module in sys.modules:
+        found = getattr(importlib.import_module(module), name, None)
+    if not (isinstance(found, type) and issubclass(found, gymnasium.Wrapper)):
+        raise ValueError(
+            f"the dataset was recorded in the wrapper {wrapper.entry_point!r}, which is not known here, and no "
+            "module is imported because a dataset names it: import it first"
+        )
 
 
 def _options(spec: EnvSpec) -> dict[str, Any]:
@@ -130,7 +168,7 @@ def _defaults(spec: EnvSpec) -> dict[str, Any]:
         return {}
     try:
         point = registered.entry_point
-        maker = gymnasium.envs.registration.load_env_creator(point) if isinstance(point, str) else point
+        maker = load_env_creator(point) if isinstance(point, str) else point
         parameters = inspect.signature(maker).parameters.values()
     except (ImportError, AttributeError, TypeError, ValueError):
         return {}

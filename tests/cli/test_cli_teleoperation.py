@@ -184,7 +184,8 @@ class TestRecord:
             {"emulated Falcon": 2},
         )
         assert [each["seed"] for each in found["list"]] == [0, 1]
-        assert "render_mode" not in found["env_kwargs"]
+        assert found["env_kwargs"]["engine"] == "bullet"
+        assert found["env_kwargs"].get("render_mode") is None
 
     def test_it_goes_on(self, capsys, tmp_path) -> None:
         words = ["record", "press", "--dataset", ID, "--device", "scripted", "--root", str(tmp_path), *SHORT]
@@ -240,9 +241,9 @@ class TestRecord:
         assert run_json(capsys, "datasets", "inspect", ID, "--root", str(tmp_path))["episodes"] == 1
 
     def test_a_malformed_name(self, capsys, tmp_path) -> None:
-        words = ["--dataset", "no version", "--device", "scripted", "--root", str(tmp_path)]
+        words = ["--dataset", "mydata", "--device", "scripted", "--root", str(tmp_path)]
         _, noted = run(capsys, "record", "press", *words, *SHORT, status=1)
-        assert "Malformed" in noted
+        assert "say 'mydata-v0'" in noted
 
 
 class TestReplay:

@@ -33,6 +33,12 @@ def record_once(env, root, **options):
         return record(env, device, PRESS, root=root, real_time=False, **options)
 
 
+class Typed(gym.Wrapper, gym.utils.RecordConstructorArgs):
+    def __init__(self, env, kind):
+        gym.utils.RecordConstructorArgs.__init__(self, kind=kind)
+        super().__init__(env)
+
+
 def test_other_options_are_refused_by_name(tmp_path) -> None:
     first, second = make(), make(control_frequency=10, randomization="default")
     record_once(first, tmp_path)
@@ -85,7 +91,7 @@ def test_the_engine_is_kept_by_name() -> None:
             "argument func of the wrapper TransformObservation",
         ),
         (lambda env: type("Mute", (gym.Wrapper,), {})(env), "wrapper Mute, which does not tell its arguments"),
-        (lambda env: gym.wrappers.DtypeObservation(env, np.float64), "argument dtype of the wrapper DtypeObservation"),
+        (lambda env: Typed(env, kind=np.float32), "argument kind of the wrapper Typed"),
     ],
 )
 def test_what_json_cannot_keep_is_refused_at_the_start(tmp_path, wrap, message) -> None:
@@ -116,7 +122,9 @@ def test_an_environment_that_is_registered_by_its_class(tmp_path) -> None:
 def test_merged_episodes_keep_their_options_and_authors(tmp_path) -> None:
     """Datasets of other options may be joined, and each episode is repeated with its own."""
     names = ["spatula/press/a-v0", "spatula/press/b-v0"]
-    for name, author, options in zip(names, ("Ada", "Ben"), ({}, {"max_force": 0.1, "control": "velocity"}), strict=True):
+    for name, author, options in zip(
+        names, ("Ada", "Ben"), ({}, {"max_force": 0.1, "control": "velocity"}), strict=True
+    ):
         env = make(**options)
         with ScriptedOperator(dive) as device:
             record(env, device, name, root=tmp_path, author=author, real_time=False)
@@ -179,6 +187,38 @@ def test_a_window_is_not_kept() -> None:
     env.spec.kwargs["render_mode"] = "human"
     assert "render_mode" not in storable_spec(env).kwargs
     env.close()
+
+
+def test_nothing_is_imported_for_a_datasets_sake(tmp_path, monkeypatch) -> None:
+    env = make()
+    writer = DatasetWriter(PRESS, env, root=tmp_path)
+    env.close()
+    (tmp_path / "poison.py").write_text("raise SystemError('it ran')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (spec,) = recorded_specs(PRESS, tmp_path)
+    spec.entry_point = "poison:Env"
+    again = make_recorded(spec)
+    assert type(again.unwrapped).__name__ == "PressEnv"
+    again.close()
+    for point, kwargs in (
+        ("poison:Wrapper", {}),
+        ("subprocess:Popen", {"args": ["false"]}),
+        ("gymnasium.wrappers:nothing", {}),
+        ("spatula_env.data.files:check_can_write", {"folder": "x"}),
+    ):
+        spec.additional_wrappers = (gym.envs.registration.WrapperSpec("Wrapper", point, kwargs),)
+        with pytest.raises(ValueError, match="import it first"):
+            make_recorded(spec)
+    spec.id = "Spatula/Poison-v0"
+    with pytest.raises(ValueError, match="is not registered"):
+        make_recorded(spec)
+    # Nor when episodes are added.
+    metadata = writer.path / "data" / "metadata.json"
+    metadata.write_text(metadata.read_text().replace("spatula_env.envs.press:PressEnv", "poison:Env"))
+    env = make()
+    record_once(env, tmp_path)
+    env.close()
+    assert replay(PRESS, root=tmp_path)[0].matches
 
 
 def _installed() -> bool:
