@@ -133,14 +133,14 @@ def replay(
     entries, specs = read_entries(dataset_id, root), recorded_specs(dataset_id, root)
     results = []
     env: gymnasium.Env[Any, Any] | None = None
-    made: int | None = None
+    made: EnvSpec | None = None
     try:
         for number in numbers:
-            if env is None or made != entries[number].spec:
+            spec = _spec_of(entries[number], specs)
+            if env is None or spec != made:
                 if env is not None:
                     env.close()
-                made = entries[number].spec
-                env = make_recorded(specs[made], render_mode, env_id)
+                env, made = make_recorded(spec, render_mode, env_id), spec
             (metadata,) = dataset.storage.get_episode_metadata([number])
             (recorded,) = dataset.iterate_episodes([number])
             results.append(_repeat(env, number, recorded, metadata, tolerance, after_step))
@@ -174,6 +174,17 @@ def recorded_states(
         raise ValueError(f"episode {episode} of {dataset_id!r} was recorded without states")
     states = recorded.infos[STATE]
     yield from zip(states["nodes"], states["tools"], strict=True)
+
+
+def _spec_of(entry: EpisodeEntry, specs: Sequence[EnvSpec]) -> EnvSpec:
+    """How the environment of an episode was made."""
+    spec, engine = specs[entry.spec], entry.attributes.get("engine")
+    if spec.kwargs.get("engine") is not None or engine is None:
+        return spec
+    # Datasets did not always name the engine in what they were recorded with. The default here may be another one.
+    named = copy.copy(spec)
+    named.kwargs = {**spec.kwargs, "engine": engine}
+    return named
 
 
 def _repeat(

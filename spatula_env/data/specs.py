@@ -97,7 +97,8 @@ def differences(first: EnvSpec, second: EnvSpec, names: tuple[str, str] = ("here
     found = []
     for name in sorted({*values[0], *values[1]}):
         pair = [each.get(name, UNTOLD) for each in values]
-        if pair[0] != pair[1]:
+        # Datasets did not always name the engine.
+        if pair[0] != pair[1] and not (name == "engine" and None in pair):
             told = ", ".join(f"{_told(value)} {where}" for value, where in zip(pair, names, strict=True))
             found.append(f"{name} ({told})")
     return found
