@@ -22,22 +22,26 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import gymnasium
 import numpy as np
 
+from agents.command_line import Interrupted, add_overwrite_option, run_command, warn
 from agents.configuration import (
     ALGORITHMS,
     ENGINES,
     EnvironmentConfig,
+    SACConfig,
     TrainingConfig,
     find_config,
     read_training,
 )
+from spatula_env.naming import find_environment, task_name
 
 if TYPE_CHECKING:
     from agents.demonstrations import Demonstration
     from agents.evaluation import Plan
     from agents.imitation import CloneConfig
+
+PROGRAM = "python -m agents.clone"
 
 GRADIENT_STEPS = 6_000
 """Usual number of gradient steps."""
@@ -77,6 +81,9 @@ def clone(
         raise ValueError("demonstrations must be one at least, got none")
     torch.set_num_threads(config.torch_threads)
     config = dataclasses.replace(config, environment=dataclasses.replace(config.environment, num_envs=1))
+    if isinstance(config.hyperparameters, SACConfig):
+        # It stays empty.
+        config = dataclasses.replace(config, hyperparameters=dataclasses.replace(config.hyperparameters, buffer_size=1))
     env, _ = make_training_env(config, how.seed, config.hyperparameters.gamma)
     try:
         model: Any = make_model(config, env, how.seed)
@@ -104,16 +111,17 @@ def _fit(model: Any, normalizer: Any, demonstrations: Sequence[Demonstration], h
     return imitate(model, observations, np.concatenate([each.actions for each in demonstrations]), how)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
     """Clone.
 
     Args:
-        arguments: What follows the module's name; None takes them from the command line.
+        arguments: What follows the command's name; None takes them from the command line.
+        program: The command as it was typed.
 
     Returns:
         The exit status: 0 if all went well.
     """
-    parser = argparse.ArgumentParser(prog="python -m agents.clone", description="Imitate demonstrations.")
+    parser = argparse.ArgumentParser(prog=program, description="Imitate demonstrations.")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--dataset", metavar="ID", help="demonstrations of a Minari data set")
     source.add_argument("--expert", type=int, metavar="N", help="N demonstrations of the scripted expert")
@@ -124,7 +132,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes", help="a change of it"
     )
-    parser.add_argument("--env", metavar="ID", help="environment, without --config and --dataset")
+    parser.add_argument(
+        "--env", metavar="ID", help="environment, without --config; with --dataset if it is one of your own: MODULE:ID"
+    )
     parser.add_argument("--algorithm", choices=("sac", "ppo"), help="whose actor, without --config; default: sac")
     parser.add_argument("--engine", choices=ENGINES, default="batch", help="that the expert demonstrates in")
     parser.add_argument(
@@ -138,11 +148,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="default: %(default)s")
     parser.add_argument("--output", type=Path, metavar="DIR", help="default: runs/ and the task's name")
+    add_overwrite_option(parser)
     chosen = parser.parse_args(arguments)
-    if chosen.expert is not None and chosen.expert < 1:
-        parser.error(f"--expert must be 1 or more, got {chosen.expert}")
-    if chosen.rounds < 0:
-        parser.error(f"--rounds must be 0 or more, got {chosen.rounds}")
+    for name, least in (("expert", 1), ("rounds", 0), ("gradient_steps", 1), ("seed", 0)):
+        value = getattr(chosen, name)
+        if value is not None and value < least:
+            parser.error(f"--{name.replace('_', '-')} must be {least} or more, got {value}")
     if chosen.rounds and chosen.expert is None:
         parser.error("--rounds needs --expert: a data set corrects nobody")
     if chosen.noise != "auto" and not 0.0 <= chosen.noise < np.inf:
@@ -153,39 +164,66 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--set needs --config")
     if chosen.config is not None and (chosen.env or chosen.algorithm):
         parser.error("--config says which environment and algorithm: leave --env and --algorithm out")
-    try:
-        output = _run(chosen)
-    except (FileNotFoundError, TypeError, ValueError, gymnasium.error.Error) as error:
-        print(f"agents.clone: {error}", file=sys.stderr)
-        return 1
-    except ImportError as error:
-        hint = (
-            str(error)
-            if "pip install" in str(error)
-            else f"cloning needs {error.name}: pip install 'spatula-env[train]'"
-        )
-        print(f"agents.clone: {hint}", file=sys.stderr)
-        return 1
-    print(output)
-    return 0
+    return run_command(program, "cloning", "train", lambda: print(_run(chosen, program)))
 
 
-def _run(chosen: argparse.Namespace) -> Path:
+def _run(chosen: argparse.Namespace, program: str) -> Path:
     """Clone as the command line says; returns the folder of the policy."""
+    from agents.checks import rehearse_clone
+    from agents.folders import check_place, occupied
     from agents.imitation import CloneConfig
-    from agents.saving import provenance, save_policy, write_json
 
     config = read_training(find_config(chosen.config), chosen.changes) if chosen.config is not None else None
-    demonstrations, source, plan = _demonstrate(chosen, config)
+    plan = _planned(chosen, config)
+    output: Path = chosen.output or Path("runs") / f"{task_name(plan.env_id)}_clone"
+    check_place(output, chosen.overwrite)
     if config is None:
         algorithm = chosen.algorithm or "sac"
-        # The buffer stays empty.
-        more = {"buffer_size": 1} if algorithm == "sac" else {"n_steps": 2, "batch_size": 2}
+        more = {"n_steps": 2, "batch_size": 2} if algorithm == "ppo" else {}
         config = TrainingConfig(EnvironmentConfig(plan.env_id, plan.kwargs), algorithm, ALGORITHMS[algorithm](**more))
-    config = dataclasses.replace(config, seeds=(chosen.seed,))
+    environment = dataclasses.replace(config.environment, id=plan.env_id)
+    config = dataclasses.replace(config, environment=environment, seeds=(chosen.seed,))
     how = CloneConfig(gradient_steps=chosen.gradient_steps, seed=chosen.seed)
+    rehearse_clone(config)
+    saved: list[str] = []
+    try:
+        demonstrations, source = _demonstrate(chosen, plan, config)
+        successes = sum(each.success for each in demonstrations)
+        if demonstrations and not successes:
+            warn(program, f"none of the {len(demonstrations)} demonstrations of {source} succeeded")
+        with occupied(output):
+            _learn(output, plan, config, how, (demonstrations, source), chosen, saved)
+    except KeyboardInterrupt:
+        told = f"{saved[-1]} is in {output}; --overwrite begins anew" if saved else "nothing has been saved"
+        raise Interrupted(told) from None
+    return output
+
+
+def _learn(
+    output: Path,
+    plan: Plan,
+    config: TrainingConfig,
+    how: CloneConfig,
+    shown: tuple[list[Demonstration], str],
+    chosen: argparse.Namespace,
+    saved: list[str],
+) -> None:
+    """Imitate, and be corrected, and save what comes of it.
+
+    Args:
+        output: Folder of the policy.
+        plan: Of the demonstrations.
+        config: What is trained.
+        how: How it imitates.
+        shown: The demonstrations, and where they are from.
+        chosen: Says how often it is corrected, and whether it replaces another.
+        saved: Told what has been saved.
+    """
+    from agents.folders import clear_place
+    from agents.saving import POLICY, PROVENANCE, provenance, save_policy, write_json
+
+    demonstrations, source = shown
     model, normalizer, losses = clone(config, demonstrations, how)
-    output = chosen.output or Path("runs") / f"{gymnasium.spec(plan.env_id).name.lower()}_clone"
     origin = {
         **provenance(),
         "demonstrations": {
@@ -202,36 +240,46 @@ def _run(chosen: argparse.Namespace) -> Path:
         f"{len(demonstrations)} demonstrations, {100 * origin['demonstrations']['success_rate']:.0f} % successful;"
         f" mean squared difference of actions {losses[0]:.4f} at first, {losses[-1]:.4f} at last"
     )
-    save_policy(output / "policy", model, normalizer, config)
-    write_json(output / "provenance.json", origin)
+    clear_place(output, chosen.overwrite)
+    save_policy(output / POLICY, model, normalizer, config)
+    write_json(output / PROVENANCE, origin)
+    saved.append("the clone")
     for number in range(1, chosen.rounds + 1):
         success, losses = _correct(output, number, plan, config, demonstrations, (model, normalizer, how))
         origin["rounds"].append({"episodes": plan.episodes, "success_rate": success, "losses": losses})
         print(
             f"round {number}: before it {100 * success:.0f} % successful; difference then {losses[-1]:.4f}", flush=True
         )
-        save_policy(output / "policy", model, normalizer, config)
-        write_json(output / "provenance.json", origin)
-    return output
+        save_policy(output / POLICY, model, normalizer, config)
+        write_json(output / PROVENANCE, origin)
+        saved.append(f"what round {number} of {chosen.rounds} has come to")
 
 
-def _demonstrate(chosen: argparse.Namespace, config: TrainingConfig | None) -> tuple[list[Demonstration], str, Plan]:
-    """The demonstrations that the command line asks for, in words where they are from, and in what episodes."""
-    from agents.demonstrations import collect_successes, read_minari
+def _planned(chosen: argparse.Namespace, config: TrainingConfig | None) -> Plan:
+    """In what episodes there are demonstrations; nothing is demonstrated yet."""
+    from agents.demonstrations import recorded_in
     from agents.evaluation import Plan
 
-    parts = config.environment.parts if config is not None else None
+    named = config.environment.id if config is not None else chosen.env
     if chosen.dataset is not None:
-        demonstrations, env_id, kwargs = read_minari(chosen.dataset, parts)
-        if (config is not None and config.environment.id != env_id) or chosen.env not in (None, env_id):
-            raise ValueError(f"dataset {chosen.dataset!r} was recorded in {env_id}, not in the environment asked for")
-        return demonstrations, chosen.dataset, Plan(env_id, kwargs, chosen.engine, len(demonstrations), 0)
-    env_id = config.environment.id if config is not None else chosen.env
+        env_id, kwargs, count = recorded_in(chosen.dataset, named)
+        return Plan(env_id, kwargs, chosen.engine, count, 0)
     kwargs = dict(config.environment.kwargs) if config is not None else {}
-    kwargs.pop("max_episode_steps", None)
-    plan = Plan(env_id, kwargs, chosen.engine, chosen.expert, 2_000_000 + chosen.seed)
+    for limit in ("max_episode_steps", "episode_time"):
+        kwargs.pop(limit, None)
+    return Plan(find_environment(named), kwargs, chosen.engine, chosen.expert, 2_000_000 + chosen.seed)
+
+
+def _demonstrate(chosen: argparse.Namespace, plan: Plan, config: TrainingConfig) -> tuple[list[Demonstration], str]:
+    """The demonstrations that the command line asks for, and in words where they are from."""
+    from agents.demonstrations import collect_successes, read_minari
+
+    parts = config.environment.parts
+    if chosen.dataset is not None:
+        demonstrations, _, _ = read_minari(chosen.dataset, parts, plan.env_id)
+        return demonstrations, chosen.dataset
     demonstrations, sigma = collect_successes(plan, noise=chosen.noise, parts=parts)
-    return demonstrations, f"scripted expert, {chosen.engine} engine, noise {sigma:g}", plan
+    return demonstrations, f"scripted expert, {chosen.engine} engine, noise {sigma:g}"
 
 
 def _correct(

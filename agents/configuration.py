@@ -277,8 +277,13 @@ class SACConfig:
         _check_positive(self.learning_rate, "hyperparameters.learning_rate")
         for name in ("tau", "gamma"):
             _check_share(getattr(self, name), f"hyperparameters.{name}")
-        if isinstance(self.ent_coef, str) and not self.ent_coef.startswith("auto"):
-            raise ValueError(f"hyperparameters.ent_coef must be a number, 'auto' or 'auto_X', got {self.ent_coef!r}")
+        if isinstance(self.ent_coef, str) and self.ent_coef != "auto":
+            first = _number(self.ent_coef.removeprefix("auto_"))
+            if not self.ent_coef.startswith("auto_") or first is None or first <= 0.0:
+                raise ValueError(
+                    "hyperparameters.ent_coef must be a number, 'auto' or 'auto_X' with a positive X, got "
+                    f"{self.ent_coef!r}"
+                )
         if isinstance(self.target_entropy, str) and self.target_entropy != "auto":
             raise ValueError(f"hyperparameters.target_entropy must be a number or 'auto', got {self.target_entropy!r}")
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from agents.configuration import check_noise
 from agents.evaluation import Plan
 from agents.policies import Policy, PolicySource, find_policy
+from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.naming import registered_id
 from spatula_env.policies import PartSelection
 
 if TYPE_CHECKING:
@@ -35,6 +37,9 @@ astray, after it it finds its way back, and the pauses are long enough to hold a
 
 TRIAL_SEED = 3_000_000
 """Of the first trial: no episode of training, evaluation or demonstration."""
+
+EXPERT_MODES = ("state", "dict")
+"""Modes of observation that experts can look at."""
 
 FRUITLESS = 4
 """Demonstrations are given up when so many times as many episodes have been made as were asked for."""
@@ -155,24 +160,32 @@ def collect(
         ValueError: If there is no expert for the environment.
     """
     worlds = min(num_envs, plan.episodes)
-    env = plan.make(worlds, **({} if steps is None else {"max_episode_steps": steps}))
+    more = {} if steps is None else {"max_episode_steps": steps}
+    env = plan.make(worlds, **more)
     demonstrations: list[Demonstration] = []
+    # An expert looks at the state, whatever the one looks at that learns.
+    seen_by_expert: SpatulaVectorEnv | None = None
     try:
-        expert = find_policy("expert", plan.env_id).make(env)
+        if env.settings.obs_mode not in EXPERT_MODES:
+            seen_by_expert = plan.make(worlds, **more, obs_mode=EXPERT_MODES[0], observation=None)
+        expert = find_policy("expert", plan.env_id).make(env if seen_by_expert is None else seen_by_expert)
         leader = None if driver is None else driver.make(env)
         selection = PartSelection.of(env, parts)
         generator = np.random.default_rng([plan.seed, 2])
         for first in range(plan.seed, plan.seed + plan.episodes, worlds):
             demonstrations += _collect_round(
-                env, expert, leader, list(range(first, first + worlds)), noise, generator, selection
+                env, seen_by_expert, expert, leader, list(range(first, first + worlds)), noise, generator, selection
             )
     finally:
         env.close()
+        if seen_by_expert is not None:
+            seen_by_expert.close()
     return demonstrations[: plan.episodes]
 
 
 def _collect_round(
-    env: Any,
+    env: SpatulaVectorEnv,
+    seen_by_expert: SpatulaVectorEnv | None,
     expert: Policy,
     driver: Policy | None,
     seeds: list[int],
@@ -182,6 +195,7 @@ def _collect_round(
 ) -> list[Demonstration]:
     """One episode in each world."""
     observation, _ = env.reset(seed=seeds)
+    state = observation if seen_by_expert is None else seen_by_expert.reset(seed=seeds)[0]
     expert.begin(seeds)
     if driver is not None:
         driver.begin(seeds)
@@ -191,7 +205,7 @@ def _collect_round(
     going = np.ones(len(seeds), dtype=np.bool_)
     burst = np.ones(len(seeds), dtype=np.bool_)
     while going.any():
-        wanted = expert(observation)
+        wanted = expert(state)
         astray = noise * burst[:, None] * generator.standard_normal(wanted.shape)
         leading = wanted if driver is None else driver(observation)
         carried = np.clip(leading + astray, -1.0, 1.0).astype(np.float32)
@@ -200,6 +214,7 @@ def _collect_round(
             # A broken episode simply ends there.
             warnings.filterwarnings("ignore", "physics has diverged", RuntimeWarning)
             observation, rewards, terminated, truncated, infos = env.step(carried)
+            state = observation if seen_by_expert is None else seen_by_expert.step(carried)[0]
         seen.append(_selected(observation, selection))
         acted.append(wanted)
         done.append(carried)
@@ -220,12 +235,15 @@ def _collect_round(
     ]
 
 
-def read_minari(name: str, parts: tuple[str, ...] | None = None) -> tuple[list[Demonstration], str, dict[str, Any]]:
-    """Read a Minari data set, recorded in an environment of this package.
+def read_minari(
+    name: str, parts: tuple[str, ...] | None = None, env: str | None = None
+) -> tuple[list[Demonstration], str, dict[str, Any]]:
+    """Read a Minari data set, recorded in an environment of this package or built on it.
 
     Args:
         name: Its id.
         parts: Of the observation that are kept; None: all.
+        env: The environment as the user names it; needed if its module has to be imported.
 
     Returns:
         The episodes, the environment's id, and its keyword arguments.
@@ -234,20 +252,13 @@ def read_minari(name: str, parts: tuple[str, ...] | None = None) -> tuple[list[D
         ImportError: If the extra "data" is not installed.
         ValueError: If it was recorded elsewhere, or does not say where.
     """
+    dataset = _open_minari(name)
+    env_id, kwargs, _ = recorded_in(name, env)
+    made = Plan(env_id, kwargs, "batch", 1, 0).make(1)
     try:
-        import minari
-    except ImportError as error:
-        raise ImportError("data sets need Minari: pip install 'spatula-env[data]'", name=error.name) from error
-    dataset = minari.load_dataset(name)
-    spec = dataset.env_spec
-    if spec is None:
-        raise ValueError(f"dataset {name!r} does not say in which environment it was recorded")
-    plan = Plan(spec.id, spec.kwargs, "batch", 1, 0)
-    env = plan.make(1)
-    try:
-        selection = PartSelection.of(env, parts)
+        selection = PartSelection.of(made, parts)
     finally:
-        env.close()
+        made.close()
     demonstrations = [
         Demonstration(
             observations=_selected(episode.observations, selection),
@@ -258,7 +269,41 @@ def read_minari(name: str, parts: tuple[str, ...] | None = None) -> tuple[list[D
         )
         for episode in dataset.iterate_episodes()
     ]
-    return demonstrations, spec.id, {key: value for key, value in spec.kwargs.items() if key != "engine"}
+    return demonstrations, env_id, kwargs
+
+
+def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any], int]:
+    """Where a Minari data set was recorded.
+
+    Args:
+        name: Its id.
+        env: See `read_minari`.
+
+    Returns:
+        The environment's id, its keyword arguments but for the engine, and the number of episodes.
+
+    Raises:
+        ImportError: See `read_minari`.
+        ValueError: See `read_minari`.
+    """
+    dataset = _open_minari(name)
+    spec = dataset.env_spec
+    if spec is None:
+        raise ValueError(f"dataset {name!r} does not say in which environment it was recorded")
+    try:
+        env_id = registered_id(spec.id, env)
+    except ValueError as error:
+        raise ValueError(f"dataset {name!r}: {error}") from error
+    kwargs = {key: value for key, value in spec.kwargs.items() if key != "engine"}
+    return env_id, kwargs, int(dataset.total_episodes)
+
+
+def _open_minari(name: str) -> Any:
+    try:
+        import minari
+    except ImportError as error:
+        raise ImportError("data sets need Minari: pip install 'spatula-env[data]'", name=error.name) from error
+    return minari.load_dataset(name)
 
 
 def fill_buffer(buffer: ReplayBuffer, env: VecEnv, demonstrations: list[Demonstration]) -> None:

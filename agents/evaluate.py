@@ -14,25 +14,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-import yaml
-
+from agents.command_line import add_overwrite_option, check_free, run_command
 from agents.configuration import ENGINES, changed
-from agents.evaluation import Plan, evaluate, film, summarize
-from agents.policies import find_policy
+from spatula_env.naming import find_environment
+
+PROGRAM = "python -m agents.evaluate"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
     """Evaluate.
 
     Args:
-        arguments: What follows the module's name; None takes them from the command line.
+        arguments: What follows the command's name; None takes them from the command line.
+        program: The command as it was typed.
 
     Returns:
         The exit status: 0 if all went well.
     """
-    parser = argparse.ArgumentParser(prog="python -m agents.evaluate", description="Evaluate a policy.")
-    parser.add_argument("--env", required=True, metavar="ID", help="environment, such as Spatula/Press-v0")
+    parser = argparse.ArgumentParser(prog=program, description="Evaluate a policy.")
+    parser.add_argument(
+        "--env", required=True, metavar="ID",
+        help="environment, such as Spatula/Press-v0, press for short, or MODULE:ID for one of your own",
+    )  # fmt: skip
     parser.add_argument(
         "--policy", required=True, help="expert, random, pretrained, or the path of a run or of exported weights"
     )
@@ -46,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     parser.add_argument("--video", type=Path, metavar="FILE", help="write a film of some episodes, .mp4 or .gif")
     parser.add_argument("--json", action="store_true", help="end with one JSON object")
+    add_overwrite_option(parser)
     chosen = parser.parse_args(arguments)
     for name, least in (("episodes", 1), ("seed", 0), ("processes", 1)):
         value = getattr(chosen, name)
@@ -53,28 +57,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"--{name} must be {least} or more, got {value}")
     if chosen.video is not None and chosen.video.suffix not in (".mp4", ".gif"):
         parser.error(f"--video must end with .mp4 or .gif, got {chosen.video}")
-    try:
-        report = run(chosen)
-    except (FileNotFoundError, ValueError, TypeError, ImportError, gymnasium.error.Error, yaml.YAMLError) as error:
-        print(f"agents.evaluate: {error}", file=sys.stderr)
-        return 1
-    if not chosen.json:
-        print(describe(report))
-    else:
-        print(json.dumps(report))
-    return 0
+
+    def report() -> None:
+        found = run(chosen)
+        print(json.dumps(found) if chosen.json else describe(found))
+
+    return run_command(program, "evaluating", "train", report)
 
 
 def run(chosen: argparse.Namespace) -> dict[str, Any]:
     """Evaluate as the command line says; returns what there is to report."""
-    source = find_policy(chosen.policy, chosen.env)
+    from agents.evaluation import Plan, evaluate, film, require_moviepy, summarize
+    from agents.policies import find_policy
+
+    env_id = find_environment(chosen.env)
+    if chosen.video is not None:
+        check_free(chosen.video, chosen.overwrite)
+        require_moviepy()
+    source = find_policy(chosen.policy, env_id)
     kwargs = changed(source.kwargs, chosen.changes)
-    plan = Plan(chosen.env, kwargs, chosen.engine, chosen.episodes, chosen.seed)
+    plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)
     episodes, rate = evaluate(source, plan, processes=chosen.processes)
     if chosen.video is not None:
         film(source, plan, chosen.video)
     return {
-        "env": chosen.env,
+        "env": env_id,
         "policy": chosen.policy,
         "engine": chosen.engine,
         "seed": chosen.seed,

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec as find_module
 from pathlib import Path
 from typing import Any
 
@@ -295,10 +296,9 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
     Raises:
         ImportError: If the extra "video" is not installed.
     """
-    try:
-        from moviepy import ImageSequenceClip
-    except ImportError as error:
-        raise ImportError("films need moviepy: pip install 'spatula-env[video]'", name=error.name) from error
+    require_moviepy()
+    from moviepy import ImageSequenceClip
+
     frames: list[NDArray[np.uint8]] = []
 
     def watch(env: SpatulaVectorEnv) -> None:
@@ -317,10 +317,26 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
     file = Path(path)
     file.parent.mkdir(parents=True, exist_ok=True)
     clip = ImageSequenceClip(frames, fps=rate)
-    if file.suffix == ".gif":
-        clip.write_gif(str(file), logger=None)
-    else:
-        clip.write_videofile(str(file), codec="libx264", audio=False, logger=None)
+    # Under another name first: a film that is half written is none.
+    unfinished = file.with_name(f".new-{file.name}")
+    try:
+        if file.suffix == ".gif":
+            clip.write_gif(str(unfinished), logger=None)
+        else:
+            clip.write_videofile(str(unfinished), codec="libx264", audio=False, logger=None)
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def require_moviepy() -> None:
+    """Check that what writes films is installed.
+
+    Raises:
+        ImportError: If not.
+    """
+    if find_module("moviepy") is None:
+        raise ImportError("films need moviepy: pip install 'spatula-env[video]'", name="moviepy")
 
 
 def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agents.command_line import add_overwrite_option, check_free, run_command
 from agents.configuration import ENGINES
 from spatula_env.policies import Entry, ExportedPolicy
 from spatula_env.policies.exported import FloatArray
@@ -24,6 +25,8 @@ from spatula_env.policies.exported import FloatArray
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
+
+PROGRAM = "python -m agents.export"
 
 
 def export_policy(
@@ -53,7 +56,10 @@ def export_policy(
     else:
         raise ValueError(f"model must be PPO, SAC or TQC, got {type(model).__name__}")
     if next(iter(features.parameters()), None) is not None:
-        raise ValueError("model must have no layers before those of its policy, such as for pictures")
+        raise ValueError(
+            "a policy with layers for pictures or points cannot be exported, only one of dense layers; "
+            "evaluate and view take it from its run's folder"
+        )
     names = {nn.ReLU: "relu", nn.Tanh: "tanh", nn.ELU: "elu"}
     layers: list[tuple[FloatArray, FloatArray]] = []
     activations = set()
@@ -93,13 +99,29 @@ def export_policy(
     )
 
 
+def is_dense(model: BaseAlgorithm) -> bool:
+    """Whether a model's policy is dense layers and nothing else, so that it can be exported."""
+    policy: Any = model.policy
+    actor = getattr(policy, "actor", None)
+    features = policy.pi_features_extractor if actor is None else actor.features_extractor
+    return next(iter(features.parameters()), None) is None
+
+
 def _array(tensor: Any) -> FloatArray:
     return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Export the policy of a run, with its provenance beside it."""
-    parser = argparse.ArgumentParser(prog="python -m agents.export", description="Write a policy that needs no torch.")
+def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
+    """Export the policy of a run, with its provenance beside it.
+
+    Args:
+        arguments: What follows the command's name; None takes them from the command line.
+        program: The command as it was typed.
+
+    Returns:
+        The exit status: 0 if all went well.
+    """
+    parser = argparse.ArgumentParser(prog=program, description="Write a policy that needs no torch.")
     parser.add_argument("run", type=Path, help="folder of a run, or of one of its policies or checkpoints")
     parser.add_argument("output", type=Path, help="file to write, .npz; the provenance goes beside it as .json")
     parser.add_argument(
@@ -107,20 +129,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="evaluate in N episodes in each engine, and write that down too; default: what training found only",
     )  # fmt: skip
     parser.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES), help="default: %(default)s")
+    parser.add_argument(
+        "--env", metavar="MODULE:ID",
+        help="with --episodes: the environment, if it is one of your own that has to be imported",
+    )  # fmt: skip
+    add_overwrite_option(parser)
     chosen = parser.parse_args(arguments)
     if chosen.output.suffix != ".npz":
         parser.error(f"output must end with .npz, got {chosen.output}")
     if chosen.episodes < 0:
         parser.error(f"--episodes must be 0 or more, got {chosen.episodes}")
+    return run_command(program, "exporting", "train", lambda: _export(chosen))
+
+
+def _export(chosen: argparse.Namespace) -> None:
     from agents.saving import export_saved
 
-    try:
-        export_saved(chosen.run, chosen.output, {engine: chosen.episodes for engine in chosen.engines})
-    except (FileNotFoundError, ValueError) as error:
-        print(f"agents.export: {error}", file=sys.stderr)
-        return 1
+    for file in (chosen.output, chosen.output.with_suffix(".json")):
+        check_free(file, chosen.overwrite)
+    episodes = {engine: chosen.episodes for engine in chosen.engines}
+    export_saved(chosen.run, chosen.output, episodes, chosen.env)
     print(f"{chosen.output}: {chosen.output.stat().st_size / 1024:.0f} KiB")
-    return 0
 
 
 if __name__ == "__main__":

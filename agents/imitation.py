@@ -130,8 +130,9 @@ def hold_to_demonstrations(
 def as_tensors(observations: Any) -> Any:
     """Observations, or a dictionary of them, as torch has them."""
     if isinstance(observations, dict):
-        return {key: torch.as_tensor(values, dtype=torch.float32) for key, values in observations.items()}
-    return torch.as_tensor(observations, dtype=torch.float32)
+        return {key: as_tensors(values) for key, values in observations.items()}
+    # Pictures take a quarter of the room as they are; policies make numbers of a batch of them.
+    return torch.as_tensor(observations, dtype=None if observations.dtype == np.uint8 else torch.float32)
 
 
 def _parameters(model: Any) -> list[Any]:

@@ -14,8 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from agents.configuration import NetworkConfig, PPOConfig, SACConfig, SACHERConfig, TQCConfig, TrainingConfig
+from agents.networks import policy_class, policy_settings
 from agents.replay import DemonstrationReplayBuffer
-from agents.worlds import is_goal_space
 
 
 def algorithm_class(config: TrainingConfig) -> type[BaseAlgorithm]:
@@ -38,8 +38,8 @@ def make_model(config: TrainingConfig, env: VecEnv, seed: int) -> BaseAlgorithm:
         seed: Of its networks, actions and batches.
     """
     chosen = config.hyperparameters
-    policy = "MultiInputPolicy" if is_goal_space(env.observation_space) else "MlpPolicy"
-    network = _network(config.network)
+    policy = policy_class(env.observation_space)
+    network = {**_network(config.network), **policy_settings(env.observation_space)}
     rate = _schedule(chosen.learning_rate, chosen.final_learning_rate)
     if isinstance(chosen, PPOConfig):
         return PPO(
@@ -87,7 +87,10 @@ def make_model(config: TrainingConfig, env: VecEnv, seed: int) -> BaseAlgorithm:
         }
     if config.demonstration_share:
         if policy == "MultiInputPolicy":
-            raise ValueError("demonstration_share must be 0 with the goal interface, environment.kwargs.reward: sparse")
+            raise ValueError(
+                "demonstration_share must be 0 where observations are a dictionary: with environment.kwargs.obs_mode "
+                "other than 'state', and with environment.kwargs.reward 'sparse'"
+            )
         settings["replay_buffer_class"] = DemonstrationReplayBuffer
         settings["replay_buffer_kwargs"] = {"share": config.demonstration_share}
     return algorithm_class(config)(policy, env, **settings)

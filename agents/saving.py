@@ -34,11 +34,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agents.acting import acting_policy
 from agents.configuration import TrainingConfig, read_training, to_mapping, write_training
 from agents.export import export_policy
-from agents.policies import find_policy, interface_of
+from agents.policies import Policy, find_policy, interface_of
 from spatula_env import __version__
 from spatula_env.engines import BULLET_DISTRIBUTIONS
+from spatula_env.naming import registered_id
 from spatula_env.policies import ExportedPolicy
 
 if TYPE_CHECKING:
@@ -47,7 +49,10 @@ if TYPE_CHECKING:
 
 MODEL, NORMALIZER, BUFFER, STATE, CONFIG = "model.zip", "normalizer.pkl", "buffer.pkl", "state.pkl", "config.yaml"
 
-EVALUATION = "evaluation.json"
+EVALUATION, PROVENANCE, SUMMARY, CURVE = "evaluation.json", "provenance.json", "summary.json", "curve.jsonl"
+
+BEST, POLICY, CHECKPOINTS = "best", "policy", "checkpoints"
+"""Folders of a seed."""
 
 PACKAGES = (
     "gymnasium",
@@ -256,35 +261,44 @@ def load_normalizer(folder: Path) -> VecNormalize | None:
     return normalizer
 
 
-def load_policy(folder: Path, env: Any) -> ExportedPolicy:
+def load_policy(folder: Path, env: Any) -> Policy:
     """A saved policy, to act in an environment."""
-    return _exported(folder).bound_to(env)
+    config = read_saved_config(folder)
+    model, normalizer = load_model(folder, config), load_normalizer(folder)
+    return acting_policy(model, normalizer, export_metadata(config)).bound_to(env)
 
 
-def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = None) -> None:
+def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = None, env: str | None = None) -> None:
     """Write the policy of a run as weights, and where it comes from as a JSON file beside it.
 
     Args:
         path: See `find_saved`.
         output: Ends with .npz.
         episodes: In how many it is evaluated, by engine; those of `agents.evaluate` with `--seed 0`.
+        env: The environment as the user names it; needed to evaluate if its module has to be imported.
     """
     from agents.evaluation import Plan, evaluate, summarize
 
     folder = find_saved(path)
     config = read_saved_config(folder)
+    env_id = registered_id(config.environment.id, env) if any((episodes or {}).values()) else config.environment.id
     exported = _exported(folder)
-    exported.save(output)
     run = folder.parent
     evaluation: dict[str, Any] = {}
     if (folder / EVALUATION).exists():
         evaluation["training"] = json.loads((folder / EVALUATION).read_text(encoding="utf-8"))
-    env_id = config.environment.id
-    for engine, count in (episodes or {}).items():
-        if count:
-            source = find_policy(str(output), env_id)
-            results, _ = evaluate(source, Plan(env_id, source.kwargs, engine, count, 0))
-            evaluation[engine] = summarize(results)
+    # Both files appear when all is known, or none.
+    unfinished = output.with_name(f".new-{output.name}")
+    try:
+        exported.save(unfinished)
+        for engine, count in (episodes or {}).items():
+            if count:
+                source = find_policy(str(unfinished), env_id)
+                results, _ = evaluate(source, Plan(env_id, source.kwargs, engine, count, 0))
+                evaluation[engine] = summarize(results)
+        unfinished.replace(output)
+    finally:
+        unfinished.unlink(missing_ok=True)
     origin: dict[str, Any] = {}
     for candidate in (run / "provenance.json", run.parent / "provenance.json"):
         if candidate.exists():

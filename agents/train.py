@@ -3,61 +3,77 @@
     python -m agents.train --config press_sac
     python -m agents.train --config configs/press_sac.yaml --set network.layers=[64,64] --seed 1 2 3
     python -m agents.train --resume runs/press_sac
+    python -m agents.train --resume runs/press_sac --set total_steps=1_000_000
 
-The last line of the output is where the run is.
+Everything is checked before anything is written. The last line of the output is where the run is.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 
-import yaml
+from agents.command_line import Interrupted, add_overwrite_option, run_command, run_parser, warn
 
-from agents.command_line import choose_run, run_parser
-from agents.configuration import read_training
+PROGRAM = "python -m agents.train"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
     """Train.
 
     Args:
-        arguments: What follows the module's name; None takes them from the command line.
+        arguments: What follows the command's name; None takes them from the command line.
+        program: The command as it was typed.
 
     Returns:
         The exit status: 0 if all went well.
     """
-    parser = run_parser("python -m agents.train", "Train agents.", "hyperparameters.gamma=0.9")
+    parser = run_parser(program, "Train agents.", "hyperparameters.gamma=0.9")
     parser.add_argument("--seed", type=int, nargs="+", help="one agent is trained for each; default: those of the file")
+    parser.add_argument(
+        "--env", metavar="MODULE:ID",
+        help="with --resume: the environment, if it is one of your own that has to be imported",
+    )  # fmt: skip
+    add_overwrite_option(parser)
     chosen = parser.parse_args(arguments)
-    if chosen.resume is not None and (chosen.changes or chosen.seed or chosen.output):
-        parser.error("--resume goes on as the run began: it takes neither --set, --seed nor --output")
-    seeds = [f"seeds={chosen.seed}"] if chosen.seed else []
-    try:
-        output, config = choose_run(chosen, read_training, [*chosen.changes, *seeds])
-    except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
-        return _fail(str(error))
-    try:
-        from agents.progress import ProgressView
-        from agents.training import train, write_config
-    except ImportError as error:
-        return _fail(f"training needs {error.name}: pip install 'spatula-env[train]'")
-    if chosen.resume is None:
-        output.mkdir(parents=True, exist_ok=True)
-        write_config(output, config)
-    try:
-        train(config, output, ProgressView(quiet=chosen.quiet))
-    except KeyboardInterrupt:
-        return _fail(f"interrupted; go on with: python -m agents.train --resume {output}", 130)
-    except (TypeError, ValueError) as error:
-        return _fail(str(error))
-    print(output)
-    return 0
+    if chosen.resume is not None and (chosen.seed or chosen.output or chosen.overwrite):
+        parser.error("--resume goes on as the run began: it takes neither --seed, --output nor --overwrite")
+    if chosen.env is not None and chosen.resume is None:
+        parser.error("--env goes with --resume; a new run is told by --set environment.id=MODULE:ID")
+    return run_command(program, "training", "train", lambda: _run(chosen, program))
 
 
-def _fail(message: str, status: int = 1) -> int:
-    print(f"agents.train: {message}", file=sys.stderr)
-    return status
+def _run(chosen: argparse.Namespace, program: str) -> None:
+    from agents.checks import check_training
+    from agents.folders import clear_place, describe_saved, new_run, occupied, resumed_run
+    from agents.progress import ProgressView
+    from agents.saving import CHECKPOINTS, SUMMARY, checkpoints_in
+    from agents.training import train_place, write_config
+
+    if chosen.resume is not None:
+        place = resumed_run(chosen.resume, chosen.changes, chosen.env)
+    else:
+        seeds = [f"seeds={chosen.seed}"] if chosen.seed else []
+        place = new_run(chosen.config, [*chosen.changes, *seeds], chosen.output, overwrite=chosen.overwrite)
+    folders = [place.seed_folder(seed) for seed in place.config.seeds]
+    if chosen.resume is None or not any(checkpoints_in(folder / CHECKPOINTS) for folder in folders):
+        for note in check_training(place.config):
+            warn(program, note)
+    with occupied(place.folder):
+        if chosen.resume is None:
+            clear_place(place.folder, chosen.overwrite)
+        if not place.alone:
+            write_config(place.folder, place.config)
+        for folder in folders:
+            if (folder / SUMMARY).exists() and chosen.resume is not None and not chosen.changes:
+                warn(program, f"{folder} is finished; --set total_steps=N trains it for longer")
+        try:
+            train_place(place, ProgressView(quiet=chosen.quiet))
+        except KeyboardInterrupt:
+            more = f" --env {chosen.env or place.config.environment.id}" if ":" in place.config.environment.id else ""
+            raise Interrupted(f"{describe_saved(place)}; go on with: {program} --resume {place.folder}{more}") from None
+    print(place.folder)
 
 
 if __name__ == "__main__":

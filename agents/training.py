@@ -11,6 +11,7 @@ import math
 import shutil
 import time
 from collections import deque
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,24 @@ from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from agents.configuration import SACConfig, TrainingConfig, to_mapping, write_training
+from agents.acting import acting_policy
+from agents.configuration import SACConfig, TrainingConfig, read_training, to_mapping, write_training
 from agents.demonstrations import collect_successes, fill_buffer, joined_observations
 from agents.evaluation import WORLDS_PER_PROCESS, Plan, run_episodes, summarize
-from agents.export import export_policy
+from agents.folders import RunPlace, is_over
 from agents.imitation import CloneConfig, calm_down, hold_to_demonstrations, imitate
 from agents.models import make_model
 from agents.policies import interface_of
 from agents.progress import ProgressView
 from agents.replay import DemonstrationReplayBuffer
 from agents.saving import (
+    BEST,
+    CHECKPOINTS,
     CONFIG,
+    CURVE,
+    POLICY,
+    PROVENANCE,
+    SUMMARY,
     checkpoints_in,
     export_metadata,
     load_model,
@@ -80,10 +88,8 @@ class Trainer(BaseCallback):
         self.reached = False
         self._costs: deque[float] = deque(maxlen=RECENT)
         self._successes: deque[float] = deque(maxlen=RECENT)
-        self._curve = [
-            line for line in read_curve(folder / "curve.jsonl") if line["step"] <= self.progress["evaluated"]
-        ]
-        write_curve(folder / "curve.jsonl", self._curve)
+        self._curve = [line for line in read_curve(folder / CURVE) if line["step"] <= self.progress["evaluated"]]
+        write_curve(folder / CURVE, self._curve)
         self._start = time.perf_counter()
         evaluation = config.evaluation
         self._plan = Plan(
@@ -98,8 +104,7 @@ class Trainer(BaseCallback):
     @property
     def normalizer(self) -> VecNormalize | None:
         """What normalises observations."""
-        env = self.model.get_env()
-        return env if isinstance(env, VecNormalize) else None
+        return self.model.get_vec_normalize_env()
 
     @property
     def seconds(self) -> float:
@@ -141,7 +146,7 @@ class Trainer(BaseCallback):
         """Evaluate the policy as it is now, and keep it if none was better."""
         steps = self.model.num_timesteps
         start = time.perf_counter()
-        policy = export_policy(self.model, self.normalizer, export_metadata(self.config))
+        policy = acting_policy(self.model, self.normalizer, export_metadata(self.config))
         if self._env is None:
             rounds = math.ceil(self._plan.episodes / WORLDS_PER_PROCESS[self._plan.engine])
             self._env = self._plan.make(math.ceil(self._plan.episodes / rounds))
@@ -156,7 +161,7 @@ class Trainer(BaseCallback):
             **{name: value for name, value in summary.items() if name != "steps"},
         }
         self._curve.append(line)
-        write_curve(self.folder / "curve.jsonl", self._curve)
+        write_curve(self.folder / CURVE, self._curve)
         self.progress["evaluated"] = steps
         for name, value in line.items():
             if isinstance(value, int | float):
@@ -168,7 +173,7 @@ class Trainer(BaseCallback):
         rank = [line["success_rate"], line["return"] if needed is None else -needed]
         if self.progress["best"] is None or rank >= self.progress["best"]:
             self.progress["best"] = rank
-            save_policy(self.folder / "best", self.model, self.normalizer, self.config, line)
+            save_policy(self.folder / BEST, self.model, self.normalizer, self.config, line)
         target = self.config.success_target
         self.reached = target is not None and line["success_rate"] >= target
 
@@ -176,7 +181,7 @@ class Trainer(BaseCallback):
         """Write a checkpoint."""
         self.progress["saved"] = self.model.num_timesteps
         progress = {**self.progress, "seconds": self.seconds}
-        save_checkpoint(self.folder / "checkpoints", self.model, self.normalizer, self.config, progress)
+        save_checkpoint(self.folder / CHECKPOINTS, self.model, self.normalizer, self.config, progress)
 
     def _success(self) -> float | None:
         return float(np.mean(self._successes)) if self._successes else None
@@ -194,23 +199,26 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
     Returns:
         What `summary.json` holds. A run that is over is not touched.
     """
-    summary_file = folder / "summary.json"
+    summary_file = folder / SUMMARY
     if summary_file.exists():
         done: dict[str, Any] = json.loads(summary_file.read_text(encoding="utf-8"))
-        return done
+        if is_over(done, config):
+            return done
     config = dataclasses.replace(config, seeds=(seed,))
     torch.set_num_threads(config.torch_threads)
     folder.mkdir(parents=True, exist_ok=True)
-    for place in (folder, folder / "checkpoints"):
+    for place in (folder, folder / CHECKPOINTS):
         sweep(place)
-    saved = checkpoints_in(folder / "checkpoints")
+    saved = checkpoints_in(folder / CHECKPOINTS)
     checkpoint = saved[-1] if saved else None
-    if not (folder / CONFIG).exists() or checkpoint is None:
-        write_config(folder, config)
-        for stale in ("best", "policy", "tensorboard"):
+    # It may be trained for longer than it was meant to be.
+    write_config(folder, config)
+    summary_file.unlink(missing_ok=True)
+    if checkpoint is None:
+        for stale in (BEST, POLICY, "tensorboard"):
             shutil.rmtree(folder / stale, ignore_errors=True)
-        (folder / "curve.jsonl").unlink(missing_ok=True)
-    write_json(folder / "provenance.json", provenance())
+        (folder / CURVE).unlink(missing_ok=True)
+    write_json(folder / PROVENANCE, provenance())
 
     steps = int(checkpoint.name.partition("-")[2]) if checkpoint is not None else 0
     # Not the same episodes again after an interruption.
@@ -250,13 +258,16 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
                 trainer.init_callback(model)
             if trainer.progress["evaluated"] != model.num_timesteps and not trainer.reached:
                 trainer.evaluate()
-        save_policy(folder / "policy", model, trainer.normalizer, config, read_curve(folder / "curve.jsonl")[-1])
+        if trainer.progress["saved"] != model.num_timesteps:
+            # So that it can be trained for longer.
+            trainer.save()
+        save_policy(folder / POLICY, model, trainer.normalizer, config, read_curve(folder / CURVE)[-1])
         summary = {
             "seed": seed,
             "steps": int(model.num_timesteps),
             "seconds": trainer.seconds,
             "reached_target": trainer.reached,
-            "evaluation": read_curve(folder / "curve.jsonl")[-1],
+            "evaluation": read_curve(folder / CURVE)[-1],
             "best": trainer.progress["best"],
         }
         write_json(summary_file, summary)
@@ -279,6 +290,41 @@ def train(config: TrainingConfig, output: Path, view: ProgressView) -> dict[str,
         What the run's `summary.json` holds.
     """
     results = [train_seed(config, seed, output / f"seed-{seed}", view) for seed in config.seeds]
+    return write_summary(config, output, results)
+
+
+def train_place(place: RunPlace, view: ProgressView) -> None:
+    """Train what a folder is for: a run, or one of its seeds alone.
+
+    Args:
+        place: What is there is gone on with.
+        view: Where to show how it goes.
+    """
+    if not place.alone:
+        train(place.config, place.folder, view)
+        return
+    train_seed(place.config, place.config.seeds[0], place.folder, view)
+    run = place.folder.resolve().parent
+    if not (run / CONFIG).exists():
+        return
+    # The last seed of a run ends it.
+    whole = read_training(run / CONFIG)
+    summaries = [run / f"seed-{seed}" / SUMMARY for seed in whole.seeds]
+    if all(file.exists() for file in summaries):
+        write_summary(whole, run, [json.loads(file.read_text(encoding="utf-8")) for file in summaries])
+
+
+def write_summary(config: TrainingConfig, output: Path, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Write how all seeds of a run have ended.
+
+    Args:
+        config: Of the run.
+        output: Its folder.
+        results: What the summary of each seed holds.
+
+    Returns:
+        What is written.
+    """
     rates = [result["evaluation"]["success_rate"] for result in results]
     summary = {
         "env": config.environment.id,
@@ -291,7 +337,7 @@ def train(config: TrainingConfig, output: Path, view: ProgressView) -> dict[str,
         "reached_target": [result["reached_target"] for result in results],
         "config": to_mapping(config),
     }
-    write_json(output / "summary.json", summary)
+    write_json(output / SUMMARY, summary)
     return summary
 
 

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize, VecTransposeImage
 
 from agents.configuration import TrainingConfig
+from agents.networks import has_pictures_or_points, vector_names
 from agents.threads import numba_threads
 from spatula_env.envs.sb3 import SpatulaVecEnv, make_sb3_vec_env
 from spatula_env.policies import PartSelection
@@ -119,12 +120,16 @@ def make_training_env(config: TrainingConfig, seed: int, discount: float) -> tup
     selection = PartSelection.of(base.env, environment.parts)
     if selection is not None:
         env = PartsVecEnv(env, selection)
+    if has_pictures_or_points(env.observation_space):
+        # Pictures stay as they are; Stable-Baselines3 would turn some around, and wrap what is to be outermost.
+        env = VecTransposeImage(env, skip=True)
     env = VecMonitor(env)
     normalization = config.normalization
     if normalization.observations or normalization.rewards:
         env = VecNormalize(
             env,
             norm_obs=normalization.observations,
+            norm_obs_keys=_normalized(env.observation_space) if normalization.observations else None,
             norm_reward=normalization.rewards,
             clip_obs=normalization.clip,
             clip_reward=normalization.clip,
@@ -141,6 +146,6 @@ def base_of(env: VecEnv) -> SpatulaVecEnv:
     return env
 
 
-def is_goal_space(space: spaces.Space[Any]) -> bool:
-    """Whether observations have the goal interface."""
-    return isinstance(space, spaces.Dict) and "desired_goal" in space.spaces
+def _normalized(space: spaces.Space[Any]) -> list[str] | None:
+    """The entries of observations that running estimates normalise; None if observations are one vector."""
+    return vector_names(space) if isinstance(space, spaces.Dict) else None

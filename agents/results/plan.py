@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium
-
 from agents.configuration import ENGINES, TrainingConfig, find_config, from_mapping, load_yaml, read_training
+from spatula_env.naming import find_environment, same_environment
 
 REFERENCES = ("expert", "random", "pretrained")
 """Policies that are there already, to compare with."""
@@ -200,13 +199,15 @@ def _read_task(name: str, content: Any) -> TaskPlan:
         for key, value in content["algorithms"].items()
     }
     task = from_mapping(TaskPlan, {**content, "algorithms": algorithms}, where)
-    if task.environment not in gymnasium.registry:
-        raise ValueError(f"{where}.environment must be the id of an environment, got {task.environment!r}")
+    try:
+        env_id = find_environment(task.environment)
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"{where}.environment must be the id of an environment: {error}") from error
     for key, algorithm in algorithms.items():
-        trained = algorithm.read(0).environment.id
-        if trained != task.environment:
+        trained = find_environment(algorithm.read(0).environment.id)
+        if not same_environment(trained, env_id):
             raise ValueError(f"{where}.algorithms.{key}: {algorithm.config} is for {trained}, not {task.environment}")
-    return task
+    return replace(task, environment=env_id)
 
 
 def planned_runs(

@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
@@ -17,6 +17,7 @@ import numpy as np
 
 from agents.configuration import read_training, to_mapping
 from agents.evaluation import MEASURES, Plan, evaluate, summarize
+from agents.folders import differences
 from agents.policies import PolicySource, find_policy
 from agents.results.plan import Run, ScoringPlan
 from agents.saving import MODEL, NORMALIZER, find_saved, provenance, write_json
@@ -49,11 +50,14 @@ def command_of(run: Run) -> list[str]:
     common = ["--config", run.plan.config, *changes, "--seed", str(run.seed), "--output", str(run.folder)]
     if run.plan.clone:
         rounds = ("--rounds", str(run.plan.rounds)) if run.plan.rounds else ()
-        return [sys.executable, "-m", "agents.clone", "--expert", str(run.plan.clone), *rounds, *common]
+        # What is there was interrupted between two rounds.
+        more = (*rounds, "--overwrite")
+        return [sys.executable, "-m", "agents.clone", "--expert", str(run.plan.clone), *more, *common]
     begun = run.folder / "config.yaml"
     if begun.exists():
         check_same_configuration(run)
-        return [sys.executable, "-m", "agents.train", "--resume", str(run.folder), "--quiet"]
+        named = ("--env", run.environment) if ":" in run.environment else ()
+        return [sys.executable, "-m", "agents.train", "--resume", str(run.folder), *named, "--quiet"]
     return [sys.executable, "-m", "agents.train", *common, "--quiet"]
 
 
@@ -66,20 +70,9 @@ def check_same_configuration(run: Run) -> None:
     assert run.plan is not None and run.seed is not None
     begun, planned = run.folder / "config.yaml", to_mapping(run.plan.read(run.seed))
     there = to_mapping(read_training(begun))
-    differing = sorted(_differences(there, planned))
+    differing = sorted(differences(there, planned))
     if differing:
         raise ValueError(f"{run.folder} was begun with other values of {', '.join(differing)}: remove it to begin anew")
-
-
-def _differences(one: Mapping[str, Any], other: Mapping[str, Any], prefix: str = "") -> list[str]:
-    found = []
-    for key in {*one, *other}:
-        first, second = one.get(key), other.get(key)
-        if isinstance(first, Mapping) and isinstance(second, Mapping):
-            found += _differences(first, second, f"{prefix}{key}.")
-        elif first != second:
-            found.append(f"{prefix}{key}")
-    return found
 
 
 def make_agents(runs: Sequence[Run], jobs: int, say: Say) -> list[str]:

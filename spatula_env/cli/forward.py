@@ -39,5 +39,5 @@ def run(name: str, arguments: Sequence[str]) -> int:
         The exit status.
     """
     module = import_module(TARGETS[name][0])
-    status = module.main(list(arguments))
+    status = module.main(list(arguments), program=f"spatula {name}")
     return 0 if status is None else int(status)

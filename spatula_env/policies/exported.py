@@ -114,6 +114,9 @@ class ExportedPolicy:
         pieces = []
         for entry in self.entries:
             numbers = np.asarray(observation[entry.name] if entry.name else observation)
+            if numbers.shape[-1] != len(entry.mean):
+                # Several moments, one after the other, on an axis of their own.
+                numbers = numbers.reshape(*numbers.shape[:-2], -1)
             normalized = np.clip((numbers - entry.mean) / entry.scale, -self.clip, self.clip)
             pieces.append(normalized.astype(np.float32))
         values = np.concatenate(pieces, axis=-1)

@@ -45,7 +45,8 @@ class PartSelection:
         made = env.unwrapped
         if made.settings.obs_mode != "state" or made.settings.observation.history != 1:
             raise ValueError(
-                f"parts can be chosen with obs_mode='state' and history=1 only, got {made.settings.obs_mode!r}"
+                "parts can be chosen with obs_mode='state' and history=1 only, and must be null otherwise; they are "
+                f"{made.settings.obs_mode!r} and {made.settings.observation.history}"
             )
         slices = made.observation_builder.slices
         unknown = [name for name in parts if name not in slices]

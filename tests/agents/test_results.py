@@ -93,7 +93,10 @@ def test_the_plan_of_the_documentation_can_be_read():
             {"tasks": {"clamp": {"environment": "Spatula/Clamp-v0", "algorithms": {"sac": {"config": "press_sac"}}}}},
             "press_sac is for Spatula/Press-v0, not Spatula/Clamp-v0",
         ),
-        ({"tasks": {"x": {"environment": "No-v0", "algorithms": {}}}}, "must be the id of an environment, got 'No-v0'"),
+        (
+            {"tasks": {"x": {"environment": "No-v0", "algorithms": {}}}},
+            "must be the id of an environment: there is no environment 'No-v0'",
+        ),
         ({"tasks": {}, "evaluation": {"engines": ["steam"]}}, "engines must be some of"),
         ({"tasks": {}, "references": ["oracle"]}, "references must be some of"),
         ({"tasks": {}, "thresholds": [80]}, r"thresholds must be in \(0, 1\], got 80"),

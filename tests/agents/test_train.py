@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("tensorboard")
@@ -104,7 +103,7 @@ def test_all_that_is_promised_is_left_behind(algorithm, tmp_path):
     curve = read_curve(folder / "curve.jsonl")
     assert [line["step"] for line in curve] == [100, 200]
     assert {"success_rate", "return", "cost", "violation_rate", "seconds"} <= set(curve[0])
-    assert [path.name for path in checkpoints_in(folder / "checkpoints")] == ["step-000000000120", "step-000000000180"]
+    assert [path.name for path in checkpoints_in(folder / "checkpoints")] == ["step-000000000180", "step-000000000200"]
     assert list((folder / "tensorboard").glob("events*"))
     # What is saved acts, here as its model does.
     source = find_policy(str(tmp_path), "Spatula/Press-v0")
@@ -194,7 +193,7 @@ def test_all_random_numbers_go_on_where_they_were(tmp_path):
 
 
 def test_a_run_that_was_killed_goes_on(tmp_path):
-    config = small(total_steps=4000, checkpoint_every=100, evaluation={"every": 80, "episodes": 1})
+    config = small(total_steps=1200, checkpoint_every=100, evaluation={"every": 80, "episodes": 1})
     file, output = tmp_path / "config.yaml", tmp_path / "run"
     from agents.configuration import write_training
 
@@ -210,17 +209,14 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
         process.wait()
     folder = output / "seed-0"
     reached = int(checkpoints_in(folder / "checkpoints")[-1].name.partition("-")[2])
-    assert 0 < reached < 4000
+    assert 0 < reached < 1200
     problems = readable(output)
     assert len(problems) > 8
     assert {str(file): problem for file, problem in problems.items() if problem} == {}
     assert find_saved(output).name == "best"
-    # Not as long as it was meant to be, which would take the test a while.
-    final = reached + 40
-    settings = yaml.safe_load((output / "config.yaml").read_text())
-    (output / "config.yaml").write_text(yaml.safe_dump({**settings, "total_steps": final}))
     assert command.main(["--resume", str(output), "--quiet"]) == 0
     summary = json.loads((output / "summary.json").read_text())
+    final = 1200
     assert summary["steps"] == [final]
     curve = [line["step"] for line in read_curve(folder / "curve.jsonl")]
     assert curve == sorted({*range(80, final + 1, 80), final})
@@ -426,9 +422,10 @@ def test_what_is_wrong_is_said(arguments, message, capsys, monkeypatch):
 
 def test_a_run_is_not_written_over(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(ROOT)
-    (tmp_path / "config.yaml").write_text("")
+    (tmp_path / "config.yaml").write_text("mine: 1")
     assert command.main(["--config", "configs/press_sac.yaml", "--output", str(tmp_path)]) == 1
-    assert "--resume" in capsys.readouterr().err
+    assert "holds a config.yaml that is not of a run" in capsys.readouterr().err
+    assert (tmp_path / "config.yaml").read_text() == "mine: 1"
     with pytest.raises(SystemExit):
         command.main(["--resume", str(tmp_path), "--seed", "3"])
 

@@ -144,10 +144,10 @@ def test_envs_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("name", ["train", "evaluate", "clone", "export"])
 def test_options_of_agents_are_passed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
-    stand_in = SimpleNamespace(main=lambda arguments: given.append(arguments) or 3)
+    stand_in = SimpleNamespace(main=lambda arguments, program: given.append((program, arguments)) or 3)
     monkeypatch.setitem(sys.modules, f"agents.{name}", stand_in)
     assert cli.main([name, "--config", "a.yaml", "--help", "x"]) == 3
-    assert given == [["--config", "a.yaml", "--help", "x"]]
+    assert given == [(f"spatula {name}", ["--config", "a.yaml", "--help", "x"])]
 
 
 def test_the_parser_is_not_asked_about_them() -> None:
