@@ -47,7 +47,7 @@ def listing(folder):
 
 
 REFUSED = [
-    ("sac", "environment.kwargs.max_sped=0.05", "has no option max_sped"),
+    ("sac", "environment.kwargs.max_sped=0.05", "unexpected keyword argument 'max_sped'"),
     ("sac", "environment.kwargs.contact=bullet", "contact"),
     ("sac", "environment.kwargs.control_frequency=7", "control_frequency"),
     ("sac", "environment.parts=[smell]", "no parts ['smell']"),
