@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.naming import find_environment, vector_spec
 
 try:
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv
@@ -188,7 +189,7 @@ def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwarg
         >>> model = PPO("MlpPolicy", env)
 
     Args:
-        id: As `gymnasium.make_vec` takes it.
+        id: See `spatula_env.naming.find_environment`: also that of an environment of one's own, "module:id".
         num_envs: How many worlds.
         seed: World k's first episode is drawn from seed + k; None: by chance.
         **kwargs: Further arguments of the environment, such as `engine` and `max_episode_steps`.
@@ -197,12 +198,12 @@ def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwarg
         The environment. It keeps no count of returns and lengths: wrap it in `VecMonitor` for that.
 
     Raises:
-        ValueError: If `id` is not that of an environment of this package, or an argument is out of its range.
+        ImportError: If the module of `id` cannot be imported.
+        ValueError: If `id` is not that of an environment of this package or built on it, or an argument is out of its
+            range.
     """
-    spec = gymnasium.spec(id)
-    if not str(spec.vector_entry_point).startswith("spatula_env."):
-        raise ValueError(f"id must be that of an environment of this package, got {id!r}")
-    made = gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **kwargs)
+    spec = vector_spec(find_environment(id))
+    made = gymnasium.make_vec(spec, num_envs=num_envs, autoreset_mode="same_step", **kwargs)
     env = SpatulaVecEnv(cast("SpatulaVectorEnv", made.unwrapped))
     if seed is not None:
         env.seed(seed)

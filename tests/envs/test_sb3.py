@@ -185,7 +185,7 @@ def test_bad_actions_name_the_world() -> None:
 
 
 def test_only_environments_of_this_package_in_the_right_mode_are_taken() -> None:
-    with pytest.raises(ValueError, match="id must be that of an environment of this package, got 'CartPole-v1'"):
+    with pytest.raises(ValueError, match="CartPole-v1 must be an environment of this package or built on it"):
         make_sb3_vec_env("CartPole-v1", 2)
     with pytest.raises(ValueError, match="env must be a vector environment of this package, got"):
         SpatulaVecEnv(gym.make_vec("CartPole-v1", num_envs=1))
