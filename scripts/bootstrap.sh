@@ -1,12 +1,17 @@
 #!/usr/bin/env bash
 # Makes .venv ready, from nothing but Python, for one of these profiles:
 #
-#   scripts/bootstrap.sh demo    the package and what `spatula demo` needs; no torch
-#   scripts/bootstrap.sh test    that, and what tests, checks and training need; torch's CPU build, and a browser
-#   scripts/bootstrap.sh ray     .venv-ray instead, with lock-ray.txt: what the tests with Ray need
+#   scripts/bootstrap.sh demo        the package and what `spatula demo` needs; no torch
+#   scripts/bootstrap.sh test        that, and what tests, checks and training need; torch's CPU build, a browser, a display
+#   scripts/bootstrap.sh ray         .venv-ray instead, with lock-ray.txt: what the tests with Ray need
+#   scripts/bootstrap.sh lerobot     .venv-lerobot, with lock-lerobot.txt and Python 3.12 or 3.13: those with LeRobot
+#   scripts/bootstrap.sh libraries   .venv-libraries, with libraries.in: those with other libraries for learning
+#   scripts/bootstrap.sh matrix      .venv-matrix: nox, which tests the package with one interpreter after the other
 #
 # Versions come from requirements/lock.txt. PYTHON=... chooses the interpreter. A finished profile leaves a stamp made
 # of the lock, pyproject.toml, this script, the interpreter and this folder, and is not set up again while the stamp holds.
+#
+#   scripts/bootstrap.sh interpreters   the folders of CPython 3.10 to 3.14, one for each version that runs here
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -46,25 +51,43 @@ objection() {
     fi
 }
 
-# Every interpreter worth a look, best first. PyBullet has wheels for CPython 3.10 and 3.11, and for no later one.
+# Every interpreter worth a look. $@: the versions, best first. Those of a version manager come before what is called
+# `python3`, so that a good version is not passed over for whatever that is.
 candidates() {
-    local name file
-    for name in python3.11 python3.10 python3 python; do
+    local version file name
+    for version in "$@"; do
+        type -aP "python$version" || true
+        for file in "$PYENV"/versions/"$version"*/bin/"python$version"; do
+            if [[ -x $file ]]; then echo "$file"; fi
+        done
+    done
+    for name in python3 python; do
         type -aP "$name" || true
     done
-    for file in "$PYENV"/versions/3.11*/bin/python3.11 "$PYENV"/versions/3.10*/bin/python3.10; do
-        if [[ -x $file ]]; then echo "$file"; fi
+}
+
+# The folder of one interpreter of each version that runs here.
+interpreters() {
+    local version python
+    for version in 3.10 3.11 3.12 3.13 3.14; do
+        while IFS= read -r python; do
+            # A version manager's shim may choose another interpreter elsewhere: what it leads to here is what counts.
+            if [[ -z $(objection "$python" "$version") ]]; then
+                "$python" -I -c 'import os, sys; print(os.path.join(sys.base_prefix, "bin"))'
+                break
+            fi
+        done < <(candidates "$version")
     done
 }
 
 # Makes an empty virtual environment with the first interpreter that manages to.
 make_environment() {
-    local python why choices allowed="3.11 3.10"
+    local python why choices allowed=$VERSIONS
     if [[ -n ${PYTHON:-} ]]; then
         choices=$(type -P "$PYTHON") || fail "PYTHON=$PYTHON names no program that can be run."
-        allowed="3.10 3.11 3.12"
     else
-        choices=$(candidates)
+        # shellcheck disable=SC2086 # the versions are words
+        choices=$(candidates $VERSIONS)
     fi
     while IFS= read -r python; do
         [[ -n $python ]] || continue
@@ -82,8 +105,8 @@ make_environment() {
     done <<<"$choices"
     fail "no suitable Python was found: CPython ${allowed// / or } with its venv module is needed.
 Tried:
-${TRIED:-  python3.11, python3.10, python3 and python on PATH, and $PYENV/versions: none is there
-}Install Python 3.11, or name an interpreter: make demo PYTHON=/path/to/python3.11"
+${TRIED:-  PATH and $PYENV/versions: none is there
+}Install Python ${allowed%% *}, or name an interpreter: make ${TARGET} PYTHON=/path/to/python${allowed%% *}"
 }
 
 # ---------------------------------------------------------------------------------------------------- the stages
@@ -158,6 +181,25 @@ browser_runs() {
     return 1
 }
 
+# A display that nobody sees, and OpenGL without a graphics card, for the tests of the window.
+install_display() {
+    display_runs && return
+    if [[ $(id -u) == 0 ]] && type -P apt-get >/dev/null; then
+        apt-get update >"$LOG" 2>&1 </dev/null || true
+        # shellcheck disable=SC2086 # the packages are words
+        DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends $DISPLAY_PACKAGES >>"$LOG" 2>&1 </dev/null || true
+        display_runs && return
+    fi
+    printf 'none\nwarning: without Xvfb and OpenGL (Debian: %s) the tests of the window are skipped.\n      ' "$DISPLAY_PACKAGES"
+}
+
+DISPLAY_PACKAGES="xvfb libgl1-mesa-dri libglx-mesa0 libgl1"
+
+display_runs() {
+    [[ $(uname -s) == Linux ]] || return 0 # elsewhere there is no Xvfb, and a window needs none
+    type -P Xvfb >/dev/null && "$VENV/bin/python" -c 'import ctypes; ctypes.CDLL("libGL.so.1")' 2>/dev/null
+}
+
 # What an installed environment follows from, as one number.
 stamp() {
     "$VENV/bin/python" -I -c '
@@ -165,7 +207,7 @@ import hashlib, os, pathlib, sys
 digest = hashlib.sha256(repr((sys.version, sys.base_prefix, os.getcwd())).encode())
 for name in sys.argv[1:]:
     digest.update(pathlib.Path(name).read_bytes())
-print(digest.hexdigest())' "$LOCK" pyproject.toml scripts/bootstrap.sh
+print(digest.hexdigest())' "$LOCK" ${INPUT:+"$INPUT"} pyproject.toml scripts/bootstrap.sh
 }
 
 # Whether .venv belongs to this folder, was never left half made, and is of the interpreter that is asked for.
@@ -175,12 +217,7 @@ environment_stands() {
     [[ -z ${PYTHON:-} || $(identity "$PYTHON") == "$(identity "$VENV/bin/python")" ]]
 }
 
-compiles_pybullet() {
-    [[ "$(uname -sm)" != "Linux x86_64" ]] || "$VENV/bin/python" -c 'import sys; sys.exit(sys.version_info < (3, 12))'
-}
-
 set_up() {
-    local note="" tools=(pip hatchling)
     if ! environment_stands; then
         stage "virtual environment in $VENV" make_environment
     else
@@ -189,33 +226,55 @@ set_up() {
     : >"$UNFINISHED"
     rm -f "$VENV"/.stamp-*
     printf '%s %s\n' "$(identity "$VENV/bin/python")" "$PWD" >"$VENV/.origin"
-    if compiles_pybullet; then
-        note="; PyBullet has no wheel here and compiles: 5 to 15 minutes more"
-        tools+=(setuptools wheel numpy) # numpy first, or PyBullet is built without its fast camera images
-    fi
-    stage "pip and hatchling, at the locked versions" install "${tools[@]}"
-    if [[ $1 != demo ]]; then
-        stage "torch for the CPU (200 MB, about half a minute)" install_torch
-        stage "spatula_env with $CONTENT (300 MB, about a minute$note)" \
-            install --no-build-isolation --editable ".[$EXTRAS]"
-        [[ $1 == ray ]] || stage "Chromium for the tests of the page (where it has to be installed, half a minute)" install_browser
+    stage "pip and hatchling, at the locked versions" install pip hatchling
+    [[ -z $TORCH ]] || stage "torch for the CPU (200 MB, about half a minute)" install_torch
+    if [[ $1 == matrix ]]; then
+        stage "nox (5 MB)" install nox
     else
-        stage "spatula_env and what the demo needs (200 MB, about half a minute$note)" \
-            install --no-build-isolation --editable ".[$EXTRAS]"
+        stage "spatula_env with $CONTENT" install ${INPUT:+--requirement "$INPUT"} --no-build-isolation --editable ".[$EXTRAS]"
+    fi
+    if [[ $1 == test ]]; then
+        stage "Chromium for the tests of the page (where it has to be installed, half a minute)" install_browser
+        stage "Xvfb and OpenGL for the tests of the window (where they have to be installed, half a minute)" install_display
     fi
     [[ $1 == test ]] && stamp >"$VENV/.stamp-demo" # the larger profile holds the smaller one
     stamp >"$VENV/.stamp-$1"
     rm -f "$UNFINISHED"
 }
 
+VERSIONS="3.11 3.12 3.13 3.10" # the interpreters that are taken, best first: 3.11 has wheels of everything
+TORCH=yes
+INPUT="" # requirements beside those of pyproject.toml
+TARGET=test-${1:-}
 case ${1:-} in
-    demo) FOR="demo" STAGES=3 EXTRAS="demo" ;;
-    test) FOR="tests and checks" CONTENT="tests, checks and training" STAGES=5 EXTRAS="data,demo,dev,teleop,train,video,web" ;;
+    demo)
+        FOR="demo" CONTENT="what the demo needs (200 MB, about half a minute)" STAGES=3 EXTRAS="demo" TORCH="" TARGET=demo
+        ;;
+    test)
+        FOR="tests and checks" CONTENT="tests, checks and training (300 MB, about a minute)" STAGES=6 TARGET=test
+        EXTRAS="data,demo,dev,teleop,train,video,web,zoo"
+        ;;
     ray)
-        FOR="tests with Ray" CONTENT="Ray and tests" STAGES=4 EXTRAS="dev,ray"
+        FOR="tests with Ray" CONTENT="Ray and tests (300 MB, about a minute)" STAGES=4 EXTRAS="ray,test"
         LOCK=requirements/lock-ray.txt VENV=.venv-ray
         ;;
-    *) fail "usage: scripts/bootstrap.sh demo|test|ray; got '${1:-}'." ;;
+    lerobot)
+        # LeRobot asks for a torch between bounds of its own, of which pip's sources have the build with CUDA alone.
+        FOR="tests with LeRobot" CONTENT="LeRobot (with CUDA: 3 GB, some minutes)" STAGES=3 EXTRAS="lerobot,test" TORCH=""
+        LOCK=requirements/lock-lerobot.txt VENV=.venv-lerobot VERSIONS="3.12 3.13"
+        ;;
+    libraries)
+        FOR="tests with other libraries" CONTENT="other libraries for learning" STAGES=4 EXTRAS="test,train"
+        VENV=.venv-libraries INPUT=requirements/libraries.in
+        ;;
+    matrix)
+        FOR="tests with all interpreters" STAGES=3 EXTRAS="" TORCH="" VENV=.venv-matrix
+        ;;
+    interpreters)
+        interpreters
+        exit
+        ;;
+    *) fail "usage: scripts/bootstrap.sh demo|test|ray|lerobot|libraries|matrix|interpreters; got '${1:-}'." ;;
 esac
 LOG=$VENV/bootstrap.log
 UNFINISHED=$VENV/.unfinished # stands from the first change to the environment until the last
