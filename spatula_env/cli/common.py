@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,19 +31,26 @@ class Stopped(Exception):
     """The user has stopped a command that can go on later; the message says how."""
 
 
-def fail(message: str, status: int = FAILURE) -> int:
+def fail(message: str, status: int = FAILURE, command: str = "spatula") -> int:
     """Say on standard error what is wrong.
+
+    Args:
+        message: A sentence.
+        status: The exit status.
+        command: What was typed, such as "spatula record".
 
     Returns:
         The exit status.
     """
-    print(f"spatula: {message}", file=sys.stderr)
+    note(f"{command}: {message}")
     return status
 
 
 def note(message: str) -> None:
     """Tell something that is no result, on standard error, so that results can be piped."""
-    print(message, file=sys.stderr, flush=True)
+    # Nobody may be left to hear it: the terminal was closed, and what was done has to be saved all the same.
+    with suppress(OSError):
+        print(message, file=sys.stderr, flush=True)
 
 
 def new_parser(commands: Parsers, name: str, help_text: str, description: str) -> argparse.ArgumentParser:
@@ -54,9 +62,11 @@ def new_parser(commands: Parsers, name: str, help_text: str, description: str) -
         help_text: A few words.
         description: What it does; paragraphs are kept.
     """
-    return commands.add_parser(
+    parser = commands.add_parser(
         name, help=help_text, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.set_defaults(command=parser.prog)
+    return parser
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
@@ -102,8 +112,13 @@ def engine_option(chosen: argparse.Namespace) -> dict[str, str]:
     return {} if chosen.engine is None else {"engine": chosen.engine}
 
 
-def at_least(least: int) -> Any:
-    """A type of argument: an integer not below a limit."""
+def count_of(number: int, noun: str) -> str:
+    """How many there are, in words: "1 episode", "2 episodes"."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def at_least(least: int, greatest: int | None = None) -> Any:
+    """A type of argument: an integer not below a limit, and not above another one."""
 
     def integer(text: str) -> int:
         try:
@@ -112,6 +127,8 @@ def at_least(least: int) -> Any:
             raise argparse.ArgumentTypeError(f"must be an integer, got {text!r}") from None
         if value < least:
             raise argparse.ArgumentTypeError(f"must be {least} or more, got {value}")
+        if greatest is not None and value > greatest:
+            raise argparse.ArgumentTypeError(f"must be from {least} to {greatest}, got {value}")
         return value
 
     return integer

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env import engines
 from spatula_env.cli.common import (
+    FAILURE,
     CommandError,
     Stopped,
     add_json_option,
     add_root_option,
     at_least,
+    count_of,
     engine_option,
+    fail,
     new_parser,
     note,
     print_json,
@@ -29,7 +34,7 @@ if TYPE_CHECKING:
     from spatula_env.data.statistics import DatasetStatistics
     from spatula_env.teleop.session import EpisodeSummary
 
-EPISODE_NAMES = ("seed", "operator", "device", "success", "engine")
+EPISODE_NAMES = ("operator", "device", "success", "engine", "author")
 """What `inspect` tells of each episode."""
 
 DESCRIPTION = """Look after datasets of demonstrations: see what is there, join and clean them, draw their
@@ -150,17 +155,33 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def _list(chosen: argparse.Namespace) -> int:
     from spatula_env.data.catalog import list_datasets, summarize
+    from spatula_env.data.dataset import dataset_folder
 
-    names = list_datasets(chosen.root)
-    summaries = [summarize(name, chosen.root) for name in names] if names else []
+    summaries: list[DatasetSummary] = []
+    damaged: dict[str, str] = {}
+    for name in list_datasets(chosen.root):
+        try:
+            summaries.append(summarize(name, chosen.root))
+        except (OSError, ValueError) as error:
+            # The others are listed all the same.
+            damaged[name] = str(error)
     if chosen.json:
-        print_json({"datasets": [asdict(summary) for summary in summaries]})
-        return 0
-    if not summaries:
-        from spatula_env.data.dataset import dataset_folder
+        print_json(
+            {
+                "datasets": [asdict(summary) for summary in summaries],
+                "damaged": [{"dataset": name, "error": why} for name, why in damaged.items()],
+            }
+        )
+    elif summaries:
+        _print_list(summaries)
+    else:
+        print(f"no {'whole ' if damaged else ''}datasets in {dataset_folder('', chosen.root)}")
+    for name, why in damaged.items():
+        fail(f"{name} is damaged: {why}", command=chosen.command)
+    return FAILURE if damaged else 0
 
-        print(f"no datasets in {dataset_folder('', chosen.root)}")
-        return 0
+
+def _print_list(summaries: Sequence[DatasetSummary]) -> None:
     rows = [["dataset", "environment", "episodes", "successes", "steps", "MB", "operators"]]
     for each in summaries:
         rows.append(
@@ -175,25 +196,27 @@ def _list(chosen: argparse.Namespace) -> int:
             ]
         )
     print_table(rows, right=(2, 3, 4, 5))
-    return 0
 
 
 def _inspect(chosen: argparse.Namespace) -> int:
     from spatula_env.data.catalog import summarize
     from spatula_env.data.dataset import read_layout
-    from spatula_env.data.replaying import open_dataset
+    from spatula_env.data.replaying import open_dataset, read_entries, recorded_specs
+    from spatula_env.data.specs import differences
 
     summary = summarize(chosen.dataset, chosen.root)
     dataset = open_dataset(chosen.dataset, chosen.root)
+    specs = recorded_specs(chosen.dataset, chosen.root)
     episodes = [
         {
             "episode": number,
-            "steps": int(each["total_steps"]),
-            **{
-                name: _plain(each[name]) for name in ("seed", "operator", "device", "success", "engine") if name in each
-            },
+            "steps": entry.steps,
+            "seed": entry.seed,
+            **{name: entry.attributes[name] for name in EPISODE_NAMES if name in entry.attributes},
+            # Where all were recorded with the same options, there is nothing to tell.
+            **({"spec": entry.spec} if len(specs) > 1 else {}),
         }
-        for number, each in enumerate(dataset.storage.get_episode_metadata(range(dataset.total_episodes)))
+        for number, entry in enumerate(read_entries(chosen.dataset, chosen.root))
     ]
     layout = read_layout(chosen.dataset, chosen.root)
     metadata = dataset.storage.metadata
@@ -203,7 +226,8 @@ def _inspect(chosen: argparse.Namespace) -> int:
                 **asdict(summary),
                 "author": sorted(metadata.get("author", [])),
                 "description": metadata.get("description", ""),
-                "env_kwargs": dict(dataset.spec.env_spec.kwargs),
+                "env_kwargs": dict(specs[0].kwargs),
+                "specs": [json.loads(spec.to_json()) for spec in specs],
                 "layout": layout.as_record(),
                 "list": episodes,
             }
@@ -215,15 +239,21 @@ def _inspect(chosen: argparse.Namespace) -> int:
     print(f"  actions       {_describe_space(dataset.action_space)}{acted}")
     if episodes:
         print()
-        names = list(episodes[0])
+        names = list(dict.fromkeys(name for each in episodes for name in each))
         print_table([names, *([_cell(each.get(name)) for name in names] for each in episodes)], right=(0, 1, 2))
+        for number, spec in enumerate(specs[1:], start=1):
+            print(
+                f"spec {number} differs from spec 0 in {'; '.join(differences(spec, specs[0], ('there', 'in spec 0')))}"
+            )
     return 0
 
 
 def _merge(chosen: argparse.Namespace) -> int:
     from spatula_env.data.catalog import copy_episodes
 
-    return _copied(chosen, copy_episodes(chosen.sources, chosen.into, root=chosen.root))
+    with _nothing_half_made(chosen):
+        summary = copy_episodes(chosen.sources, chosen.into, root=chosen.root)
+    return _copied(chosen, summary)
 
 
 def _drop_failures(chosen: argparse.Namespace) -> int:
@@ -232,11 +262,21 @@ def _drop_failures(chosen: argparse.Namespace) -> int:
     before = summarize(chosen.dataset, chosen.root)
     if before.successes == 0:
         raise CommandError(f"no episode of {chosen.dataset!r} has reached its goal; nothing would be left")
-    summary = copy_episodes(
-        [chosen.dataset], chosen.into, root=chosen.root, keep=lambda episode: bool(episode.get("success", False))
-    )
+    with _nothing_half_made(chosen):
+        summary = copy_episodes(
+            [chosen.dataset], chosen.into, root=chosen.root, keep=lambda episode: bool(episode.get("success", False))
+        )
     note(f"{before.episodes - summary.episodes} of {before.episodes} episodes were left out")
     return _copied(chosen, summary)
+
+
+@contextmanager
+def _nothing_half_made(chosen: argparse.Namespace) -> Iterator[None]:
+    """Say after Ctrl-C what there is of what was being made: nothing."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Stopped(f"stopped; nothing of {getattr(chosen, 'into', None) or chosen.output} was made") from None
 
 
 def _copied(chosen: argparse.Namespace, summary: DatasetSummary) -> int:
@@ -302,7 +342,11 @@ def _make(chosen: argparse.Namespace) -> int:
         name = known[env_id]
         note(f"{name}: scripted expert, its hand on a Falcon in software")
 
+        made_now = 0
+
         def tell(_: str, summary: EpisodeSummary, seconds: float) -> None:
+            nonlocal made_now
+            made_now += 1
             fate = "success" if summary.success else "NO SUCCESS, kept and labelled"
             note(f"  seed {summary.seed}: {fate}, {summary.steps} steps, {seconds:.1f} s")
 
@@ -318,7 +362,10 @@ def _make(chosen: argparse.Namespace) -> int:
                 progress=tell,
             )
         except KeyboardInterrupt:
-            raise Stopped(f"stopped; what was made of {name} is there. The same command goes on.") from None
+            raise Stopped(
+                f"stopped; {count_of(made_now, 'new episode')} of {name} {'is' if made_now == 1 else 'are'} there. "
+                "The same command goes on."
+            ) from None
         recording, seconds = made.recording, made.episode_seconds
         results[name] = {
             "env": env_id,
@@ -343,15 +390,16 @@ def _make(chosen: argparse.Namespace) -> int:
 def _export(chosen: argparse.Namespace) -> int:
     from spatula_env.data.lerobot_export import export_lerobot
 
-    made = export_lerobot(
-        chosen.dataset,
-        chosen.output,
-        root=chosen.root,
-        repo_id=chosen.repo_id,
-        successes_only=chosen.successes_only,
-        videos=not chosen.images,
-        camera=None if chosen.camera is None else tuple(chosen.camera),
-    )
+    with _nothing_half_made(chosen):
+        made = export_lerobot(
+            chosen.dataset,
+            chosen.output,
+            root=chosen.root,
+            repo_id=chosen.repo_id,
+            successes_only=chosen.successes_only,
+            videos=not chosen.images,
+            camera=None if chosen.camera is None else tuple(chosen.camera),
+        )
     if chosen.json:
         print_json(asdict(made))
     else:
@@ -369,6 +417,7 @@ def _tell(summary: DatasetSummary, description: str) -> None:
         ("environment", summary.env_id),
         ("episodes", f"{summary.episodes} ({_counts(summary.operators)})"),
         ("devices", _counts(summary.devices)),
+        ("authors", _counts(summary.authors)),
         ("steps", f"{summary.steps}, {summary.mean_length:.1f} in an episode"),
         ("successes", f"{summary.successes} ({share})"),
         ("return", f"{summary.mean_return:.2f} in an episode"),
@@ -389,10 +438,6 @@ def _describe_space(space: Any) -> str:
         return ", ".join(f"{name}: {_describe_space(each)}" for name, each in inner.items())
     shape = " x ".join(map(str, space.shape or ()))
     return f"{shape} {space.dtype}"
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if hasattr(value, "item") else value
 
 
 def _cell(value: Any) -> str:

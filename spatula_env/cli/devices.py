@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
@@ -15,7 +17,10 @@ from spatula_env.naming import same_environment
 if TYPE_CHECKING:
     import gymnasium
 
+    from spatula_env.data.recording import RecordingSummary
     from spatula_env.teleop.device import TeleopDevice
+    from spatula_env.teleop.session import EpisodeSummary
+    from spatula_env.teleop.web.recording import RecordingOptions
 
 DEVICES = (
     "keyboard",
@@ -31,6 +36,24 @@ DEVICES = (
 )
 """What can be named. All but the last two are `spatula_env.teleop.registry`'s."""
 SCRIPTED = ("scripted", "scripted-falcon")
+POSITIONS = ("falcon", "forcedimension", "emulated-falcon", "scripted-falcon")
+"""Those with a grip that is somewhere; the others tell how fast to move."""
+APPLICABLE: Mapping[str, tuple[Any, tuple[str, ...]]] = MappingProxyType(
+    {
+        "index": (0, ("gamepad", "spacemouse", "falcon")),
+        "firmware": (None, ("falcon",)),
+        "recording": (None, ("replay",)),
+        "episode": (0, ("replay",)),
+        "reaction_delay": (None, SCRIPTED),
+        "tremor": (None, SCRIPTED),
+        "gain": (None, SCRIPTED),
+        "host": ("127.0.0.1", ("web",)),
+        "port": (8080, ("web",)),
+        "token": (None, ("web",)),
+        "token_file": (None, ("web",)),
+    }
+)
+"""Options that mean something with some devices only: their defaults, and those devices."""
 
 
 def add_device_options(parser: argparse.ArgumentParser) -> None:
@@ -57,7 +80,7 @@ def add_device_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--gain", type=float, metavar="FACTOR", help="of a scripted operator, up to 1")
     web = parser.add_argument_group("web page (--device web)")
     web.add_argument("--host", default="127.0.0.1", help="address to serve at (default: %(default)s)")
-    web.add_argument("--port", metavar="N", type=at_least(0), default=8080, help="(default: %(default)s)")
+    web.add_argument("--port", metavar="N", type=at_least(0, 65535), default=8080, help="(default: %(default)s)")
     web.add_argument("--token", help="what a visitor has to know; needed where other machines reach the page")
     hand = parser.add_argument_group("from the hand to the tool")
     hand.add_argument(
@@ -99,14 +122,44 @@ def check_device(chosen: argparse.Namespace) -> Actor | None:
         Who acts by itself, if anybody does.
 
     Raises:
-        CommandError: If one is missing.
+        CommandError: If one is missing, or one would change nothing.
     """
+    check_applicable(chosen)
     if chosen.device == "replay" and chosen.recording is None:
         raise CommandError("--device replay needs --recording DATASET")
+    if chosen.policy is not None and chosen.device not in SCRIPTED and chosen.intervention == "always":
+        raise CommandError(
+            f"--policy with --device {chosen.device} needs --intervention button or motion: with "
+            f"{chosen.intervention!r} the operator acts all the time"
+        )
     if chosen.intervention != "always" and chosen.policy is None:
         raise CommandError(f"--intervention {chosen.intervention} needs --policy: who acts otherwise")
     name = chosen.policy if chosen.policy is not None else "expert" if chosen.device in SCRIPTED else None
     return None if name is None else find_actor(name, resolve_env(chosen.env))
+
+
+def check_applicable(chosen: argparse.Namespace) -> None:
+    """Check that no option is given that means nothing with the device.
+
+    Raises:
+        CommandError: If one is; says with which devices it goes.
+    """
+    for name, (default, devices) in APPLICABLE.items():
+        if getattr(chosen, name, default) != default and chosen.device not in devices:
+            option = f"--{name.replace('_', '-')}"
+            raise CommandError(f"{option} does not go with --device {chosen.device}, only with {', '.join(devices)}")
+    if chosen.mode == "position" and chosen.device not in POSITIONS:
+        raise CommandError(
+            f"--mode position does not go with --device {chosen.device}, which tells how fast to move, not where to, "
+            f"only with {', '.join(POSITIONS)}"
+        )
+    if chosen.scale != 1.0 and (chosen.mode == "rate" or chosen.device not in POSITIONS):
+        raise CommandError(
+            "--scale is the way of the tool over the way of the grip: it goes with --mode position and one of "
+            f"{', '.join(POSITIONS)}"
+        )
+    if not 0.0 < chosen.scale < math.inf:
+        raise CommandError(f"--scale must be positive, got {chosen.scale:g}")
 
 
 @contextmanager
@@ -162,30 +215,53 @@ def _check_recording(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -
         raise CommandError(f"{chosen.recording!r} was recorded with other actions; give the same --set control=...")
 
 
-def serve_page(chosen: argparse.Namespace, dataset: str | None = None) -> int:
-    """Serve the page on which a task is played and recorded, until Ctrl-C.
+def check_page(chosen: argparse.Namespace) -> None:
+    """Check the options of a command whose device is the page.
+
+    Raises:
+        CommandError: If one does not go with it.
+    """
+    check_applicable(chosen)
+    if chosen.policy is not None or chosen.intervention != "always":
+        raise CommandError("--policy and --intervention do not go with --device web: on the page the operator acts")
+    if chosen.film is not None:
+        raise CommandError(
+            "--film does not go with --device web; spatula replay DATASET --film FILE makes one of what was recorded"
+        )
+    if chosen.view == "window":
+        raise CommandError("--view window does not go with --device web: the page shows what happens")
+
+
+def serve_page(
+    chosen: argparse.Namespace,
+    recording: RecordingOptions,
+    progress: Callable[[str, EpisodeSummary], None],
+    dataset: str | None = None,
+) -> RecordingSummary:
+    """Serve the page on which a task is played and recorded, until Ctrl-C or until all is recorded.
 
     Args:
-        chosen: The command line.
+        chosen: The command line, checked by `check_page`.
+        recording: How episodes are recorded.
+        progress: Called after each episode with what became of it.
         dataset: To which episodes are added; None: the page's own choice.
 
     Returns:
-        The exit status.
+        What was recorded.
     """
     from spatula_env.teleop.web import serve
 
-    if chosen.policy is not None or chosen.intervention != "always":
-        raise CommandError("--policy and --intervention do not go with --device web")
-    if chosen.root is not None and dataset is not None:
-        raise CommandError("--root does not go with --device web; set MINARI_DATASETS_PATH instead")
-    serve(
+    return serve(
         resolve_env(chosen.env),
         host=chosen.host,
         port=chosen.port,
         token=chosen.token,
-        dataset=dataset if dataset is not None else chosen.root,
+        dataset=dataset,
+        root=chosen.root,
         seed=chosen.seed,
         env_kwargs={**engine_option(chosen), **read_changes(chosen.changes)},
+        real_time=not chosen.no_wait,
+        recording=recording,
+        progress=progress,
         on_ready=lambda url: note(f"Open {url} in a browser. Ctrl-C ends it."),
     )
-    return 0

@@ -55,6 +55,13 @@ def run(chosen: argparse.Namespace) -> int:
     hear: Callable[[str], None] = say
     if chosen.emulated:
         say("This Falcon is software; nothing is plugged in.")
+        for option, given, why in (
+            ("--firmware", chosen.firmware is not None, "it has its firmware"),
+            ("--index", chosen.index != 0, "there is only one"),
+            ("--yes", chosen.yes, "it asks nobody"),
+        ):
+            if given:
+                say(f"{option} is ignored: {why}.")
         falcon, find, obey = _emulated()
 
         def hear(text: str) -> None:

@@ -12,6 +12,7 @@ import gymnasium
 from spatula_env import __version__
 from spatula_env.cli import bench, datasets, demo, envs, falcon, forward, play, record, replay, view
 from spatula_env.cli.common import FAILURE, INTERRUPTED, CommandError, Stopped, fail
+from spatula_env.cli.interrupting import endings_like_ctrl_c
 
 COMMANDS = (demo, envs, play, record, replay, datasets, falcon, view, forward, bench)
 """In the order in which help lists them."""
@@ -33,7 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = make_parser()
     chosen = parser.parse_args(given)
     run: Callable[[argparse.Namespace], int] = chosen.run
-    return _run(lambda: run(chosen))
+    with endings_like_ctrl_c():
+        return _run(lambda: run(chosen), getattr(chosen, "command", "spatula"))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -50,7 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _run(run: Callable[[], int]) -> int:
+def _run(run: Callable[[], int], command: str = "spatula") -> int:
     # Looked up here: importing it brings NumPy, which `spatula --version` can do without.
     from spatula_env.teleop.device import DeviceError
 
@@ -60,14 +62,14 @@ def _run(run: Callable[[], int]) -> int:
     try:
         return run()
     except Stopped as stopped:
-        return fail(str(stopped), INTERRUPTED)
-    except KeyboardInterrupt:
-        return fail("interrupted", INTERRUPTED)
+        return fail(str(stopped), getattr(stopped.__context__, "status", INTERRUPTED), command)
+    except KeyboardInterrupt as interrupt:
+        return fail(str(interrupt) or "interrupted", getattr(interrupt, "status", INTERRUPTED), command)
     except BrokenPipeError:
         # Whoever read the output, `head` for example, has seen enough. The interpreter would complain at its end.
         sys.stdout = None
         return FAILURE
     except (CommandError, DeviceError, gymnasium.error.Error, ImportError, OSError, ValueError) as error:
-        return fail(str(error))
+        return fail(str(error), FAILURE, command)
     finally:
         warnings.formatwarning = usual

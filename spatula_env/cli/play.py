@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.common import (
     CommandError,
+    Stopped,
     add_environment_options,
     add_json_option,
     add_root_option,
     at_least,
+    count_of,
     make_environment,
     new_parser,
     note,
@@ -23,6 +25,7 @@ from spatula_env.cli.devices import (
     SCRIPTED,
     add_device_options,
     check_device,
+    check_page,
     opened_device,
     serve_page,
     teleop_options,
@@ -91,8 +94,10 @@ def render_mode(chosen: argparse.Namespace) -> str | None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Play."""
+    if chosen.root is not None and chosen.device not in ("replay", "web"):
+        raise CommandError(f"--root does not go with --device {chosen.device}: nothing is recorded when playing")
     if chosen.device == "web":
-        return serve_page(chosen)
+        return _on_page(chosen)
     if chosen.episodes is None and chosen.device in (*SCRIPTED, "replay"):
         chosen.episodes = 1
     actor = check_device(chosen)
@@ -127,11 +132,38 @@ def run(chosen: argparse.Namespace) -> int:
                 after_step=after_step,
                 **teleop_options(chosen),
             )
+    except KeyboardInterrupt:
+        raise Stopped(f"stopped after {count_of(len(told), 'episode')}; playing records nothing") from None
     finally:
         env.close()
         # Also of what was interrupted.
         if film is not None and film.frames:
             note(f"wrote {film.write()}")
+    if chosen.json:
+        print_json({"env": env_id, "device": chosen.device, "episodes": told})
+    return 0
+
+
+def _on_page(chosen: argparse.Namespace) -> int:
+    """Play on the page."""
+    from spatula_env.teleop.web.recording import RecordingOptions
+
+    check_page(chosen)
+    if chosen.episodes is not None:
+        raise CommandError("--episodes does not go with play --device web, where you play until Ctrl-C")
+    env_id = resolve_env(chosen.env)
+    told: list[dict[str, Any]] = []
+
+    def tell(fate: str, summary: EpisodeSummary) -> None:
+        told.append({"env": env_id, "fate": fate, **asdict(summary)})
+        if not chosen.json and fate != "practice":
+            print(f"{fate}: {describe(summary)}", flush=True)
+
+    summary = serve_page(chosen, RecordingOptions(end_on_success=chosen.end_on_success), tell)
+    note(
+        f"{count_of(summary.recorded, 'episode')} recorded on the page"
+        + (f", in {summary.path} and beside it" if summary.recorded else "")
+    )
     if chosen.json:
         print_json({"env": env_id, "device": chosen.device, "episodes": told})
     return 0

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.common import (
-    FAILURE,
     Stopped,
     add_environment_options,
     add_json_option,
     add_root_option,
     at_least,
+    count_of,
     fail,
     make_environment,
     new_parser,
@@ -22,6 +23,7 @@ from spatula_env.cli.devices import (
     SCRIPTED,
     add_device_options,
     check_device,
+    check_page,
     opened_device,
     serve_page,
     teleop_options,
@@ -30,7 +32,9 @@ from spatula_env.cli.play import add_view_options, describe, render_mode
 from spatula_env.cli.showing import Film
 
 if TYPE_CHECKING:
+    from spatula_env.cli.acting import Actor
     from spatula_env.cli.common import Parsers
+    from spatula_env.data.recording import RecordingSummary
     from spatula_env.teleop.session import EpisodeSummary
 
 DESCRIPTION = """Record demonstrations as a Minari dataset, episode by episode.
@@ -51,7 +55,9 @@ def add_parser(commands: Parsers) -> None:
     add_environment_options(parser)
     parser.add_argument("--dataset", required=True, metavar="NAME", help="as spatula/press/my-v0; made, or added to")
     count = parser.add_mutually_exclusive_group()
-    count.add_argument("--episodes", metavar="N", type=at_least(1), help="how many to add (default: 1)")
+    count.add_argument(
+        "--episodes", metavar="N", type=at_least(1), help="how many to add (default: 1; on the page: until Ctrl-C)"
+    )
     count.add_argument("--total", metavar="N", type=at_least(1), help="add until the dataset has so many")
     parser.add_argument(
         "--attempts", metavar="N", type=at_least(1), help="end after so many tries, whatever came of them"
@@ -63,7 +69,15 @@ def add_parser(commands: Parsers) -> None:
         action="store_true",
         help="leave out the organ's nodes: smaller, but replays can be neither checked nor shown without physics",
     )
-    parser.add_argument("--author", metavar="NAME", default="unknown", help="who holds the device")
+    parser.add_argument(
+        "--state-dtype",
+        choices=("float32", "float64"),
+        default="float32",
+        help="how precisely the organ's nodes are kept, and so replays are checked (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--author", metavar="NAME", default="unknown", help="who holds the device; kept with each episode"
+    )
     parser.add_argument("--description", metavar="TEXT", default="", help="of the dataset")
     add_root_option(parser)
     add_device_options(parser)
@@ -74,27 +88,44 @@ def add_parser(commands: Parsers) -> None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Record."""
-    if chosen.device == "web":
-        return serve_page(chosen, chosen.dataset)
-    actor = check_device(chosen)
-    from spatula_env.data.dataset import require_minari
-    from spatula_env.data.recording import record
+    from spatula_env.data.dataset import check_dataset_id, dataset_folder, require_minari
+    from spatula_env.data.files import check_can_write
 
+    on_page = chosen.device == "web"
+    if on_page:
+        check_page(chosen)
+    actor = None if on_page else check_device(chosen)
+    # A page may be asked for a dataset of each task.
+    check_dataset_id(chosen.dataset.replace("{task}", "task") if on_page else chosen.dataset)
     require_minari()
-    mode = render_mode(chosen)
-    wanted, there = _wanted(chosen)
-    if wanted == 0:
-        note(f"{chosen.dataset} has {there} episodes already")
+    check_can_write(dataset_folder(chosen.dataset, chosen.root))
+    there = _total(chosen)
+    if chosen.total is not None and there >= chosen.total:
+        note(f"{chosen.dataset} has {count_of(there, 'episode')} already")
         if chosen.json:
             print_json({"dataset": chosen.dataset, "recorded": 0, "total_episodes": there})
         return 0
-    env = make_environment(chosen, actor.options if actor is not None else None, render_mode=mode)
-    film = None if chosen.film is None else Film(chosen.film, env.metadata["render_fps"])
-    count = 0
+    try:
+        return _report(chosen, _on_page(chosen) if on_page else _with_device(chosen, actor))
+    except KeyboardInterrupt:
+        # By what is on the disk: it may have come between an episode and its count.
+        added = _total(chosen) - there
+        were = "was" if added == 1 else "were"
+        raise Stopped(
+            f"stopped; {count_of(added, 'episode')} {were} added to {chosen.dataset}, the one that was running was "
+            "not. The same command goes on."
+        ) from None
+
+
+def _with_device(chosen: argparse.Namespace, actor: Actor | None) -> RecordingSummary:
+    """Record with a device that is held."""
+    from spatula_env.data.dataset import check_target
+    from spatula_env.data.recording import record
+
+    env = make_environment(chosen, actor.options if actor is not None else None, render_mode=render_mode(chosen))
+    film = None
 
     def tell(fate: str, summary: EpisodeSummary) -> None:
-        nonlocal count
-        count += fate == "recorded"
         note(f"{fate}: {describe(summary)}")
 
     def after_step(*_: Any) -> None:
@@ -102,13 +133,17 @@ def run(chosen: argparse.Namespace) -> int:
             film.take(env)
 
     try:
+        film = None if chosen.film is None else Film(chosen.film, env.metadata["render_fps"])
+        # Before the operator takes hold of anything.
+        check_target(chosen.dataset, env, chosen.root)
         with opened_device(chosen, env, actor, chosen.seed) as device:
             policy = actor.make(env, chosen.seed) if actor is not None and chosen.device not in SCRIPTED else None
-            summary = record(
+            return record(
                 env,
                 device,
                 chosen.dataset,
-                episodes=wanted,
+                episodes=chosen.episodes or 1,
+                total=chosen.total,
                 seed=chosen.seed,
                 root=chosen.root,
                 policy=policy,
@@ -116,49 +151,67 @@ def run(chosen: argparse.Namespace) -> int:
                 attempts=chosen.attempts,
                 end_on_success=chosen.end_on_success,
                 states=not chosen.no_states,
+                state_dtype=chosen.state_dtype,
                 author=chosen.author,
                 description=chosen.description,
                 progress=tell,
                 after_step=after_step,
                 **teleop_options(chosen),
             )
-    except KeyboardInterrupt:
-        raise Stopped(
-            f"stopped; {count} episodes were added to {chosen.dataset}, the one that was running was not. "
-            "The same command goes on."
-        ) from None
     finally:
         env.close()
         if film is not None and film.frames:
             note(f"wrote {film.write()}")
-    result = {
-        "dataset": summary.dataset_id,
-        "path": summary.path,
-        "recorded": summary.recorded,
-        "discarded": summary.discarded,
-        "successes": summary.successes,
-        "total_episodes": summary.total_episodes,
-        "lost": summary.lost,
-    }
+
+
+def _on_page(chosen: argparse.Namespace) -> RecordingSummary:
+    """Record on the page. Ctrl-C ends it; what is being recorded then is saved as far as it has come."""
+    from spatula_env.teleop.web.recording import RecordingOptions
+
+    options = RecordingOptions(
+        exclusive=True,
+        author=chosen.author,
+        description=chosen.description,
+        # Unless something is asked for, there is no end to it.
+        episodes=chosen.episodes,
+        total=chosen.total,
+        attempts=chosen.attempts,
+        keep_failures=not chosen.drop_failures,
+        end_on_success=chosen.end_on_success,
+        states=not chosen.no_states,
+        state_dtype=chosen.state_dtype,
+    )
+
+    def tell(fate: str, summary: EpisodeSummary) -> None:
+        if fate != "practice":
+            note(f"{fate}: {describe(summary)}")
+
+    return serve_page(chosen, options, tell, chosen.dataset)
+
+
+def _report(chosen: argparse.Namespace, summary: RecordingSummary) -> int:
+    """Tell what came of it; returns the exit status."""
     if chosen.json:
-        print_json(result)
+        result = asdict(summary)
+        print_json({"dataset": result.pop("dataset_id"), **result})
     else:
         print(
-            f"{summary.recorded} episodes added to {summary.dataset_id}, {summary.successes} of them with success; "
-            f"it has {summary.total_episodes} now, in {summary.path}"
+            f"{count_of(summary.recorded, 'episode')} added to {summary.dataset_id}, {summary.successes} of them with "
+            f"success; it has {summary.total_episodes} now, in {summary.path}"
         )
     if summary.lost is not None:
-        return fail(f"{summary.lost}. What was recorded before is safe; the same command goes on.", FAILURE)
+        return fail(
+            f"{summary.lost}. What was recorded before is safe; the same command goes on.", command=chosen.command
+        )
     return 0
 
 
-def _wanted(chosen: argparse.Namespace) -> tuple[int, int]:
-    """How many episodes are to be added, and how many there are."""
+def _total(chosen: argparse.Namespace) -> int:
+    """How many episodes the dataset has."""
     from spatula_env.data.dataset import dataset_folder
-    from spatula_env.data.index import METADATA_FILE
-    from spatula_env.data.replaying import open_dataset
+    from spatula_env.data.index import read_metadata
 
-    there = 0
-    if (dataset_folder(chosen.dataset, chosen.root) / "data" / METADATA_FILE).exists():
-        there = int(open_dataset(chosen.dataset, chosen.root).total_episodes)
-    return (int(chosen.episodes or 1) if chosen.total is None else max(0, int(chosen.total) - there)), there
+    try:
+        return int(read_metadata(dataset_folder(chosen.dataset, chosen.root) / "data")["total_episodes"])
+    except FileNotFoundError:
+        return 0

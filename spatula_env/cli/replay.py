@@ -12,9 +12,11 @@ import gymnasium
 from spatula_env.cli.common import (
     FAILURE,
     CommandError,
+    Stopped,
     add_json_option,
     add_root_option,
     at_least,
+    count_of,
     fail,
     new_parser,
     note,
@@ -26,6 +28,7 @@ from spatula_env.cli.showing import Film
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers
+    from spatula_env.data.replaying import EpisodeReplay
     from spatula_env.render.window import Window
 
 SIZE = 480
@@ -52,6 +55,11 @@ def add_parser(commands: Parsers) -> None:
     parser.add_argument("--episodes", type=at_least(0), nargs="+", metavar="N", help="which; all if not given")
     parser.add_argument(
         "--tolerance", type=float, help="greatest difference that counts as the same, scene units (default: 1e-9)"
+    )
+    parser.add_argument(
+        "--env",
+        metavar="MODULE:ID",
+        help="the environment, if it is one of your own, with the module that registers it",
     )
     add_root_option(parser)
     add_view_options(parser)
@@ -91,16 +99,27 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
 
     if chosen.film is not None:
         Film(chosen.film, 1.0)  # Complains at once.
-    results = replay(
-        chosen.dataset,
-        root=chosen.root,
-        episodes=numbers,
-        tolerance=tolerance,
-        render_mode=render_mode(chosen),
-        after_step=after_step,
-    )
-    if film is not None:
-        note(f"wrote {film.write()}")
+    told: list[EpisodeReplay] = []
+    try:
+        results = replay(
+            chosen.dataset,
+            root=chosen.root,
+            episodes=numbers,
+            tolerance=tolerance,
+            render_mode=render_mode(chosen),
+            env_id=chosen.env,
+            after_step=after_step,
+            progress=told.append,
+        )
+    except KeyboardInterrupt:
+        same = sum(each.matches for each in told)
+        raise Stopped(
+            f"stopped after {count_of(len(told), 'episode')} of {len(numbers)}, {same} of them as recorded"
+        ) from None
+    finally:
+        # Also of what was interrupted.
+        if film is not None and film.frames:
+            note(f"wrote {film.write()}")
     differences = [each.difference for each in results if not math.isnan(each.difference)]
     greatest = max(differences, default=math.nan)
     good = all(each.matches for each in results)
@@ -133,7 +152,8 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
         found = "no states were recorded" if not differences else f"greatest difference {greatest:.3g} u"
         print(f"{found}; {len(results)} episodes, tolerance {tolerance:g} u")
     if not good:
-        return fail(f"{sum(not each.matches for each in results)} of {len(results)} episodes differ", FAILURE)
+        differing = sum(not each.matches for each in results)
+        return fail(f"{differing} of {len(results)} episodes differ", FAILURE, chosen.command)
     return 0
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spatula_env.cli.common import CommandError
+from spatula_env.data.files import check_can_write
 
 if TYPE_CHECKING:
     import gymnasium
@@ -62,8 +63,10 @@ class Film:
 
         Raises:
             CommandError: If it has another ending.
+            OSError: If no file can be written there.
         """
         check_ending(path, (*PICTURES, *FILMS))
+        check_can_write(path.parent)
         self.frames: list[Picture] = []
         self._path = path
         self._rate = frames_per_second

@@ -42,6 +42,8 @@ BUTTONS: Mapping[str, str] = MappingProxyType(
 SLOW_KEYS = ("left shift", "right shift")
 SLOW = 0.25
 """What is left of a rate while one of `SLOW_KEYS` is held."""
+BLIND_DRIVERS = ("dummy", "offscreen")
+"""SDL's video drivers that show no window, so that no keys come."""
 WINDOW = (420, 120)
 """Width and height of the window that takes the keys [pixels]."""
 
@@ -87,6 +89,14 @@ class Keyboard(RateDevice):
         except pygame.error as error:
             pygame.display.quit()
             raise DeviceError(f"the keyboard needs a window, and there is no display: {error}") from error
+        driver = pygame.display.get_driver()
+        if driver in BLIND_DRIVERS:
+            # Without a display SDL draws into nothing, and no key would ever come.
+            pygame.display.quit()
+            raise DeviceError(
+                f"the keyboard needs a window, and there is no display (SDL has {driver!r} only); --device web shows "
+                "a page in a browser, which may be on another machine"
+            )
         pygame.display.set_caption("spatula: keys go here")
         self._pygame = pygame
         self._held, self._quit = set(), False

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from spatula_env.teleop.device import DeviceBusy, DeviceLost, DeviceNotFound
+from spatula_env.teleop.device import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from spatula_env.teleop.keys import RateDevice
 
 BUTTONS: Mapping[int, str] = MappingProxyType({0: "minus", 1: "plus"})
@@ -51,7 +51,15 @@ class SpaceMouse(RateDevice):
             from pyspacemouse.types import AxisConvention
         except ImportError as error:
             raise ImportError("a SpaceMouse needs pyspacemouse: pip install 'spatula-env[teleop]'") from error
-        if not pyspacemouse.get_connected_devices():
+        try:
+            found = pyspacemouse.get_connected_devices()
+        except Exception as error:
+            # It says so by an error of no class of its own.
+            raise DeviceError(
+                f"a SpaceMouse needs the system's HIDAPI, which does not work here ({error}): apt-get install "
+                "libhidapi-hidraw0, or brew install hidapi"
+            ) from error
+        if not found:
             raise DeviceNotFound(
                 "there is no SpaceMouse: connect one, and let users open it with the udev rule "
                 'KERNEL=="hidraw*", ATTRS{idVendor}=="256f", MODE="0660", GROUP="plugdev"'

@@ -43,7 +43,51 @@ def test_list(capsys, root) -> None:
 def test_there_are_none(capsys, tmp_path) -> None:
     lines, _ = run(capsys, tmp_path / "empty", "list")
     assert lines == [f"no datasets in {tmp_path / 'empty'}"]
-    assert run_json(capsys, tmp_path / "empty", "list") == {"datasets": []}
+    assert run_json(capsys, tmp_path / "empty", "list") == {"datasets": [], "damaged": []}
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda data: (data / "metadata.json").write_text('{"total'), "metadata.json cannot be read"),
+        (lambda data: (data / "metadata.json").write_text("[]"), "has no metadata of a dataset"),
+        (lambda data: (data / "episodes" / "000001.hdf5").unlink(), "episode 1 is missing"),
+        (lambda data: (data / "episodes" / "000002.hdf5").write_bytes(b"\x89HDF"), "episode 2 is damaged"),
+        (lambda data: (data / "main_data.hdf5").unlink(), "main_data.hdf5 is missing"),
+        (lambda data: (data / "index.jsonl").write_text("{"), "index.jsonl"),
+    ],
+)
+def test_a_damaged_dataset_does_not_hide_the_others(capsys, root, harm, message) -> None:
+    harm(write_dataset(root, "spatula/press/bad-v0") / "data")
+    lines, noted = run(capsys, root, "list", status=1)
+    assert [line.split()[0] for line in lines] == ["dataset", ID]
+    assert "spatula datasets list: spatula/press/bad-v0 is damaged: " in noted
+    assert message in noted
+    assert cli.main(["datasets", "list", "--json", "--root", str(root)]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [each["dataset_id"] for each in found["datasets"]] == [ID]
+    assert [each["dataset"] for each in found["damaged"]] == ["spatula/press/bad-v0"]
+
+
+def test_listing_opens_no_episode(capsys, root, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    monkeypatch.setitem(sys.modules, "minari", None)
+    lines, _ = run(capsys, root, "list")
+    assert len(lines) == 2
+
+
+def test_ctrl_c_while_datasets_are_joined(capsys, root, monkeypatch) -> None:
+    from spatula_env.data import DatasetWriter
+
+    def interrupted(*_: Any) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(DatasetWriter, "add", interrupted)
+    for words in (["merge", ID, ID], ["drop-failures", ID]):
+        _, noted = run(capsys, root, *words, "--into", "spatula/press/all-v0", status=130)
+        assert f"spatula datasets {words[0]}: stopped; nothing of spatula/press/all-v0 was made" in noted
+    assert list(run_json(capsys, root, "list")["datasets"])[0]["dataset_id"] == ID
+    assert not (root / "spatula" / "press" / "all-v0").exists()
 
 
 def test_inspect(capsys, root) -> None:
@@ -52,7 +96,7 @@ def test_inspect(capsys, root) -> None:
     assert "Made up." in text
     assert "3 (2 scripted, 1 human)" in text
     assert "velocity_x, velocity_y, velocity_z" in text
-    assert lines[-2].split() == ["1", "6", "11", "human", "made-up", "no", "bullet"]
+    assert lines[-2].split() == ["1", "6", "11", "human", "made-up", "no", "bullet", "unknown"]
     found = run_json(capsys, root, "inspect", ID)
     assert found["layout"]["control_frequency"] == 20.0
     assert [each["success"] for each in found["list"]] == [True, False, True]

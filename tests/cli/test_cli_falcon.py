@@ -18,6 +18,14 @@ def test_an_emulated_one_is_checked_to_the_end(capsys: pytest.CaptureFixture[str
     assert lines[-1] == "All is well."
 
 
+def test_what_is_ignored_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["falcon", "--emulated", "--no-force", "--firmware", "falcon.bin", "--index", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1:3] == ["--firmware is ignored: it has its firmware.", "--index is ignored: there is only one."]
+    assert cli.main(["falcon", "--emulated", "--yes"]) == 0
+    assert "--yes is ignored: it asks nobody." in capsys.readouterr().out
+
+
 def test_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["falcon", "--emulated", "--no-force", "--json"]) == 0
     said = capsys.readouterr()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import inspect
+import io
 import json
+import os
+import signal
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,7 @@ from spatula_env import cli
 from spatula_env.cli import devices
 from spatula_env.teleop.device import DeviceLost
 from spatula_env.teleop.scripted import ScriptedOperator
+from spatula_env.teleop.web.recording import RecordingOptions
 
 pytest.importorskip("minari")
 
@@ -48,9 +52,34 @@ def headless(monkeypatch: pytest.MonkeyPatch) -> None:
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two scripted episodes in Bullet."""
     folder = tmp_path_factory.mktemp("datasets")
-    words = ["--device", "scripted-falcon", "--set", "max_episode_steps=8", "--view", "none"]
+    words = [
+        "--device",
+        "scripted-falcon",
+        "--set",
+        "max_episode_steps=8",
+        "--view",
+        "none",
+        "--state-dtype",
+        "float64",
+    ]
     assert cli.main(["record", "press", "--dataset", ID, "--episodes", "2", "--root", str(folder), *words]) == 0
     return folder
+
+
+class Ending(ScriptedOperator):
+    """Something happens in the second episode."""
+
+    count = 0
+
+    def __init__(self, policy: Any, end: Any) -> None:
+        super().__init__(policy)
+        self._end = end
+
+    def watch(self, observation: Any, env: Any) -> None:
+        super().watch(observation, env)
+        self.count += 1
+        if self.count > 12:
+            self._end()
 
 
 class TestPlay:
@@ -132,17 +161,98 @@ class TestPlay:
         assert set(devices.DEVICES) == {*DEVICES, "replay", "web"}
 
 
+class TestOptions:
+    """What would change nothing is refused before anything runs."""
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (
+                ["--device", "keyboard", "--firmware", "f"],
+                "--firmware does not go with --device keyboard, only with falcon",
+            ),
+            (["--device", "keyboard", "--tremor", "0.1"], "--tremor does not go with --device keyboard"),
+            (["--device", "falcon", "--port", "9"], "--port does not go with --device falcon, only with web"),
+            (["--device", "scripted", "--recording", ID], "--recording does not go with --device scripted"),
+            (["--device", "keyboard", "--policy", "expert"], "needs --intervention button or motion"),
+            (["--device", "keyboard", "--scale", "2"], "--scale is the way of the tool over the way of the grip"),
+            (["--device", "falcon", "--mode", "rate", "--scale", "2"], "goes with --mode position"),
+            (["--device", "falcon", "--scale", "-1"], "--scale must be positive"),
+            (["--device", "gamepad", "--mode", "position"], "--mode position does not go with --device gamepad"),
+            (["--device", "web", "--mode", "position"], "--mode position does not go with --device web"),
+            (["--device", "web", "--scale", "2"], "--scale is the way of the tool"),
+            (["--device", "web", "--policy", "expert"], "on the page the operator acts"),
+            (["--device", "web", "--film", "x.gif"], "spatula replay DATASET --film FILE"),
+            (["--device", "web", "--view", "window"], "the page shows what happens"),
+        ],
+    )
+    @pytest.mark.parametrize("command", ["play", "record"])
+    def test_what_does_not_go_with_the_device(self, capsys, monkeypatch, tmp_path, command, words, message) -> None:
+        monkeypatch.setattr("gymnasium.make", lambda *_, **__: pytest.fail("an environment was made"))
+        more = ["--dataset", ID, "--root", str(tmp_path / "new")] if command == "record" else []
+        _, noted = run(capsys, command, "press", *words, *more, status=1)
+        assert noted.startswith(f"spatula {command}: ")
+        assert message in noted
+        assert not (tmp_path / "new").exists()
+
+    @pytest.mark.parametrize("words", [["--device", "keyboard", "--root", "x"], ["--device", "web", "--episodes", "2"]])
+    def test_what_does_not_go_with_playing(self, capsys, words) -> None:
+        _, noted = run(capsys, "play", "press", *words, status=1)
+        assert "does not go with" in noted
+
+    def test_there_is_no_such_port(self, capsys) -> None:
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["play", "press", "--device", "web", "--port", "99999"])
+        assert ended.value.code == 2
+        assert "--port: must be from 0 to 65535, got 99999" in capsys.readouterr().err
+        from spatula_env.teleop.web import WebDevice
+
+        with pytest.raises(ValueError, match="port must be from 0 to 65535, got 99999"):
+            WebDevice(port=99999)
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--dataset", "mydata"], "say 'mydata-v0'"),
+            (["--dataset", "my data/{task}-v0", "--device", "web"], "say 'my_data/"),
+            (["--dataset", "{task}-v0"], "say 'task-v0'"),
+            (["--dataset", ID, "--root", "{file}"], "is no folder"),
+            (["--dataset", ID, "--film", "{file}/film.gif"], "is no folder"),
+            (["--dataset", ID, "--root", "{file}", "--device", "web"], "is no folder"),
+        ],
+    )
+    def test_names_and_places_are_looked_at_first(self, capsys, monkeypatch, tmp_path, words, message) -> None:
+        file = tmp_path / "file"
+        file.write_text("")
+        monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
+        monkeypatch.setattr(
+            "spatula_env.data.recording.run_episode", lambda *_, **__: pytest.fail("an episode was done")
+        )
+        device = [] if "--device" in words else ["--device", "scripted", *SHORT]
+        words = [word.replace("{file}", str(file)) for word in words]
+        _, noted = run(capsys, "record", "press", *words, *device, status=1)
+        assert message in noted
+        assert list(tmp_path.iterdir()) == [file]
+
+
 class TestWeb:
     @pytest.fixture
     def served(self, monkeypatch):
-        """A stand-in for the page."""
+        """A stand-in for the page, on which two episodes are done."""
+        from spatula_env.data.recording import RecordingSummary
+        from spatula_env.teleop import web
+        from spatula_env.teleop.session import EpisodeSummary
+
         calls: list[Any] = []
 
-        def serve(env_id: str, **options: Any) -> None:
-            options.pop("on_ready")("http://127.0.0.1:9/")
+        def serve(env_id: str, *, on_ready: Any, progress: Any, **options: Any) -> RecordingSummary:
+            on_ready("http://127.0.0.1:9/")
             calls.append((env_id, options))
+            for fate in ("practice", "recorded"):
+                progress(fate, EpisodeSummary(3, 7, True, 1.0, 0.5, 1.0))
+            return RecordingSummary(ID, Path("there"), 1, 0, 1, 4)
 
-        monkeypatch.setitem(sys.modules, "spatula_env.teleop.web", SimpleNamespace(serve=serve))
+        monkeypatch.setitem(vars(web), "serve", serve)
         return calls
 
     def test_the_page_is_served(self, capsys, served) -> None:
@@ -155,16 +265,48 @@ class TestWeb:
             "port": 9,
             "token": "secret",
             "dataset": None,
+            "root": None,
             "seed": 3,
             "env_kwargs": {"randomization": "default"},
+            "real_time": True,
+            "recording": RecordingOptions(),
         }
         assert "Open http://127.0.0.1:9/ in a browser" in noted
+        assert "1 episode recorded on the page" in noted
 
-    def test_it_records(self, capsys, served) -> None:
-        run(capsys, "record", "press", "--device", "web", "--dataset", ID)
-        assert served[0][1]["dataset"] == ID
-        _, noted = run(capsys, "record", "press", "--device", "web", "--dataset", ID, "--root", "x", status=1)
-        assert "MINARI_DATASETS_PATH" in noted
+    def test_it_plays_as_it_is_told(self, capsys, served, tmp_path) -> None:
+        words = ["--no-wait", "--end-on-success", "--root", str(tmp_path)]
+        found = run_json(capsys, "play", "press", "--device", "web", *words)
+        options = served[0][1]
+        assert (options["real_time"], options["root"]) == (False, tmp_path)
+        assert options["recording"] == RecordingOptions(end_on_success=True)
+        assert [each["fate"] for each in found["episodes"]] == ["practice", "recorded"]
+
+    def test_it_records_as_it_is_told(self, capsys, served, tmp_path) -> None:
+        words = ["--author", "Ada", "--description", "Mine.", "--attempts", "9", "--drop-failures", "--no-states"]
+        words += ["--end-on-success", "--root", str(tmp_path), "--state-dtype", "float64"]
+        found = run_json(capsys, "record", "press", "--device", "web", "--dataset", ID, "--episodes", "2", *words)
+        options = served[0][1]
+        assert (options["dataset"], options["root"]) == (ID, tmp_path)
+        assert options["recording"] == RecordingOptions(
+            exclusive=True,
+            author="Ada",
+            description="Mine.",
+            episodes=2,
+            attempts=9,
+            keep_failures=False,
+            end_on_success=True,
+            states=False,
+            state_dtype="float64",
+        )
+        assert (found["dataset"], found["recorded"], found["total_episodes"]) == (ID, 1, 4)
+        lines, noted = run(
+            capsys, "record", "press", "--device", "web", "--dataset", ID, "--total", "5", "--root", str(tmp_path)
+        )
+        assert served[1][1]["recording"].total == 5
+        assert lines == [f"1 episode added to {ID}, 1 of them with success; it has 4 now, in there"]
+        assert "recorded: success after 3 steps" in noted
+        assert "practice" not in noted
 
     def test_the_page_takes_what_is_given(self) -> None:
         pytest.importorskip("viser")
@@ -173,6 +315,7 @@ class TestWeb:
 
         names = set(inspect.signature(serve).parameters)
         assert names >= {"env_id", "host", "port", "token", "dataset", "seed", "env_kwargs", "on_ready"}
+        assert names >= {"root", "recording", "progress", "real_time"}
 
 
 class TestRecord:
@@ -208,17 +351,11 @@ class TestRecord:
         """A device that raises something in the second episode."""
         raised: list[BaseException] = []
 
-        class Ending(ScriptedOperator):
-            count = 0
-
-            def watch(self, observation, env):
-                super().watch(observation, env)
-                self.count += 1
-                if self.count > 12:
-                    raise raised[0]
-
         def make(name: str, *, policy: Any, **_: Any) -> Any:
-            return Ending(policy)
+            return Ending(policy, end)
+
+        def end() -> None:
+            raise raised[0]
 
         monkeypatch.setattr("spatula_env.teleop.registry.make_device", make)
         return raised
@@ -236,9 +373,77 @@ class TestRecord:
         ending.append(KeyboardInterrupt())
         words = ["--dataset", ID, "--device", "scripted", "--episodes", "3", "--root", str(tmp_path)]
         _, noted = run(capsys, "record", "press", *words, *SHORT, status=130)
-        assert "1 episodes were added" in noted
+        assert "spatula record: stopped; 1 episode was added" in noted
         assert "The same command goes on" in noted
         assert run_json(capsys, "datasets", "inspect", ID, "--root", str(tmp_path))["episodes"] == 1
+
+    @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="another system")
+    @pytest.mark.parametrize(("name", "status"), [("SIGTERM", 143), ("SIGHUP", 129)])
+    def test_what_ends_programs_is_like_ctrl_c(self, capsys, tmp_path, monkeypatch, name, status) -> None:
+        number = getattr(signal, name)
+        monkeypatch.setattr(
+            "spatula_env.teleop.registry.make_device", lambda _, *, policy, **__: Ending(policy, lambda: kill(number))
+        )
+
+        def kill(number: int) -> None:
+            # Once more: the second one does not interrupt what the first one has begun.
+            os.kill(os.getpid(), number)
+            os.kill(os.getpid(), number)
+
+        before = signal.getsignal(number)
+        words = ["--dataset", ID, "--device", "scripted", "--episodes", "3", "--root", str(tmp_path)]
+        _, noted = run(capsys, "record", "press", *words, *SHORT, status=status)
+        assert "stopped; 1 episode was added" in noted
+        assert signal.getsignal(number) == before
+        assert run_json(capsys, "datasets", "inspect", ID, "--root", str(tmp_path))["episodes"] == 1
+
+    def test_what_is_ignored_stays_ignored(self) -> None:
+        from spatula_env.cli.interrupting import endings_like_ctrl_c
+
+        before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        try:
+            with endings_like_ctrl_c():
+                os.kill(os.getpid(), signal.SIGTERM)
+            assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
+        finally:
+            signal.signal(signal.SIGTERM, before)
+
+    def test_nobody_is_left_to_hear_it(self, monkeypatch) -> None:
+        from spatula_env.cli.common import fail
+
+        class Closed(io.StringIO):
+            def write(self, _: str) -> int:
+                raise OSError(errno.EIO, "Input/output error")
+
+        monkeypatch.setattr(sys, "stderr", Closed())
+        assert fail("stopped", 129) == 129
+
+    def test_other_options_are_refused_by_name(self, capsys, tmp_path) -> None:
+        words = ["record", "press", "--dataset", ID, "--device", "scripted", "--root", str(tmp_path), *SHORT]
+        run(capsys, *words)
+        _, noted = run(capsys, *words, "--set", "randomization=default", "--set", "control_frequency=10", status=1)
+        assert "differ in control_frequency (10 here, 20.0 there); randomization (default here, none there)" in noted
+        lines, _ = run(capsys, "replay", ID, "--root", str(tmp_path))
+        assert lines[-1] == "greatest difference 0 u; 1 episodes, tolerance 1e-09 u"
+
+    def test_authors_are_kept_with_their_episodes(self, capsys, tmp_path) -> None:
+        root = ["--root", str(tmp_path)]
+        for author in ("Ada", "Ben"):
+            words = ["--dataset", ID, "--device", "scripted", "--author", author, *root, *SHORT]
+            run(capsys, "record", "press", *words)
+        run(capsys, "datasets", "merge", ID, "--into", "spatula/press/copy-v0", *root)
+        found = run_json(capsys, "datasets", "inspect", "spatula/press/copy-v0", *root)
+        assert [each["author"] for each in found["list"]] == ["Ada", "Ben"]
+        assert found["author"] == ["Ada", "Ben"]
+        assert found["authors"] == {"Ada": 1, "Ben": 1}
+
+    def test_a_keyboard_without_a_display(self, capsys, tmp_path, headless, monkeypatch) -> None:
+        pytest.importorskip("pygame")
+        monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
+        words = ["--dataset", ID, "--device", "keyboard", "--root", str(tmp_path), "--no-wait"]
+        _, noted = run(capsys, "record", "press", *words, *SHORT, status=1)
+        assert "the keyboard needs a window, and there is no display" in noted
+        assert list(tmp_path.iterdir()) == []
 
     def test_a_malformed_name(self, capsys, tmp_path) -> None:
         words = ["--dataset", "mydata", "--device", "scripted", "--root", str(tmp_path)]
@@ -271,6 +476,20 @@ class TestReplay:
         assert "greatest difference 1e-06 u" in lines[-1]
         assert "1 of 1 episodes differ" in noted
         run(capsys, "replay", ID, "--root", str(root), "--episodes", "0", "--tolerance", "1e-5", status=0)
+
+    def test_ctrl_c(self, capsys, root, monkeypatch) -> None:
+        from spatula_env.data import replaying
+
+        repeat, count = replaying._repeat, iter(range(9))
+
+        def interrupted(*given: Any) -> Any:
+            if next(count) == 1:
+                raise KeyboardInterrupt
+            return repeat(*given)
+
+        monkeypatch.setattr(replaying, "_repeat", interrupted)
+        _, noted = run(capsys, "replay", ID, "--root", str(root), status=130)
+        assert noted.endswith("spatula replay: stopped after 1 episode of 2, 1 of them as recorded\n")
 
     def test_by_states(self, capsys, root, tmp_path) -> None:
         file = tmp_path / "states.gif"

@@ -11,9 +11,15 @@ from spatula_env.teleop.keyboard import Keyboard
 pygame = pytest.importorskip("pygame")
 
 
-@pytest.fixture
-def keyboard(monkeypatch):
+@pytest.fixture(autouse=True)
+def no_display(monkeypatch):
+    """No window is shown, and these tests post events themselves."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setattr("spatula_env.teleop.keyboard.BLIND_DRIVERS", ())
+
+
+@pytest.fixture
+def keyboard():
     with Keyboard() as device:
         pygame.event.clear()
         yield device
@@ -69,8 +75,7 @@ def test_all_keys_are_let_go_with_the_focus(keyboard):
     np.testing.assert_array_equal(keyboard.read().rate, 0.0)
 
 
-def test_a_closed_keyboard_says_so(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_a_closed_keyboard_says_so():
     keyboard = Keyboard()
     with pytest.raises(DeviceError, match="not open"):
         keyboard.read()
@@ -84,8 +89,7 @@ def test_a_closed_keyboard_says_so(monkeypatch):
     keyboard.close()
 
 
-def test_other_keys(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+def test_other_keys():
     with Keyboard(keys={"x": ("z", -0.5)}) as keyboard:
         pygame.event.clear()
         press("x", "right")
@@ -98,3 +102,18 @@ def test_pygame_is_named_if_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(ImportError, match=r"spatula-env\[teleop\]"):
         Keyboard().open()
+
+
+@pytest.mark.parametrize("driver", ["dummy", "offscreen", None])
+def test_a_keyboard_without_a_display_is_refused(monkeypatch, driver):
+    """SDL draws into nothing then, and no key would ever come."""
+    monkeypatch.undo()
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    if driver is not None:
+        monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    keyboard = Keyboard()
+    with pytest.raises(DeviceError, match="there is no display"):
+        keyboard.open()
+    assert not keyboard.is_open
+    assert not pygame.display.get_init()

@@ -6,7 +6,7 @@ import types
 import numpy as np
 import pytest
 
-from spatula_env.teleop import DeviceBusy, DeviceLost, DeviceNotFound
+from spatula_env.teleop import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from spatula_env.teleop.spacemouse import SpaceMouse
 
 
@@ -99,6 +99,15 @@ def test_faults_have_names(module):
         SpaceMouse().open()
     module.get_connected_devices = list
     with pytest.raises(DeviceNotFound, match="udev"):
+        SpaceMouse().open()
+
+
+def test_the_systems_library_is_named_if_it_is_missing(module):
+    def missing():
+        raise RuntimeError("HID API is probably not installed")
+
+    module.get_connected_devices = missing
+    with pytest.raises(DeviceError, match=r"HIDAPI.*is probably not installed.*libhidapi-hidraw0"):
         SpaceMouse().open()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -16,10 +17,12 @@ import pytest
 from web_helpers import Script, until
 
 import spatula_env
-from spatula_env.data import record
+from spatula_env.data import DatasetWriteError, DatasetWriter, record
+from spatula_env.data.files import DatasetBusy, recording_lock
 from spatula_env.teleop import DeviceBusy, DeviceError, NotCalibrated
 from spatula_env.teleop.registry import make_device
 from spatula_env.teleop.web import WebDevice, WebSession, serve
+from spatula_env.teleop.web.recording import RecordingOptions
 from spatula_env.teleop.web.session import task_ids
 from spatula_env.teleop.wrapper import FalconTeleop
 
@@ -411,3 +414,162 @@ def test_a_page_that_talks_nonsense_is_hung_up_on(session):
 
 def test_nobody_is_shown_to_the_whole_world(locked):
     assert locked.page.server.request_share_url() is None
+
+
+class TestRecording:
+    """What `spatula record --device web` asks for."""
+
+    def record(self, session, script, verdict="save"):
+        start_recording(session, script)
+        session._ask(verdict)
+
+    def test_it_ends_when_all_is_recorded(self, datasets):
+        told = []
+        options = RecordingOptions(
+            exclusive=True, episodes=2, author="Ada", description="Mine.", state_dtype="float64", attempts=5
+        )
+        with (
+            make_session(dataset="mine/press-v0", root=datasets / "other", recording=options, progress=told) as session,
+            Script(session.url) as script,
+        ):
+            until(lambda: session.recording.claimed, "the dataset")
+            with (
+                pytest.raises(DatasetBusy, match="is recording into 'mine/press-v0'"),
+                recording_lock(datasets / "other" / "mine" / "press-v0", "mine/press-v0"),
+            ):
+                pass
+            self.record(session, script, "discard")
+            until(lambda: session.recording.discarded == 1, "discarding")
+            self.record(session, script)
+            until(lambda: session.saved == 1, "saving")
+            assert not session.recording.done
+            self.record(session, script, "success")
+            session.wait(200)
+            assert session._ended.is_set()
+        assert [fate for fate in told if fate != "practice"] == ["discarded", "recorded", "recorded"]
+        summary = session.recording.summary()
+        assert (summary.recorded, summary.discarded, summary.total_episodes) == (2, 1, 2)
+        assert summary.path == datasets / "other" / "mine" / "press-v0"
+        dataset = minari.MinariDataset(summary.path / "data")
+        assert [attributes(dataset, number)["author"] for number in (0, 1)] == ["Ada", "Ada"]
+        assert dataset.storage.metadata["description"] == "Mine."
+        assert dataset[0].infos["state"]["nodes"].dtype == np.float64
+
+    def test_failures_are_dropped_states_left_out_and_tries_counted(self, datasets):
+        options = RecordingOptions(exclusive=True, attempts=1, keep_failures=False, states=False)
+        with make_session(dataset="mine/press-v0", recording=options) as session, Script(session.url) as script:
+            self.record(session, script)
+            session.wait(200)
+            assert session._ended.is_set()
+        assert (session.recording.discarded, session.saved) == (1, 0)
+        assert "did not reach its goal" in session._said or "All is recorded" in session._said
+        assert load("mine/press-v0").total_episodes == 0
+
+    def test_success_ends_an_episode(self, monkeypatch):
+        options = RecordingOptions(exclusive=True, total=1, end_on_success=True, states=False)
+        with (
+            make_session(dataset="mine/press-v0", recording=options, env_kwargs=EASY) as session,
+            Script(session.url) as script,
+        ):
+            start_recording(session, script)
+            until(lambda: session._status.text == "The episode is over", "success")
+            session._ask("save")
+            session.wait(200)
+        episode = load("mine/press-v0")[0]
+        assert episode.infos["is_success"].tolist() == [False] * len(episode.actions) + [True]
+        assert session.recording.successes == 1
+
+    @pytest.mark.parametrize(
+        ("options", "error", "message"),
+        [
+            ({"dataset": "mydata"}, ValueError, "say 'mydata-v0'"),
+            ({"dataset": "mine/{task}"}, ValueError, "say 'mine/press-v0'"),
+        ],
+    )
+    def test_names_are_checked_before_anything_is_served(self, options, error, message):
+        with pytest.raises(error, match=message):
+            WebSession(TASK, port=0, **options)
+        with pytest.raises(ValueError, match="attempts must be None, or 1 or more, got 0"):
+            RecordingOptions(attempts=0)
+
+    def test_what_does_not_fit_ends_it_at_the_start(self, datasets):
+        """Nobody has to look at the page for that."""
+        first = gym.make(TASK, engine="batch")
+        DatasetWriter("mine/press-v0", first)
+        first.close()
+        told = []
+        with pytest.raises(ValueError, match=r"differ in control_frequency \(10.0 here, 20.0 there\)"):
+            serve(
+                TASK,
+                port=0,
+                dataset="mine/press-v0",
+                env_kwargs={"engine": "batch", "control_frequency": 10.0},
+                recording=RecordingOptions(exclusive=True),
+                on_ready=told.append,
+            )
+        assert len(told) == 1
+        (datasets / "file").write_text("")
+        with pytest.raises(OSError, match="is no folder"):
+            serve(TASK, port=0, root=datasets / "file", recording=RecordingOptions(exclusive=True))
+
+    def test_what_cannot_be_saved_at_the_end_is_told(self, monkeypatch):
+        """Nobody may look at the page any more."""
+
+        def full(*_):
+            raise DatasetWriteError(28, "no space left")
+
+        session = make_session(dataset="mine/press-v0", recording=RecordingOptions(exclusive=True))
+        with session, Script(session.url) as script:
+            start_recording(session, script)
+            monkeypatch.setattr(DatasetWriter, "add", full)
+        with pytest.raises(DatasetWriteError, match="no space left"):
+            session.wait(0.0)
+
+
+EASY = {"engine": "batch", "task": {"depth_tolerance": 1.0, "place_tolerance": 1.0, "hold_time": 0.1}}
+"""Whatever is done is a success."""
+
+
+def make_session(progress=None, **options):
+    tell = None if progress is None else lambda fate, _: progress.append(fate)
+    return WebSession(TASK, port=0, real_time=False, progress=tell, **{"env_kwargs": {"engine": "batch"}, **options})
+
+
+SERVED = """
+import sys
+from spatula_env import cli
+from spatula_env.data.episode import EpisodeRecorder
+add = EpisodeRecorder.add
+def told(self, *step):
+    add(self, *step)
+    if len(self) == 3:
+        print("three steps", file=sys.stderr, flush=True)
+EpisodeRecorder.add = told
+sys.exit(cli.main(["record", "press", "--device", "web", "--port", "0", "--engine", "batch", "--no-wait",
+    "--dataset", "mine/press-v0"]))
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="another system")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_what_ends_the_program_saves_what_is_recorded(name, datasets):
+    program = subprocess.Popen(
+        [sys.executable, "-c", SERVED], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        url = until(lambda: next((word for word in program.stderr.readline().split() if "http" in word), ""), "a page")
+        with Script(url) as script:
+            script.hold("Enter")
+            # An episode begins when the tool is moved.
+            script.hold("KeyQ")
+            until(lambda: program.stderr.readline() == "three steps\n", "an episode")
+            program.send_signal(getattr(signal, name))
+            out, noted = program.communicate(timeout=200)
+    finally:
+        program.kill()
+    assert program.returncode == 0
+    assert "recorded: no success" in noted
+    assert out.startswith("1 episode added to mine/press-v0")
+    dataset = load("mine/press-v0")
+    assert dataset.total_episodes == 1
+    assert attributes(dataset, 0)["interrupted"]

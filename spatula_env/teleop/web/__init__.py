@@ -10,7 +10,8 @@ Modules::
     stage       organ, tools and goal in the view
     panel       bars, plot and settings beside it
     device      all that as a `TeleopDevice`
-    session     tasks to choose from, and recording
+    recording   episodes on their way into datasets
+    session     tasks to choose from, and what the page's buttons ask for
 
 Importing this package loads neither viser nor any physics.
 """

@@ -63,7 +63,12 @@ class WebDevice(TeleopDevice):
             shortcuts: What keys do, by their places, beside moving the tool. None: the page has buttons and keys to
                 finish and to discard an episode and to quit.
             patience: How long `calibrate` waits for somebody to open the page [s].
+
+        Raises:
+            ValueError: If there is no such port.
         """
+        if not 0 <= port <= 65535:
+            raise ValueError(f"port must be from 0 to 65535, got {port!r}")
         self.name = "web"
         self.page: Page | None = None
         self.panel: Panel | None = None

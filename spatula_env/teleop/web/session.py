@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 
-from spatula_env import __version__
-from spatula_env.data.dataset import DatasetWriteError, DatasetWriter
-from spatula_env.data.episode import EpisodeRecorder
+from spatula_env.data.recording import RecordingSummary
 from spatula_env.teleop.session import DISCARD, FINISH, QUIT, EpisodeSummary, run_episode
 from spatula_env.teleop.web.device import WebDevice
 from spatula_env.teleop.web.panel import Status
+from spatula_env.teleop.web.recording import PageEpisode, PageRecording, RecordingOptions
 from spatula_env.teleop.wrapper import FalconTeleop
 
 RECORD, SAVE, SUCCESS, RESET, TASK = "record", "save", "success", "reset", "task"
 """What the page's buttons ask for, beside "discard" and "quit"."""
 VERDICTS = (SAVE, SUCCESS, DISCARD)
 """What becomes of an episode that is recorded."""
-
-DATASET = "spatula/{task}/web-v0"
-"""The dataset of a task, unless another is named."""
 
 LOOKING = 0.2
 """How often a session that waits looks whether it is to end [s]."""
@@ -42,7 +38,7 @@ class WebSession:
     Attributes:
         env_id: The task that is played.
         env: Its environment; None while there is none.
-        saved: How many episodes have been added to datasets.
+        recording: What has been recorded.
     """
 
     def __init__(
@@ -56,6 +52,9 @@ class WebSession:
         seed: int | None = None,
         env_kwargs: Mapping[str, Any] | None = None,
         real_time: bool = True,
+        root: Path | None = None,
+        recording: RecordingOptions | None = None,
+        progress: Callable[[str, EpisodeSummary], None] | None = None,
     ) -> None:
         """Describe it.
 
@@ -70,18 +69,27 @@ class WebSession:
             seed: Of the first episode; the others go on from it.
             env_kwargs: Options of all environments.
             real_time: Whether simulated time passes as fast as real time, at most.
+            root: Folder of all datasets, if `dataset` is an id; Minari's own by default.
+            recording: How episodes are recorded; None: as they come.
+            progress: Called after each episode with what became of it, "recorded", "discarded" or "practice"; by the
+                session's thread.
 
         Raises:
             ImportError: If viser is missing.
-            ValueError: If there is no such task, or no token where there has to be one.
+            ValueError: If there is no such task, no token where there has to be one, or the dataset has a name that
+                Minari does not take.
         """
         self.env_id = find_task(env_id)
         self.env: Any = None
-        self.saved = 0
         self._first_id = self.env_id
-        self._dataset = dataset if isinstance(dataset, str) else DATASET
-        self._root = dataset if isinstance(dataset, Path) else None
-        self._seed = 0 if seed is None else seed
+        self.recording = PageRecording(
+            self.env_id,
+            RecordingOptions() if recording is None else recording,
+            dataset=dataset if isinstance(dataset, str) else None,
+            root=dataset if isinstance(dataset, Path) else root,
+            seed=0 if seed is None else seed,
+        )
+        self._progress: Callable[[str, EpisodeSummary], None] = progress or (lambda fate, summary: None)
         self._first_seed = seed
         self._options = dict(env_kwargs or {})
         self._real_time = real_time
@@ -100,6 +108,11 @@ class WebSession:
     def url(self) -> str:
         """What to open in a browser on this machine, with the token."""
         return self._device.url
+
+    @property
+    def saved(self) -> int:
+        """How many episodes have been added to datasets."""
+        return self.recording.recorded
 
     @property
     def device(self) -> WebDevice:
@@ -203,8 +216,9 @@ class WebSession:
 
     def _run(self) -> None:
         try:
-            while not self._stopping.is_set():
-                self._play_task()
+            with ExitStack() as claims:
+                while not self._stopping.is_set():
+                    self._play_task(claims)
         except BaseException as error:
             self._failure = error
             with suppress(Exception):
@@ -212,7 +226,7 @@ class WebSession:
         finally:
             self._ended.set()
 
-    def _play_task(self) -> None:
+    def _play_task(self, claims: ExitStack) -> None:
         try:
             self.env = gymnasium.make(self.env_id, **self._options)
         except Exception as error:
@@ -222,6 +236,8 @@ class WebSession:
             self.env_id = self._choice.value = self._first_id
             return
         try:
+            if self.recording.options.exclusive and not self.recording.claimed:
+                claims.enter_context(self.recording.claim(self.env))
             # Without recording, there is no limit of time.
             practice, timed = (
                 FalconTeleop(env, self._device, real_time=self._real_time) for env in (self.env.unwrapped, self.env)
@@ -239,7 +255,9 @@ class WebSession:
                     break
                 self._say("Practice", self._said or "Nothing is recorded.")
                 with _Mishaps(self):
-                    run_episode(practice, seed=seed, after_step=self._after_practice)
+                    ends = self.recording.options.end_on_success
+                    practised = run_episode(practice, seed=seed, end_on_success=ends, after_step=self._after_practice)
+                    self._progress("practice", practised)
                 seed = None
         finally:
             env, self.env = self.env, None
@@ -266,40 +284,35 @@ class WebSession:
     # Recording.
 
     def _record(self, env: FalconTeleop) -> None:
-        # ImportError where Minari is missing, ValueError where the dataset is of another environment.
-        with _Mishaps(self, DatasetWriteError, ImportError, ValueError):
-            writer = self._writer(env)
-            recorder = EpisodeRecorder(env)
-            last = writer.last_seed
-            seed = self._seed if last is None else max(self._seed, last + 1)
+        # ImportError where Minari is missing, ValueError where the dataset is of another environment, OSError where it
+        # cannot be written or somebody else records into it.
+        with (
+            _Mishaps(self, ImportError, OSError, ValueError),
+            self.recording.episode(env, self.env_id) as episode,
+        ):
             self._recording, self._moved = True, False
             self._asked.take()
             self._offer()
             try:
-                summary = run_episode(env, seed=seed, recorder=recorder, after_step=self._after_recorded)
-                verdict = self._verdict()
-                if verdict == DISCARD or not self._moved:
-                    self._tell("Discarded", "The episode was not kept.")
-                else:
-                    self._save(writer, recorder, summary, verdict)
+                summary = run_episode(
+                    env,
+                    seed=episode.seed,
+                    recorder=episode.recorder,
+                    end_on_success=self.recording.options.end_on_success,
+                    after_step=self._after_recorded,
+                )
+                self._judge(episode, summary)
             finally:
                 self._recording = False
                 self._offer()
-
-    def _writer(self, env: FalconTeleop) -> DatasetWriter:
-        return DatasetWriter(
-            self.dataset_id(self.env_id),
-            env.env,
-            root=self._root,
-            description="Demonstrations by a human operator with the web device.",
-            algorithm_name="teleoperation (human)",
-        )
+        if self.recording.done:
+            self._tell("Done", f"All is recorded: {self.saved} episodes were saved.", "green")
+            self._stopping.set()
+            self._asked.put(QUIT)
 
     def dataset_id(self, env_id: str) -> str:
         """The dataset that episodes of a task are added to."""
-        task = env_id.partition("/")[2].rpartition("-v")[0].lower()
-        own = "{task}" in self._dataset or env_id == self._first_id
-        return (self._dataset if own else DATASET).replace("{task}", task)
+        return self.recording.dataset_id(env_id)
 
     def _after_recorded(self, observation: Any, info: dict[str, Any]) -> None:
         limit = getattr(self.env.spec, "max_episode_steps", None)
@@ -330,21 +343,20 @@ class WebSession:
             self._say("The episode is over", "Keep it? It is recorded to its end.")
             self._asked.wait(LOOKING)
 
-    def _save(self, writer: DatasetWriter, recorder: EpisodeRecorder, summary: EpisodeSummary, verdict: str) -> None:
-        made = self.env.unwrapped
-        episode = recorder.finish(
-            operator="human",
-            device=self._device.name,
-            success=summary.success,
-            operator_success=verdict == SUCCESS,
-            interrupted=verdict == QUIT,
-            operator_share=summary.operator_share,
-            engine=made.settings.engine,
-            spatula_env_version=__version__,
-        )
-        number = writer.add(episode)
-        self.saved += 1
-        self._tell("Saved", f"Episode {number} of {writer.dataset_id}, {summary.steps} steps.", "green")
+    def _judge(self, episode: PageEpisode, summary: EpisodeSummary) -> None:
+        """Keep an episode that has ended, or do not."""
+        verdict = self._verdict()
+        said = ""
+        if verdict == DISCARD or not self._moved:
+            episode.discard()
+            self._tell("Discarded", "The episode was not kept.")
+        else:
+            said = episode.save(summary, operator_success=verdict == SUCCESS, interrupted=verdict == QUIT)
+            if said:
+                self._tell("Saved", said, "green")
+            else:
+                self._tell("Discarded", "The episode did not reach its goal, and only those that do are kept.")
+        self._progress("recorded" if said else "discarded", summary)
 
 
 class Asked:
@@ -396,6 +408,9 @@ class _Mishaps:
         from spatula_env.sim.simulation import SimulationDiverged
 
         if isinstance(error, (SimulationDiverged, *self._kinds)):
+            if self._session._stopping.is_set():
+                # Nobody looks at the page any more.
+                self._session._failure = error
             self._session._tell("Something went wrong", str(error), "red")
             return True
         return False
@@ -431,8 +446,14 @@ def serve(
     seed: int | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     on_ready: Callable[[str], None] | None = None,
-) -> None:
-    """Serve a page on which a task is played and recorded, until Ctrl-C.
+    real_time: bool = True,
+    root: Path | None = None,
+    recording: RecordingOptions | None = None,
+    progress: Callable[[str, EpisodeSummary], None] | None = None,
+) -> RecordingSummary:
+    """Serve a page on which a task is played and recorded, until Ctrl-C or until all is recorded.
+
+    An episode that is being recorded then is saved as far as it has come.
 
     Args:
         env_id: The task to begin with.
@@ -443,14 +464,39 @@ def serve(
         seed: Of the first episode; the others go on from it.
         env_kwargs: Options of the environments.
         on_ready: Called with the address to open, when the page can be opened.
+        real_time: Whether simulated time passes as fast as real time, at most.
+        root: Folder of all datasets, if `dataset` is an id.
+        recording: How episodes are recorded; None: as they come.
+        progress: See `WebSession`.
+
+    Returns:
+        What was recorded.
 
     Raises:
         ImportError: If viser is missing.
-        ValueError: If there is no such task, or no token where there has to be one.
+        ValueError: If there is no such task, no token where there has to be one, or the dataset does not take the
+            task's episodes.
         DeviceBusy: If the port is taken.
+        DatasetBusy: If another program records into the dataset.
+        OSError: If the dataset cannot be written to.
     """
-    session = WebSession(env_id, host=host, port=port, token=token, dataset=dataset, seed=seed, env_kwargs=env_kwargs)
+    session = WebSession(
+        env_id,
+        host=host,
+        port=port,
+        token=token,
+        dataset=dataset,
+        seed=seed,
+        env_kwargs=env_kwargs,
+        real_time=real_time,
+        root=root,
+        recording=recording,
+        progress=progress,
+    )
     with session, suppress(KeyboardInterrupt):
         if on_ready is not None:
             on_ready(session.url)
         session.wait()
+    # What was being recorded may not have been saved.
+    session.wait(0.0)
+    return session.recording.summary()
