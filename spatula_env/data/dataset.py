@@ -179,7 +179,8 @@ class DatasetWriter:
         own = dict(metadata[KEY])
         own[SPECS], spec = _with(own[SPECS], self._spec)
         author = str(episode.attributes.get("author", self._author))
-        metadata["author"], _ = _with(metadata.get("author", []), author)
+        # The first author of a dataset without episodes is who has made it, and may not have done any.
+        metadata["author"], _ = _with(metadata.get("author", []) if number else [], author)
         known = replace(episode, attributes={**episode.attributes, "author": author, "spec": spec})
         content = episode_image(known, number)
         write_file(episode_file(self._data, number), content)
@@ -289,12 +290,15 @@ def check_dataset_id(dataset_id: str) -> None:
     # Minari takes no namespace of one letter.
     if found is not None and len(found["namespace"] or "...") > 2:
         return
-    parts = [re.sub(r"[^-\w]+", "_", part).strip("_") for part in dataset_id.split("/")]
-    parts = [part for number, part in enumerate(parts) if part and (len(parts) > 2 or number or len(part) > 1)]
-    name = re.sub(r"(-v\d+)?$", lambda version: version[0] or "-v0", "/".join(parts) or "my_data", count=1)
+    words, version = re.fullmatch(r"(.*?)(-v\d+)?", dataset_id, re.DOTALL).groups()  # type: ignore[union-attr]
+    parts = [re.sub(r"[^-\w]+", "_", part).strip("_") for part in words.split("/")]
+    *spaces, name = [part for part in parts if part] or ["my_data"]
+    if len("/".join(spaces)) < 2:
+        spaces = []
+    better = "/".join([*spaces, name]) + (version or "-v0")
     raise ValueError(
         f"dataset must be named as NAME-v0 or NAMESPACE/NAME-v0, of letters, digits, - and _, got {dataset_id!r}: "
-        f"say {name!r}"
+        f"say {better!r}"
     )
 
 

@@ -86,7 +86,7 @@ def test_ctrl_c_while_datasets_are_joined(capsys, root, monkeypatch) -> None:
     for words in (["merge", ID, ID], ["drop-failures", ID]):
         _, noted = run(capsys, root, *words, "--into", "spatula/press/all-v0", status=130)
         assert f"spatula datasets {words[0]}: stopped; nothing of spatula/press/all-v0 was made" in noted
-    assert list(run_json(capsys, root, "list")["datasets"])[0]["dataset_id"] == ID
+    assert [each["dataset_id"] for each in run_json(capsys, root, "list")["datasets"]] == [ID]
     assert not (root / "spatula" / "press" / "all-v0").exists()
 
 

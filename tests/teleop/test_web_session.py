@@ -526,8 +526,18 @@ class TestRecording:
             session.wait(0.0)
 
 
-EASY = {"engine": "batch", "task": {"depth_tolerance": 1.0, "place_tolerance": 1.0, "hold_time": 0.1}}
-"""Whatever is done is a success."""
+EASY = {
+    "engine": "batch",
+    "task": {
+        "depth_range": (0.0061, 0.007),
+        "depth_tolerance": 0.006,
+        "place_radius": 0.001,
+        "place_tolerance": 0.05,
+        "start_radius": 0.001,
+        "hold_time": 0.1,
+    },
+}
+"""Whoever goes down into the organ has success."""
 
 
 def make_session(progress=None, **options):
