@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,11 +25,20 @@ if TYPE_CHECKING:
     from spatula_env.tasks.base import Task
 
 
+COPIED = ("action_space", "observation_space", "single_action_space", "single_observation_space")
+"""Attributes that a copy has of its own: sampling from a space draws from random numbers of its own."""
+
+
+def _make_again(kind: type[Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    return kind(*args, **kwargs)
+
+
 class EpisodesEnv:
     """What environments for one agent and for many tell of their episodes.
 
     Attributes:
         definition: Scene and task; subclasses with an id have one.
+        constructed_names: Of attributes that are decided when the environment is made.
     """
 
     definition: ClassVar[Definition]
@@ -36,8 +46,16 @@ class EpisodesEnv:
     _gymnasium_class: ClassVar[type[Any]]
     _episodes: Episodes
     settings: EnvSettings
+    constructed_names: frozenset[str]
+    _made_with: tuple[tuple[Any, ...], dict[str, Any]]
     _spec: EnvSpec | None = None
     _step_limit: int | None
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Any:
+        """Remember the arguments, from which a copy is made."""
+        made = super().__new__(cls)
+        made._made_with = (copy.deepcopy(args), copy.deepcopy(kwargs))
+        return made
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Make Gymnasium's class a direct base of every subclass: libraries look there for what an environment is."""
@@ -45,6 +63,31 @@ class EpisodesEnv:
         kind = getattr(cls, "_gymnasium_class", None)
         if kind is not None and kind not in cls.__bases__:
             cls.__bases__ = (*cls.__bases__, kind)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy, for `copy.deepcopy` and `pickle`: an environment of its own in exactly the same state.
+
+        It is made with the same arguments, and put to the state of this one: also what is drawn next is the same. It
+        has no window and no listeners.
+        """
+        state = {name: value for name, value in vars(self).items() if name in self._copied_names()}
+        return _make_again, (type(self), *self._made_with), {"attributes": state, **self._whole_state()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Put a copy that has just been made to the state of the original."""
+        vars(self).update(state["attributes"])
+        self._set_whole_state(state)
+
+    def _copied_names(self) -> set[str]:
+        """Names of what is copied as it is: spaces with their random numbers, settings, and what a subclass adds."""
+        return {"_spec", "_step_limit", "settings", *COPIED} | (set(vars(self)) - self.constructed_names)
+
+    def _whole_state(self) -> dict[str, Any]:
+        """What else a copy needs: the state, and whether all is closed."""
+        raise NotImplementedError
+
+    def _set_whole_state(self, state: dict[str, Any]) -> None:
+        raise NotImplementedError
 
     # A property, for Gymnasium's class attribute: what is recorded is to be written to a file and compared.
     @property

@@ -17,6 +17,7 @@ from spatula_env.envs.observations import FrameMemory, Observation, ObservationB
 from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import COST_PRESSURE, Safety
 from spatula_env.envs.settings import Definition, EnvSettings
+from spatula_env.envs.snapshots import EpisodesState, restore_physics, save_physics
 from spatula_env.envs.start_options import chosen_starts
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.tasks.base import Evaluation, weighted_sum
@@ -24,6 +25,7 @@ from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situati
 
 if TYPE_CHECKING:
     from spatula_env.envs.control import Motion
+    from spatula_env.envs.snapshots import Physics
     from spatula_env.scenes import Scene
     from spatula_env.sim.worlds import Loads, Worlds
     from spatula_env.tasks.marks import Mark
@@ -296,9 +298,62 @@ class Episodes:
             terminated |= self._safety.damaged(self.settings.damage_limit)
         return Outcome(reward, terminated, lost)
 
+    def save(self, worlds: IntArray) -> tuple[Physics, EpisodesState]:
+        """All that the next step depends on in some worlds (n,) in which episodes have begun, as copies."""
+        assert self.situation is not None
+        drawn, generators = self._variation.save(worlds)
+        physics = save_physics(self, worlds)
+        return physics, EpisodesState(
+            counters={name: values[worlds] for name, values in self._counters().items()},
+            memory={name: values[worlds] for name, values in self._memory.items()},
+            safety=self._safety.save(worlds),
+            node_pressures=tuple(pressures[worlds] for pressures in self._node_pressures),
+            drawn=dict(drawn),
+            generators=generators,
+            situation=self.situation.rows(worlds),
+            frames=self._frames.save(worlds),
+            observation={name: values[worlds] for name, values in self._seen().items()},
+            info={name: values[worlds] for name, values in self._info.items()},
+        )
+
+    def restore(self, physics: Physics, state: EpisodesState, worlds: IntArray) -> None:
+        """Go back, in some worlds (n,), to what `save` returned for n worlds."""
+        # Tools before contact: exchanging them clears its memory.
+        self._variation.restore(state.drawn, state.generators, worlds)
+        restore_physics(self, physics, worlds)
+        every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
+        for mine, saved in (
+            (self._counters(), state.counters),
+            (self._memory, state.memory),
+            (self._seen(), state.observation),
+        ):
+            for name, values in saved.items():
+                mine[name][worlds] = values
+        for name, values in state.info.items():
+            self._info.setdefault(name, np.zeros(self.count, dtype=values.dtype))[worlds] = values
+        for pressures, values in zip(self._node_pressures, state.node_pressures, strict=True):
+            pressures[worlds] = values
+        self._safety.restore(state.safety, worlds)
+        self._frames.restore(state.frames, worlds, self.count)
+        self._keep(state.situation.rows(np.arange(len(worlds))), worlds, every=every)
+
     def close(self) -> None:
         """Free the engine. Closing twice is allowed."""
         self.worlds.close()
+
+    def _counters(self) -> dict[str, NDArray[Any]]:
+        """What is counted and what waits, (W, ...) by name."""
+        return {
+            "goals": self.goals,
+            "elapsed": self.elapsed,
+            "held": self._held,
+            "succeeded": self._succeeded,
+            "asked": self._asked,
+        }
+
+    def _seen(self) -> dict[str, NDArray[Any]]:
+        """The observation's entries; a vector alone has the name ""."""
+        return self._observation if isinstance(self._observation, dict) else {"": self._observation}
 
     def _delayed(self, actions: FloatArray) -> FloatArray:
         """What is carried out now (W, A), after what is asked now (W, A)."""
@@ -417,7 +472,7 @@ class Episodes:
         if len(worlds) == self.count and (worlds[1:] > worlds[:-1]).all():
             self._observation = frames[""] if "" in frames else frames
             return
-        whole = self._observation if isinstance(self._observation, dict) else {"": self._observation}
+        whole = self._seen()
         for name, values in frames.items():
             whole[name][worlds] = values
 

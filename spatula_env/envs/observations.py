@@ -376,6 +376,17 @@ class FrameMemory:
                 kept[worlds, :-1] = kept[worlds, 1:]
                 kept[worlds, -1] = values
 
+    def save(self, worlds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """All that is remembered of some worlds (n,), as copies: (n, depth, ...) by name."""
+        return {name: kept[worlds] for name, kept in self._frames.items()}
+
+    def restore(self, frames: Mapping[str, NDArray[Any]], worlds: NDArray[np.int64], count: int) -> None:
+        """Go back, in some worlds (n,) of `count`, to what `save` returned."""
+        for name, values in frames.items():
+            if name not in self._frames:
+                self._frames[name] = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
+            self._frames[name][worlds] = values
+
     def show(self) -> dict[str, NDArray[Any]]:
         """(W, ...) by name, or (W, history, ...), the oldest first; arrays of their own."""
         shown = {}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -185,9 +186,28 @@ class Variation:
             for name, value in draw(ranges, child).items():
                 if name in ranges:
                     self.drawn[name][world] = value
+        self._apply(np.fromiter(generators, dtype=np.int64))
+
+    def save(self, worlds: IntArray) -> tuple[dict[str, FloatArray], tuple[np.random.Generator | None, ...]]:
+        """What some worlds (n,) differ in, and where their errors of measurement come from, as copies."""
+        drawn = {name: values[worlds] for name, values in self.drawn.items()}
+        return drawn, tuple(copy.deepcopy(self._generators[world]) for world in worlds.tolist())
+
+    def restore(
+        self, drawn: Mapping[str, FloatArray], generators: Sequence[np.random.Generator | None], worlds: IntArray
+    ) -> None:
+        """Go back, in some worlds (n,), to what `save` returned. The tools' flags are cleared where tools differ."""
+        for name, values in drawn.items():
+            self.drawn[name][worlds] = values
+        for world, generator in zip(worlds.tolist(), generators, strict=True):
+            self._generators[world] = copy.deepcopy(generator)
+        self._apply(worlds)
+
+    def _apply(self, worlds: IntArray) -> None:
+        """Let what has been drawn for some worlds (n,) take effect."""
+        ranges = self._ranges
         if not ranges:
             return
-        worlds = np.fromiter(generators, dtype=np.int64)
         drawn = {name: values[worlds] for name, values in self.drawn.items()}
         self._frames.set(
             worlds,

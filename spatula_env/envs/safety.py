@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,6 +66,19 @@ class Safety:
         episode["violation_time"][worlds] += period * self._violation[worlds]
         for name, values in (("peak_force", situation.peak_force), ("peak_pressure", situation.peak_pressure)):
             episode[name][worlds] = np.maximum(episode[name], values)[worlds]
+
+    def save(self, worlds: IntArray) -> dict[str, NDArray[Any]]:
+        """What has been counted in some worlds (n,), as copies."""
+        return {name: values[worlds] for name, values in self._all().items()}
+
+    def restore(self, counted: Mapping[str, NDArray[Any]], worlds: IntArray) -> None:
+        """Go back, in some worlds (n,), to what `save` returned."""
+        for name, values in self._all().items():
+            values[worlds] = counted[name]
+
+    def _all(self) -> dict[str, NDArray[Any]]:
+        episode = {f"episode_{name}": values for name, values in self._episode.items()}
+        return {**self._now, **episode, "violation": self._violation}
 
     def damaged(self, limit: float) -> BoolArray:
         """(W,) whether an episode's cost exceeds a limit [Pa s]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import operator
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import RENDER_MODES
+from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.start_options import START_OPTIONS, own_options
 from spatula_env.envs.time_limit import is_told_in_steps, steps_in
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
@@ -212,6 +214,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             ValueError: If an option is not one of those allowed, or a number is out of its range.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
         """
+        before = set(vars(self))
         settings = self.definition.read(options, type(self).__name__)
         if is_told_in_steps(self):
             settings = replace(settings, episode_time=None)
@@ -233,6 +236,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._step_limit = steps_in(settings.episode_time, self._episodes.period)
         self._closed = False
         self._started = False
+        self.constructed_names = frozenset({*dir(SpatulaEnv), *vars(self)} - before)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -301,6 +305,68 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._closed = True
         self._pictures.close()
         self._episodes.close()
+
+    def save(self) -> EnvState:
+        """Everything that the next step depends on: physics, task, sums, delays, noise, time and random numbers.
+
+        A `gymnasium.wrappers.TimeLimit` around the environment, which `max_episode_steps` brings, counts on its own:
+        the time limit of `episode_time` is part of the state.
+
+        Returns:
+            The state, which can be restored as often as one likes, and pickled.
+
+        Raises:
+            ResetNeeded: If no episode has begun.
+        """
+        self._check_started("save")
+        physics, episodes = self._episodes.save(np.zeros(1, dtype=np.int64))
+        return EnvState(
+            name=self.definition.name,
+            settings=self.settings,
+            physics=physics,
+            episodes=episodes,
+            generators=(copy.deepcopy(self._np_random),),
+            seeds=(self._np_random_seed,),
+            over=np.zeros(1, dtype=np.bool_),
+        )
+
+    def restore(self, state: EnvState) -> tuple[Observation, dict[str, Any]]:
+        """Go back to a saved state, of this environment or another one like it. No `reset` is needed before.
+
+        From there on, the same actions lead to the same numbers, to the last bit.
+
+        Args:
+            state: What `save` returned, or one world of it where a vector environment saved it.
+
+        Returns:
+            The observation and the info that belong to it.
+
+        Raises:
+            TypeError: If it is no state of an environment.
+            ValueError: If it is that of another environment, or of several worlds; nothing has then changed.
+        """
+        self._check_open()
+        check_fits(state, self.definition.name, self.settings, self._episodes)
+        if state.count != 1:
+            raise ValueError(f"state must be of one world, it is of {state.count}: see EnvState.rows")
+        self._episodes.restore(state.physics, state.episodes, np.zeros(1, dtype=np.int64))
+        self._np_random, self._np_random_seed = copy.deepcopy(state.generators[0]), state.seeds[0]
+        self._started = True
+        self._show()
+        return first_of(self._episodes.observation), self._info()
+
+    def _whole_state(self) -> dict[str, Any]:
+        random = (copy.deepcopy(self._np_random), self._np_random_seed)
+        started = self._started and not self._closed
+        return {"state": self.save() if started else None, "random": random, "closed": self._closed}
+
+    def _set_whole_state(self, state: dict[str, Any]) -> None:
+        if state["state"] is not None:
+            self._episodes.restore(state["state"].physics, state["state"].episodes, np.zeros(1, dtype=np.int64))
+            self._started = True
+        self._np_random, self._np_random_seed = state["random"]
+        if state["closed"]:
+            self.close()
 
     @property
     def grip(self) -> FloatArray:

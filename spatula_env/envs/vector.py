@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
-import operator
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,17 +24,17 @@ from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import check_choice
-from spatula_env.envs.start_options import START_OPTIONS, own_options
+from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.time_limit import read_step_limit, steps_in
+from spatula_env.envs.vector_arguments import as_autoreset_mode, read_mask, read_seeds, read_worlds
 from spatula_env.geometry.checks import check_count
 from spatula_env.sim.worlds import Worlds, make_worlds
 from spatula_env.tasks.situation import BoolArray, FloatArray
 
 if TYPE_CHECKING:
-    from spatula_env.sim.worlds import IntArray
+    from numpy.typing import ArrayLike
 
-AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
-"""Names of what can happen when an episode has ended."""
+    from spatula_env.sim.worlds import IntArray
 
 OWN_ARGUMENTS = ("num_envs", "max_episode_steps", "autoreset_mode")
 """Arguments beside those of the environment for one agent."""
@@ -69,7 +69,6 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
     Attributes:
         definition: Scene and task; subclasses have one.
         settings: All options.
-        constructed_names: Of attributes that are decided when the environment is made.
     """
 
     _gymnasium_class = VectorEnv
@@ -98,7 +97,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         before = set(vars(self))
         limit = read_step_limit(max_episode_steps)
         check_count(num_envs, "num_envs", 1)
-        self._mode = _as_autoreset_mode(autoreset_mode)
+        self._mode = as_autoreset_mode(autoreset_mode)
         settings = self.definition.read(options, type(self).__name__, OWN_ARGUMENTS, engine="batch")
         if settings.render_mode is not None:
             check_choice(settings.render_mode, "render_mode", (None, "rgb_array"))
@@ -151,9 +150,9 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
                 Options that are not of this package are ignored, with a warning.
         """
         self._check_open()
-        worlds, rest = self._read_mask(options)
+        worlds, rest = read_mask(options, self.num_envs)
         chosen = self._episodes.choose(rest, worlds)
-        seeds = self._read_seeds(seed)
+        seeds = read_seeds(seed, self.num_envs)
         for world in worlds.tolist():
             if seeds[world] is not None:
                 self._generators[world], self._seeds[world] = seeding.np_random(seeds[world])
@@ -260,6 +259,89 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """
         set_in_worlds(self, name, values)
 
+    def save(self, worlds: ArrayLike | None = None) -> EnvState:
+        """Everything that the next step depends on, in all worlds or in some; see `SpatulaEnv.save`.
+
+        Args:
+            worlds: (n,) which, or (W,) a mask; all by default.
+
+        Returns:
+            The state of n worlds, which can be restored as often as one likes, in any worlds, and pickled.
+
+        Raises:
+            ResetNeeded: If no episode has begun in one of them.
+            ValueError: If there are no such worlds, or physics has diverged in one of them.
+        """
+        self._check_open()
+        chosen = read_worlds(worlds, self.num_envs)
+        if not self._begun[chosen].all():
+            missing = chosen[~self._begun[chosen]].tolist()
+            raise ResetNeeded(f"call reset() before save(): nothing has begun in worlds {missing}")
+        lost = self._episodes.info["diverged"][chosen]
+        if lost.any():
+            raise ValueError(
+                f"worlds must not have diverged, as {chosen[lost].tolist()} have: there is nothing to go on from"
+            )
+        physics, episodes = self._episodes.save(chosen)
+        return EnvState(
+            name=self.definition.name,
+            settings=self.settings,
+            physics=physics,
+            episodes=episodes,
+            generators=tuple(copy.deepcopy(self._generators[world]) for world in chosen.tolist()),
+            seeds=tuple(self._seeds[world] for world in chosen.tolist()),
+            over=self._over[chosen],
+        )
+
+    def restore(self, state: EnvState, worlds: ArrayLike | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Go back to a saved state, in all worlds or in some. No `reset` is needed before.
+
+        From there on, the same actions lead to the same numbers, to the last bit, in whichever world.
+
+        Args:
+            state: Of n worlds, what `save` returned here or in another environment like this one; or of one, which
+                all of `worlds` get.
+            worlds: (n,) which worlds get it, or (W,) a mask; all by default.
+
+        Returns:
+            The observations of all worlds, and infos of those that were restored.
+
+        Raises:
+            TypeError: If it is no state of an environment.
+            ValueError: If it is that of another environment, or of another number of worlds; nothing has then changed.
+        """
+        self._check_open()
+        chosen = read_worlds(worlds, self.num_envs)
+        check_fits(state, self.definition.name, self.settings, self._episodes)
+        if state.count not in (1, len(chosen)):
+            raise ValueError(f"state must be of {len(chosen)} worlds, or of one, it is of {state.count}")
+        if state.count != len(chosen):
+            state = state.rows(np.zeros(len(chosen), dtype=np.int64))
+        self._put(state, chosen)
+        restored = np.zeros(self.num_envs, dtype=np.bool_)
+        restored[chosen] = True
+        return self._episodes.observation, _with_masks(self._episodes.info, restored)
+
+    def _put(self, state: EnvState, worlds: IntArray) -> None:
+        self._episodes.restore(state.physics, state.episodes, worlds)
+        for row, world in enumerate(worlds.tolist()):
+            self._generators[world], self._seeds[world] = copy.deepcopy(state.generators[row]), state.seeds[row]
+        self._begun[worlds] = True
+        self._over[worlds] = state.over
+
+    def _whole_state(self) -> dict[str, Any]:
+        begun = np.flatnonzero(self._begun)
+        state = self.save(begun) if len(begun) and not self.closed else None
+        random = (copy.deepcopy(self._generators), list(self._seeds))
+        return {"state": state, "begun": begun, "random": random, "closed": self.closed}
+
+    def _set_whole_state(self, state: dict[str, Any]) -> None:
+        self._generators, self._seeds = state["random"]
+        if state["state"] is not None:
+            self._put(state["state"], state["begun"])
+        if state["closed"]:
+            self.close()
+
     @property
     def autoreset_mode(self) -> AutoresetMode:
         """What happens when an episode has ended."""
@@ -326,37 +408,6 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         final = _with_masks(info, ended)
         return {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
 
-    def _read_mask(self, options: Mapping[str, Any] | None) -> tuple[IntArray, dict[str, Any]]:
-        """Which worlds are to begin, and the other options."""
-        rest = own_options(options, (*START_OPTIONS, "reset_mask"))
-        mask = rest.pop("reset_mask", None)
-        if mask is None:
-            return np.arange(self.num_envs), rest
-        array = np.asarray(mask)
-        if array.dtype != np.bool_ or array.shape != (self.num_envs,) or not array.any():
-            raise ValueError(
-                f"options['reset_mask'] must be {self.num_envs} booleans of which one is true at least, got {mask!r}"
-            )
-        return np.flatnonzero(array), rest
-
-    def _read_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """The seed of each world."""
-        if seed is None:
-            return [None] * self.num_envs
-        try:
-            if not isinstance(seed, Sequence | np.ndarray):
-                first = operator.index(seed)
-                seeds: list[int | None] = [first + world for world in range(self.num_envs)]
-            else:
-                seeds = [None if one is None else operator.index(one) for one in seed]
-        except TypeError:
-            raise ValueError(f"seed must be an integer, a sequence of them, or None, got {seed!r}") from None
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed must be an integer or a sequence of {self.num_envs}, got {len(seeds)}")
-        if any(one is not None and one < 0 for one in seeds):
-            raise ValueError(f"seed must not be negative, got {seed!r}")
-        return seeds
-
     def _check_open(self) -> None:
         if self.closed:
             raise ClosedEnvironmentError("this environment is closed; make a new one")
@@ -378,11 +429,3 @@ def _with_masks(info: Info, mask: BoolArray | None = None) -> dict[str, Any]:
         else:
             infos[name], infos[f"_{name}"] = np.where(mask, values, values.dtype.type(0)), mask.copy()
     return infos
-
-
-def _as_autoreset_mode(value: str | AutoresetMode) -> AutoresetMode:
-    """An autoreset mode from its name, from Gymnasium's value for it, or from itself."""
-    for mode in AutoresetMode:
-        if value in (mode, mode.name.lower(), mode.value):
-            return mode
-    raise ValueError(f"autoreset_mode must be one of {list(AUTORESET_MODES)} or an AutoresetMode, got {value!r}")

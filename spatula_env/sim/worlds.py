@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from spatula_env.sim.simulation import Simulation, SimulationDiverged
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
     from spatula_env.sim.batch import BatchContactName
-    from spatula_env.sim.simulation import ContactName
+    from spatula_env.sim.simulation import ContactName, SimulationState
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -138,6 +138,27 @@ class Worlds(Protocol):
 
         Returns:
             What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
+        """
+
+    def save(self, worlds: IntArray) -> Any:
+        """The state of some worlds, as arrays of its own; it can be pickled.
+
+        Args:
+            worlds: (n,) which.
+
+        Returns:
+            A `batch.BatchState` of n worlds, or n states of simulations.
+        """
+
+    def restore(self, state: Any, worlds: IntArray) -> None:
+        """Go back to a saved state, of these worlds or of others with the same tools.
+
+        Args:
+            state: What `save` returned for n worlds.
+            worlds: (n,) which worlds get it.
+
+        Raises:
+            ValueError: If it does not fit the scene or is not finite.
         """
 
     def close(self) -> None:
@@ -310,6 +331,16 @@ class SeparateWorlds:
             flags[world] = np.any([found.flags for found in contacts], axis=0)
         for on_nodes, last in zip(loads.node_pressures, pressures[-1].nodes, strict=True):
             on_nodes[world] = last
+
+    def save(self, worlds: IntArray) -> tuple[SimulationState, ...]:
+        """See `Worlds`."""
+        return tuple(self.simulations[world].save() for world in worlds.tolist())
+
+    def restore(self, state: tuple[SimulationState, ...], worlds: IntArray) -> None:
+        """See `Worlds`."""
+        for world, saved in zip(worlds.tolist(), state, strict=True):
+            self.simulations[world].restore(saved)
+            self._diverged[world] = False
 
     def close(self) -> None:
         """See `Worlds`."""

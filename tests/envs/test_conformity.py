@@ -22,7 +22,7 @@ from vector_helpers import assert_alike
 
 import spatula_env
 from spatula_env.envs.settings import OBS_MODES, RENDER_MODES
-from spatula_env.envs.vector import AUTORESET_MODES
+from spatula_env.envs.vector_arguments import AUTORESET_MODES
 
 IDS = tuple(f"Spatula/{name}-v0" for name in spatula_env.TASKS)
 ENGINES = ("batch", "bullet")

@@ -1,0 +1,221 @@
+"""Whole states of environments: all that the next step depends on, saved and restored world by world."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spatula_env.sim.batch import BatchState, WorldMemory
+from spatula_env.sim.simulation import SimulationState
+from spatula_env.sim.worlds import SeparateWorlds
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from spatula_env.envs.episodes import Episodes
+    from spatula_env.envs.settings import EnvSettings
+    from spatula_env.tasks.situation import BoolArray, IntArray, Situation
+
+Physics = BatchState | tuple[SimulationState, ...]
+"""Of n worlds, as the engine of many worlds has it or one by one."""
+
+Rows = dict[str, "NDArray[Any]"]
+"""Arrays (n, ...) by name."""
+
+MAY_DIFFER = ("render_mode", "width", "height", "episode_time")
+"""Options in which the environment that is restored may differ from the one that was saved."""
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodesState:
+    """How the episodes of n worlds stand, beside the physics.
+
+    Attributes:
+        counters: "goals" (n, G), "elapsed", "held" and "succeeded" (n,), and the actions that wait, "asked" (n, D, A).
+        memory: What the task remembers.
+        safety: What has been counted of cost, work and violations, in the last step and in all.
+        node_pressures: For each tool, on its contact nodes in the last physics step (n, K) [Pa].
+        drawn: What differs from episode to episode, by the names in `randomization.NEUTRAL`.
+        generators: (n,) from which errors of measurement come; None where there are none.
+        situation: As it was last looked at.
+        frames: The last frames of observations (n, depth, ...), where they are shown late or more than once.
+        observation: What was last returned.
+        info: What was last returned.
+    """
+
+    counters: Rows
+    memory: Rows
+    safety: Rows
+    node_pressures: tuple[NDArray[Any], ...]
+    drawn: Rows
+    generators: tuple[np.random.Generator | None, ...]
+    situation: Situation
+    frames: Rows
+    observation: Rows
+    info: Rows
+
+
+@dataclass(frozen=True, eq=False)
+class EnvState:
+    """Everything that the next step of an environment depends on, in n of its worlds; made by `save`.
+
+    It can be pickled, and sent to another process. Nothing in it changes when it is restored: it can be restored as
+    often as one likes.
+
+    Attributes:
+        name: Of the task.
+        settings: All options of the environment.
+        physics: Organs, tools and contact.
+        episodes: How the episodes stand.
+        generators: (n,) from which further episodes come; None where nothing has been drawn.
+        seeds: (n,) what these were started from.
+        over: (n,) whether an episode has ended and waits for the next one to begin.
+    """
+
+    name: str
+    settings: EnvSettings
+    physics: Physics
+    episodes: EpisodesState
+    generators: tuple[np.random.Generator | None, ...]
+    seeds: tuple[int | None, ...]
+    over: BoolArray
+
+    @property
+    def count(self) -> int:
+        """N."""
+        return len(self.over)
+
+    def rows(self, chosen: IntArray) -> EnvState:
+        """The states of some of the n worlds (k,), which may be named more than once."""
+        episodes = self.episodes
+        taken = {
+            each.name: _take(getattr(episodes, each.name), chosen)
+            for each in fields(episodes)
+            if each.name != "situation"
+        }
+        return replace(
+            self,
+            physics=_physics_rows(self.physics, chosen),
+            episodes=EpisodesState(**taken, situation=episodes.situation.rows(chosen)),
+            generators=_take(self.generators, chosen),
+            seeds=tuple(self.seeds[row] for row in chosen.tolist()),
+            over=self.over[chosen],
+        )
+
+
+def check_fits(state: EnvState, name: str, settings: EnvSettings, episodes: Episodes) -> None:
+    """Check that a state is one of an environment like this one.
+
+    Args:
+        state: To be restored.
+        name: Of this environment's task.
+        settings: Its options.
+        episodes: Its episodes.
+
+    Raises:
+        TypeError: If it is no state of an environment.
+        ValueError: If it is that of another environment; says what differs.
+    """
+    if not isinstance(state, EnvState):
+        raise TypeError(f"state must be what save() of an environment returned, got {state!r}")
+    if state.name != name:
+        raise ValueError(f"state must be of the task {name!r}, it is of {state.name!r}")
+    for each in fields(settings):
+        mine, theirs = getattr(settings, each.name), getattr(state.settings, each.name)
+        if each.name not in MAY_DIFFER and mine != theirs:
+            raise ValueError(f"state must be of an environment with {each.name}={mine!r}, it is of one with {theirs!r}")
+    nodes, tools = state.episodes.situation.nodes.shape[1:], state.episodes.situation.tool_positions.shape[1:]
+    if (nodes, tools) != (episodes.worlds.nodes.shape[1:], episodes.worlds.tool_positions.shape[1:]):
+        raise ValueError(
+            f"state must be of a scene with {episodes.worlds.nodes.shape[1]} nodes and "
+            f"{episodes.worlds.tool_positions.shape[1]} tools, it has {nodes[0]} and {tools[0]}"
+        )
+
+
+def save_physics(episodes: Episodes, worlds: IntArray) -> Physics:
+    """The physics of some worlds (n,), from where it goes on exactly as after `restore_physics`.
+
+    What PyBullet has computed cannot be read to the last bit: its velocities keep rounding errors of all that was
+    before. So a simulation of PyBullet is put to its own state, which clears them, and both go on alike. That changes
+    how it goes on, by as much as such errors do.
+    """
+    physics: Physics = episodes.worlds.save(worlds)
+    if episodes.settings.engine == "bullet":
+        episodes.worlds.restore(physics, worlds)
+    return physics
+
+
+def restore_physics(episodes: Episodes, physics: Physics, worlds: IntArray) -> None:
+    """Put some worlds (n,) to a state of n worlds, whichever way it was saved."""
+    separate = isinstance(physics, tuple)
+    if isinstance(episodes.worlds, SeparateWorlds) != separate:
+        physics = _joined(physics) if isinstance(physics, tuple) else _separated(physics)
+    episodes.worlds.restore(physics, worlds)
+
+
+def _take(tree: Any, rows: IntArray) -> Any:
+    """Rows of all arrays in dictionaries and tuples, and copies of generators, one for each row."""
+    if isinstance(tree, dict):
+        return {name: _take(values, rows) for name, values in tree.items()}
+    if isinstance(tree, tuple) and all(one is None or isinstance(one, np.random.Generator) for one in tree) and tree:
+        return tuple(copy.deepcopy(tree[row]) for row in rows.tolist())
+    if isinstance(tree, tuple):
+        return tuple(_take(values, rows) for values in tree)
+    return tree[rows]
+
+
+def _physics_rows(physics: Physics, rows: IntArray) -> Physics:
+    if isinstance(physics, tuple):
+        return tuple(physics[row] for row in rows.tolist())
+    arrays = {each.name: getattr(physics, each.name)[rows] for each in fields(physics) if each.name != "memories"}
+    return BatchState(**arrays, memories=tuple(physics.memories[row] for row in rows.tolist()))
+
+
+def _joined(states: tuple[SimulationState, ...]) -> BatchState:
+    return BatchState(
+        nodes=np.stack([state.nodes for state in states]),
+        node_velocities=np.stack([state.node_velocities for state in states]),
+        tool_positions=np.stack([state.tool_positions for state in states]),
+        tool_orientations=np.stack([state.tool_orientations for state in states]),
+        tool_forces=np.stack([state.contact.wrenches[:, :3] for state in states]),
+        times=np.array([state.time for state in states]),
+        memories=tuple(
+            WorldMemory(
+                flags=tuple(flags for row in state.contact.flags for flags in row),
+                multipliers=state.contact.multipliers,
+                ledger=state.contact.ledger,
+            )
+            for state in states
+        ),
+    )
+
+
+def _separated(states: BatchState) -> tuple[SimulationState, ...]:
+    from spatula_env.contact.model import ContactMemory
+
+    tools = states.tool_positions.shape[1]
+    made = []
+    for row, memory in enumerate(states.memories):
+        organs = len(memory.flags) // tools
+        wrenches = np.zeros((tools, 6))
+        wrenches[:, :3] = states.tool_forces[row]
+        contact = ContactMemory(
+            flags=tuple(memory.flags[tool * organs : (tool + 1) * organs] for tool in range(tools)),
+            multipliers=memory.multipliers,
+            ledger=memory.ledger,
+            wrenches=wrenches,
+        )
+        made.append(
+            SimulationState(
+                nodes=states.nodes[row],
+                node_velocities=states.node_velocities[row],
+                tool_positions=states.tool_positions[row],
+                tool_orientations=states.tool_orientations[row],
+                contact=contact,
+                time=float(states.times[row]),
+            )
+        )
+    return tuple(made)
