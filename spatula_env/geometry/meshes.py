@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from spatula_env._warnings import warn
 from spatula_env.geometry.arrays import FloatArray, IntArray, read_only
 from spatula_env.geometry.checks import check_count, check_positive
 from spatula_env.geometry.hull import convex_hull
+from spatula_env.geometry.parts import describe_parts, organ_parts
 from spatula_env.geometry.polyhedra import cell_count
 from spatula_env.geometry.surface import canonical_order, check_surface, edges, signed_volume, surface_area
 from spatula_env.geometry.transforms import as_vector3
@@ -232,6 +234,9 @@ def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | Non
         ValueError: If the suffix is unknown, the scale is not positive and finite, the file cannot be read or
             holds no single triangle mesh, or :func:`~spatula_env.geometry.surface.check_surface` finds a
             defect.
+
+    Warns:
+        SceneWarning: If the surface consists of several parts.
     """
     file = Path(path)
     suffix = file.suffix.lower()
@@ -243,7 +248,14 @@ def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | Non
     vertices, triangles = _read_triangles(file, suffix)
     if suffix == ".stl":
         vertices, triangles = _merge_equal(vertices, triangles)
-    return Organ(vertices * scale, triangles, file.name if name is None else name)
+    organ = Organ(vertices * scale, triangles, file.name if name is None else name)
+    parts = organ_parts(organ)
+    if len(parts) > 1:
+        warn(
+            f"{file.name} holds {len(parts)} parts that nothing connects ({describe_parts(parts)}): what holds "
+            "one of them does not hold the others"
+        )
+    return organ
 
 
 def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, IntArray]:

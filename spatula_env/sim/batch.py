@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 from spatula_env._kernels import announce_compilation
+from spatula_env._warnings import warn
 from spatula_env.contact import step as contact_step
 from spatula_env.contact.flags import FIRST_STEP_CODES
 from spatula_env.contact.structures import Memory, OrganRoom, surface_list, tool_shape, world_list
@@ -20,6 +21,7 @@ from spatula_env.sim.batch_body import NARROW, WIDE, BatchBody
 from spatula_env.sim.simulation import LONGEST_SETTLING, SETTLED_SPEED, Simulation, SimulationDiverged
 from spatula_env.sim.soft_body import join, soft_body
 from spatula_env.sim.threads import share_out
+from spatula_env.sim.volumes import Volumes
 from spatula_env.sim.worlds import Loads
 
 if TYPE_CHECKING:
@@ -137,6 +139,7 @@ class BatchSimulation:
                 precision="single" if np.dtype(dtype) == np.float32 else "double",
             )
         self._rest = np.repeat(single.nodes[None], worlds, axis=0)
+        self._volumes = Volumes(scene)
         self._triangles = single.triangles
         single.close()
         self._make_contacts(first_step if contact == "flags" else "off")
@@ -253,7 +256,10 @@ class BatchSimulation:
             worlds: (n,) which, or (W,) a mask; all by default.
 
         Raises:
-            SimulationDiverged: If positions are no longer finite; nothing has then changed.
+            SimulationDiverged: If positions are no longer finite, or an organ collapses; nothing has then changed.
+
+        Warns:
+            SceneWarning: If organs do not come to rest.
         """
         indices = self._body.indices(worlds)
         state = self.save()
@@ -266,9 +272,7 @@ class BatchSimulation:
         # As `Simulation` does it: kinetic damping.
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
             self._advance(nothing, nothing, 1, self._no_limits, self._no_limits, with_tools=False)
-            if self._diverged[indices].any():
-                self.restore(state)
-                raise SimulationDiverged(f"organs do not come to rest in worlds {indices[self._diverged[indices]]}")
+            self._check_settling(indices, self._diverged, state)
             energy = np.einsum("wv,wva,wva->w", masses, self._velocities, self._velocities)
             past = (energy < energy_before) & ~settled
             settled |= past & (np.abs(self._velocities).max(axis=(1, 2)) < SETTLED_SPEED)
@@ -278,6 +282,14 @@ class BatchSimulation:
             self._set_nodes(stopped, self._nodes[stopped], 0.0)
             energy[stopped] = 0.0
             energy_before = energy
+        else:
+            moving = np.flatnonzero(~settled)
+            fastest = float(np.abs(self._velocities[moving]).max())
+            warn(
+                f"the organs of {len(moving)} of {len(indices)} worlds, world {moving[0]} the first, have not come to "
+                f"rest: they still moved at up to {fastest:.2g} u/s when settling was ended"
+            )
+        self._check_settling(indices, self._volumes.collapsed(self._nodes).any(axis=1), state)
         self._rest[indices] = self._nodes[indices]
         self.restore(state)
         self.reset(indices)
@@ -411,7 +423,8 @@ class BatchSimulation:
                 `drive.restrain` [kg u/s2]; by default they always do.
 
         Returns:
-            What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
+            What the tools felt. A world that diverges, as an organ in it has turned inside out or
+            positions are not finite, leaves the others alone; it waits to be reset.
 
         Raises:
             ValueError: If a velocity is malformed or not finite; nothing has then changed.
@@ -490,6 +503,18 @@ class BatchSimulation:
                 batch_step.advance_blocks(0, blocks, *arguments)
             else:
                 share_out(lambda block: batch_step.advance_blocks(block, block + 1, *arguments), blocks, threads)
+        self._diverged |= self._volumes.inside_out(self._nodes).any(axis=1)
+
+    def _check_settling(self, worlds: IntArray, wrong: NDArray[np.bool_], state: BatchState) -> None:
+        """Give settling up, and go back to a state, if something has gone wrong in one of the worlds."""
+        bad = worlds[wrong[worlds]]
+        if not len(bad):
+            return
+        nodes = self._nodes[bad[:1]]
+        finite = bool(np.isfinite(nodes).all())
+        why = self._volumes.tell(self._volumes.measure(nodes)[0]) if finite else "positions are no longer finite"
+        self.restore(state)
+        raise SimulationDiverged(f"organs do not come to rest in worlds {bad.tolist()}: in world {bad[0]} {why}")
 
     def _flags(self) -> tuple[NDArray[np.bool_], ...]:
         organs = len(self._scene.organs)

@@ -5,13 +5,24 @@ node acts on it alone, in the next step; `resetMeshData` sets positions and leav
 reads or sets a velocity, but after a step a node's velocity is exactly its displacement over the time step. Meshes
 are read from a file in single precision, so positions are set again after loading. `saveState` ignores soft bodies;
 `resetMeshData` never lets go of the sequences it is given.
+
+A soft body whose triangles are not connected by edges never gets through its first step: Bullet joins neighbours to
+build a tree of them (`buildTreeBottomUp`) until one is left, which never happens. So each part of an organ is a body of
+its own. With a surface that is to be simulated comes one that is to be drawn, and
+`extrapolateBarycentricWeights` looks for the nearest triangle of the first for every vertex of the second: minutes, for
+ten thousand of them. So what is to be drawn, and nothing ever draws it, is a single triangle.
 """
 
 from __future__ import annotations
 
-import os
+import ctypes
+import operator
 import struct
+import sys
 import tempfile
+import weakref
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env.engines import import_bullet
+from spatula_env.geometry.parts import Part, describe_parts, organ_parts
 from spatula_env.geometry.transforms import rotate
 from spatula_env.sim.exchange import forces_of_changes, velocities_of_positions
 from spatula_env.sim.soft_body import node_masses
@@ -36,6 +48,12 @@ SCRUB_SHIFT = float(2**20)
 
 TOOL_TO_ORGAN_MASS = 1e6
 """Mass of a tool that Bullet itself collides with, in organ masses: its velocity then changes only by rounding."""
+
+MOST_NODES = 46_340
+"""In a soft body: Bullet keeps a table of all pairs of nodes, which it counts in 32 bits."""
+
+DRAWN = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+"""What Bullet is given to draw."""
 
 
 class BulletWorld:
@@ -55,12 +73,16 @@ class BulletWorld:
         Raises:
             ImportError: If PyBullet is not installed; says what to install.
             RuntimeError: If PyBullet offers no further physics server.
+            ValueError: If an organ is one that Bullet cannot simulate.
         """
         pybullet = import_bullet("Bullet's soft body")
+        parts = [_check_parts(placed.organ) for placed in scene.organs]
         self._bullet: Any = pybullet
         self._client: int = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet could not start another physics server; close() simulations no longer needed")
+        # A client has some 30 MB: they go with this object, also when nobody has closed it.
+        self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         # Bullet integrates soft bodies, though not rigid ones, with the time step in single precision.
         self._dt = float(np.float32(scene.dt))
         self._gravity = scene.gravity
@@ -71,53 +93,82 @@ class BulletWorld:
         self._bodies: list[int] = []
         self._slices: list[slice] = []
         masses: list[FloatArray] = []
-        positions: list[FloatArray] = []
-        start = 0
-        for placed in scene.organs:
-            self._bodies.append(self._load(placed.organ, placed.mass))
-            count = len(placed.organ.vertices)
-            self._slices.append(slice(start, start + count))
-            start += count
-            positions.append(placed.vertices)
+        order: list[NDArray[np.int64]] = []
+        start = first = 0
+        for placed, pieces in zip(scene.organs, parts, strict=True):
             # As Bullet has them, or a velocity that forces are to cancel would remain by the difference.
-            masses.append(node_masses(placed.organ, placed.mass))
+            organ_masses = node_masses(placed.organ, placed.mass)
+            for part in pieces:
+                # Of an organ that is one part exactly the mass that is asked for: a sum is rounded.
+                mass = placed.mass if len(pieces) == 1 else float(organ_masses[part.nodes].sum())
+                self._bodies.append(self._load(placed.organ, part, mass))
+                self._slices.append(slice(start, start + len(part.nodes)))
+                start += len(part.nodes)
+                masses.append(organ_masses[part.nodes])
+                order.append(first + part.nodes)
+            first += len(placed.organ.vertices)
+        # Nodes of a part need not follow each other in the organ: within this object they do.
+        node_order = np.concatenate(order)
+        in_order = bool((node_order == np.arange(start)).all())
+        self._order: NDArray[np.int64] | None = None if in_order else node_order
+        self._back: NDArray[np.int64] | None = None if in_order else np.argsort(node_order)
         self._masses: FloatArray = np.concatenate(masses)
-        self._inverse_masses: FloatArray = 1.0 / self._masses
-        for placed, body, part in zip(scene.organs, self._bodies, self._slices, strict=True):
+        inverse_masses: FloatArray = 1.0 / self._masses
+        places, first = np.arange(start) if self._back is None else self._back, 0
+        for placed in scene.organs:
             for node in placed.fixed_nodes:
-                bullet.createSoftBodyAnchor(body, int(node), -1, -1, physicsClientId=client)
-                self._inverse_masses[part.start + node] = 0.0
+                place = int(places[first + node])
+                index = self._body_of(place)
+                bullet.createSoftBodyAnchor(
+                    self._bodies[index], place - self._slices[index].start, -1, -1, physicsClientId=client
+                )
+                inverse_masses[place] = 0.0
+            first += len(placed.organ.vertices)
+        self._inverse_masses = self._to_scene(inverse_masses)
         self._unpack = [struct.Struct(f"{3 * (part.stop - part.start)}d") for part in self._slices]
-        self._positions: FloatArray = np.concatenate(positions)
+        self._positions: FloatArray = self._from_scene(np.concatenate([placed.vertices for placed in scene.organs]))
         self._velocities: FloatArray = np.zeros_like(self._positions)
-        # What Bullet is given as positions. resetMeshData never releases the sequences it gets, neither the outer nor
-        # the inner ones (PyBullet 3.2.7), so it always gets the same lists, with new numbers in them.
-        self._rows = [[[0.0, 0.0, 0.0] for _ in placed.organ.vertices] for placed in scene.organs]
         self._displacements: FloatArray = np.zeros_like(self._positions)
         self._pushed = np.zeros(start, dtype=np.int64)
         self._forces = np.zeros((start, 3))
         self._initial = self._positions.copy()
         self.tools = BulletTools(bullet, client, scene) if with_tools else None
-        self.set_state(self._positions, self._velocities)
+        self._set_state(self._positions)
 
-    def _load(self, organ: Organ, mass: float) -> int:
-        """Hand a surface to PyBullet through a file, the only way it takes one."""
-        handle, name = tempfile.mkstemp(suffix=".obj", prefix="spatula_env-")
-        try:
-            with os.fdopen(handle, "w", encoding="ascii") as file:
-                file.writelines(f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in organ.vertices)
-                file.writelines(f"f {a} {b} {c}\n" for a, b, c in organ.triangles + 1)
+    def _load(self, organ: Organ, part: Part, mass: float) -> int:
+        """Hand a part of a surface to PyBullet through a file, the only way it takes one."""
+        with tempfile.TemporaryDirectory(prefix="spatula_env-") as folder:
+            drawn, simulated = Path(folder, "drawn.obj"), Path(folder, "simulated.obj")
+            drawn.write_text(DRAWN, encoding="ascii")
+            with simulated.open("w", encoding="ascii") as file:
+                file.writelines(f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in organ.vertices[part.nodes])
+                file.writelines(f"f {a} {b} {c}\n" for a, b, c in part.triangles + 1)
             body: int = self._bullet.loadSoftBody(
-                name, mass=mass, useMassSpring=1, useBendingSprings=1, physicsClientId=self._client
+                str(drawn),
+                simFileName=str(simulated),
+                mass=mass,
+                useMassSpring=1,
+                useBendingSprings=1,
+                physicsClientId=self._client,
             )
-        finally:
-            Path(name).unlink()
         count, _ = self._bullet.getMeshData(
             body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH, physicsClientId=self._client
         )
-        if count != len(organ.vertices):
-            raise RuntimeError(f"PyBullet made {count} nodes of the {len(organ.vertices)} of organ {organ.name!r}")
+        if count != len(part.nodes):
+            raise RuntimeError(f"PyBullet made {count} nodes of the {len(part.nodes)} of organ {organ.name!r}")
         return body
+
+    def _body_of(self, place: int) -> int:
+        """Which body has the node at a place, in the order of this object."""
+        return next(k for k, part in enumerate(self._slices) if place < part.stop)
+
+    def _from_scene(self, values: FloatArray) -> FloatArray:
+        """Values of the nodes (V, ...) in the order of this object, from that of the scene."""
+        return values if self._order is None else values[self._order]
+
+    def _to_scene(self, values: FloatArray) -> FloatArray:
+        """Values of the nodes (V, ...) in the scene's order, from that of this object."""
+        return values if self._back is None else values[self._back]
 
     @property
     def inverse_masses(self) -> FloatArray:
@@ -127,6 +178,7 @@ class BulletWorld:
     def step(self, positions: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `world.SoftWorld.step`."""
         bullet, client = self._bullet, self._client
+        positions, velocities = self._from_scene(positions), self._from_scene(velocities)
         displacements, velocity_changes = positions - self._positions, velocities - self._velocities
         # Displacing a node by a force leaves its velocity wrong by the displacement over the time step, until the
         # next forces. It costs a third of what resetMeshData does, and Bullet looks at positions only in between.
@@ -141,7 +193,7 @@ class BulletWorld:
             raise FloatingPointError("Bullet's nodes are not finite")
         self._positions, self._velocities = positions, velocities
         self._displacements = displacements
-        return positions, velocities
+        return self._to_scene(positions), self._to_scene(velocities)
 
     def _read(self, positions: FloatArray) -> None:
         """Get the positions of all nodes."""
@@ -158,19 +210,23 @@ class BulletWorld:
         body, part = self._bodies[0], self._slices[0]
         for node, force in zip(nodes, forces, strict=True):
             if node >= part.stop:
-                index = next(k for k, part in enumerate(self._slices) if node < part.stop)
+                index = self._body_of(node)
                 body, part = self._bodies[index], self._slices[index]
             push(body, node - part.start, force, origin, frame, client)
 
     def _write(self, positions: FloatArray) -> None:
         """Set the positions of all nodes."""
-        for index, (body, part) in enumerate(zip(self._bodies, self._slices, strict=True)):
-            for row, position in zip(self._rows[index], positions[part].tolist(), strict=True):
-                row[:] = position
-            self._bullet.resetMeshData(body, self._rows[index], physicsClientId=self._client)
+        for body, part in zip(self._bodies, self._slices, strict=True):
+            rows = positions[part].tolist()
+            with _given_back([rows, *rows]):
+                self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
 
     def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:
-        """See `world.SoftWorld.set_state`.
+        """See `world.SoftWorld.set_state`."""
+        self._set_state(self._from_scene(positions))
+
+    def _set_state(self, positions: FloatArray) -> None:
+        """Set all positions, in the order of this object, and have the velocities forgotten.
 
         Bullet's velocities cannot be set, only changed by forces, and a velocity that is changed to the wanted one
         keeps a rounding error that depends on what it was. So the bodies first make one step far away, without
@@ -199,9 +255,44 @@ class BulletWorld:
 
     def close(self) -> None:
         """See `world.SoftWorld.close`."""
-        if self._client >= 0:
-            self._bullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._disconnect()
+        self._client = -1
+
+
+def _check_parts(organ: Organ) -> tuple[Part, ...]:
+    """The parts of an organ, if Bullet can simulate each of them."""
+    parts = organ_parts(organ)
+    for part in parts:
+        if part.sheets > 1:
+            raise ValueError(
+                f"organ {organ.name!r} must not have parts that meet in a vertex, or engine 'bullet' would never come "
+                f"through a step, but one with {len(part.nodes)} nodes, node {part.nodes[0]} among them, consists of "
+                f"{part.sheets} such parts; move them apart, or use engine 'batch'"
+            )
+        if len(part.nodes) > MOST_NODES:
+            raise ValueError(
+                f"organ {organ.name!r} must have at most {MOST_NODES} nodes in a part with engine 'bullet', got "
+                f"{describe_parts([part])}; use a coarser surface, or engine 'batch'"
+            )
+    return parts
+
+
+@contextmanager
+def _given_back(objects: Sequence[object]) -> Iterator[None]:
+    """Undo that a call keeps references to objects for ever.
+
+    Args:
+        objects: Which they are, each once.
+    """
+    # Counted in the same way both times, so that references of the counting itself cancel out.
+    before = list(map(sys.getrefcount, objects))
+    try:
+        yield
+    finally:
+        after = list(map(sys.getrefcount, objects))
+        for one, kept in zip(objects, map(operator.sub, after, before), strict=True):
+            for _ in range(kept):
+                ctypes.pythonapi.Py_DecRef(ctypes.py_object(one))
 
 
 class BulletTools:

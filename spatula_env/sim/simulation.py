@@ -15,6 +15,8 @@ from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.batch_world import BatchWorld
 from spatula_env.sim.bullet import BulletWorld
 from spatula_env.sim.report import Report
+from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
+from spatula_env.sim.volumes import Volumes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -42,7 +44,7 @@ LONGEST_SETTLING = 4.0
 
 
 class SimulationDiverged(RuntimeError):
-    """Positions are no longer finite; reset() or restore() makes the simulation usable again."""
+    """Positions are no longer finite, or an organ has turned inside out; reset() or restore() makes it usable again."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,11 @@ class Simulation:
         Raises:
             ValueError: If an argument is not one of those, or the batch engine is asked for Bullet's contact.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
+            SimulationDiverged: If an organ collapses under its own weight.
+
+        Warns:
+            SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and of what
+                else in the scene is not as it is likely to be meant.
         """
         if engine is not None and engine not in ENGINES:
             raise ValueError(f"engine must be one of {list(ENGINES)}, got {engine!r}")
@@ -129,6 +136,7 @@ class Simulation:
         self.contact: ContactName = contact
         self.listeners: list[Callable[[Report], None]] = []
         self._closed = False
+        warn_of_scene(scene)
         self._tools: BulletTools | None = None
         self._world: SoftWorld
         if engine == "bullet":
@@ -148,6 +156,7 @@ class Simulation:
         self._tool_orientations: FloatArray = np.zeros((len(scene.tools), 4))
         self._motions: Motions | None = None
         self._time = 0.0
+        self._volumes = Volumes(scene)
         self._rest: FloatArray | None = None
         self.reset()
 
@@ -227,7 +236,7 @@ class Simulation:
 
         Raises:
             ValueError: If a velocity is malformed or not finite; nothing has then changed.
-            SimulationDiverged: If positions are no longer finite.
+            SimulationDiverged: If positions are no longer finite, or an organ has turned inside out.
         """
         self._check_open()
         shape = self._tool_positions.shape
@@ -343,6 +352,11 @@ class Simulation:
             return 1.0 / self._world.inverse_masses
 
     @property
+    def volume(self) -> float:
+        """What all organs together enclose now [u3]."""
+        return float(self._volumes.measure(self._nodes[None]).sum())
+
+    @property
     def triangles(self) -> NDArray[np.int32]:
         """(T, 3) of all organs, counter-clockwise from outside (a copy)."""
         return self._triangles.copy()
@@ -405,6 +419,8 @@ class Simulation:
         if motions is not None and not respond:
             self._model.observe(resolved[0], motions)
         self._nodes, self._velocities = resolved
+        if self._volumes.inside_out(self._nodes[None]).any():
+            raise SimulationDiverged(self._volumes.tell(self._volumes.measure(self._nodes[None])[0]))
 
     def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
         self._nodes, self._velocities = nodes.copy(), velocities.copy()
@@ -417,9 +433,12 @@ class Simulation:
         the energy out of every mode of motion near its passage through equilibrium, slow ones and fast ones alike.
         """
         masses = np.where(np.isfinite(self.node_masses), self.node_masses, 0.0)
-        energy_before = 0.0
+        energy_before, speeds = 0.0, None
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
-            self._advance(None, respond=True)
+            try:
+                self._advance(None, respond=True)
+            except SimulationDiverged as error:
+                raise SimulationDiverged(f"organs do not come to rest: {error}") from None
             energy = float(masses @ (self._velocities**2).sum(axis=1))
             if energy < energy_before:
                 if np.abs(self._velocities).max() < SETTLED_SPEED:
@@ -427,6 +446,12 @@ class Simulation:
                 self._set_nodes(self._nodes, np.zeros_like(self._nodes))
                 energy = 0.0
             energy_before = energy
+        else:
+            speeds = np.abs(self._velocities).max(axis=1)
+        volumes = self._volumes.measure(self._nodes[None])[0]
+        if self._volumes.collapsed(self._nodes[None]).any():
+            raise SimulationDiverged(f"organs do not come to rest: {self._volumes.tell(volumes)}")
+        warn_of_rest(self.scene, self._nodes, volumes, self._volumes.initial, speeds)
         return self._nodes
 
 

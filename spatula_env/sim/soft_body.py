@@ -8,6 +8,8 @@ comparing with it:
 - The node masses come from the vertices as read from a file, in single precision. The rest lengths do not: Bullet
   takes them from where the nodes are at the beginning of the first step, in double precision.
 - There is a link along every edge, of stiffness 1, and one between any two nodes at graph distance two, of half that.
+
+An organ of several parts, which PyBullet does not load, is a soft body for each of them.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.parts import organ_parts
 from spatula_env.geometry.surface import vertex_areas
 
 if TYPE_CHECKING:
@@ -91,7 +94,11 @@ def soft_body(placed: PlacedOrgan) -> SoftBody:
     masses = node_masses(organ, placed.mass)
     inverse_masses = 1.0 / masses
     inverse_masses[np.asarray(placed.fixed_nodes, dtype=np.int64)] = 0.0
-    links, stiffness = ordered_links(organ.triangles)
+    parts = organ_parts(organ)
+    ordered = [ordered_links(part.triangles) for part in parts]
+    links = np.concatenate([part.nodes[links] for part, (links, _) in zip(parts, ordered, strict=True)])
+    links = links.astype(np.int32)
+    stiffness = np.concatenate([stiffness for _, stiffness in ordered])
     squared_lengths = ((vertices[links[:, 1]] - vertices[links[:, 0]]) ** 2).sum(axis=1)
     if squared_lengths.min() < SHORTEST_SQUARED:
         a, b = links[np.argmin(squared_lengths)].tolist()
@@ -128,9 +135,18 @@ def node_masses(organ: Organ, mass: float) -> FloatArray:
 
     Returns:
         (V,) [kg].
+
+    Raises:
+        ValueError: If the mass is not positive and finite, or the organ is so far from the origin of its frame that
+            triangles vanish in single precision.
     """
     check_positive(mass, "mass")
     areas = vertex_areas(organ.vertices.astype(np.float32).astype(np.float64), organ.triangles)
+    if not areas.all():
+        raise ValueError(
+            f"organ {organ.name!r} must be closer to the origin of its frame: in single precision the triangles around "
+            f"node {int(np.argmin(areas))}, at {organ.vertices[int(np.argmin(areas))].tolist()}, have no area"
+        )
     masses: FloatArray = areas * (mass / areas.sum())
     return masses
 

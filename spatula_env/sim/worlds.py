@@ -44,7 +44,7 @@ class Loads:
         overpressures: (W,) integral over time of what the greatest pressure exceeds the limit by [kg/(u s)].
         node_pressures: (W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)].
         restrained: (W,) share of the physics steps in which too great a force kept tools from pushing on.
-        diverged: (W,) whether positions are no longer finite.
+        diverged: (W,) whether positions are no longer finite, or an organ has turned inside out.
     """
 
     forces: FloatArray

@@ -14,6 +14,9 @@ from spatula_env.geometry import Tool, box_surface, icosphere, seed_sphere, toru
 from spatula_env.geometry.transforms import quaternion_from_axis_angle, rotation_matrix
 from spatula_env.sim import Simulation
 
+# Scenes made for contact: organs smaller than a tool, surfaces too fine for springs.
+pytestmark = pytest.mark.filterwarnings("ignore::spatula_env.sim.SceneWarning")
+
 PLATE = Tool.box((0.8, 0.8, 0.1), faces="all")
 SIDEWAYS = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
 """The plate's thickness along x: its bottom looks along -x, its top along +x."""

@@ -1,0 +1,135 @@
+"""What in a scene is likely not to be as it is meant: warnings, before its organs have come to rest and afterwards."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spatula_env._warnings import warn
+from spatula_env.geometry.parts import describe_parts, organ_parts
+from spatula_env.sim.batch_body import SWEEPS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from spatula_env.scenes import PlacedOrgan, Scene
+
+    FloatArray = NDArray[np.float64]
+
+LARGEST_ORGAN = 1.0
+"""An organ that is larger is likely to be in another unit: ten times the cube that the Falcon reaches [m]."""
+
+LEAST_VOLUME = 0.95
+"""An organ that has lost more of its volume when it is at rest does not bear its own weight."""
+
+GREATEST_DEFORMATION = 0.05
+"""Nor does one whose nodes are farther, on average, from where they were in the organ, as a share of its extent."""
+
+
+def warn_of_scene(scene: Scene) -> None:
+    """Warn of what can be seen before anything moves.
+
+    Args:
+        scene: The scene.
+
+    Warns:
+        SceneWarning: Of parts of an organ that nothing holds, of organs far too large or smaller than every tool, and
+            of surfaces too fine for the springs.
+    """
+    for placed in scene.organs:
+        for told in _doubts(scene, placed):
+            warn(f"organ {placed.organ.name!r} {told}")
+
+
+def _doubts(scene: Scene, placed: PlacedOrgan) -> Iterator[str]:
+    organ, length = placed.organ, scene.scale.length
+    parts = organ_parts(organ)
+    held = set(placed.fixed_nodes)
+    loose = [part for part in parts if held.isdisjoint(part.nodes.tolist())]
+    if len(parts) > 1 and loose:
+        yield (
+            f"consists of {len(parts)} parts that nothing connects ({describe_parts(parts)}); "
+            f"{len(loose)} of them {'is' if len(loose) == 1 else 'are'} held by no fixed node and will fall, through "
+            "each other as well: join them in the surface, fix nodes of each, or make them organs of their own"
+        )
+    extent = float(np.ptp(organ.vertices, axis=0).max())
+    tool = min(float(np.ptp(placed_tool.tool.vertices, axis=0).max()) for placed_tool in scene.tools)
+    if extent * length > LARGEST_ORGAN:
+        yield (
+            f"is {extent * length:.3g} m across ({extent:.3g} u of {length:g} m), far larger than the workspace of a "
+            "hand: is it in another unit?"
+        )
+    if extent < tool:
+        yield (
+            f"is {extent * length * 1e3:.3g} mm across ({extent:.3g} u of {length:g} m), smaller than any tool, "
+            f"of {tool * length * 1e3:.3g} mm: is it in another unit?"
+        )
+    edges = organ.edge_lengths
+    across = extent / float(np.median(edges))
+    if across > SWEEPS:
+        yield (
+            f"has a surface too fine for springs: it is {across:.0f} edges of {np.median(edges):.3g} u across, and the "
+            f"{SWEEPS} sweeps of a step carry a pull over {SWEEPS} of them, so it is far softer than the scene's scale "
+            f"says; edges of at least {extent / SWEEPS:.2g} u are borne"
+        )
+
+
+def warn_of_rest(
+    scene: Scene, nodes: FloatArray, volumes: FloatArray, initial: FloatArray, speeds: FloatArray | None
+) -> None:
+    """Warn of what has become of organs that have settled.
+
+    Args:
+        scene: The scene.
+        nodes: (V, 3) of all organs, settled [u].
+        volumes: (O,) of the O organs, settled [u3].
+        initial: (O,) the same before [u3].
+        speeds: (V,) at which nodes still moved when settling was ended [u/s]; None if they had come to rest.
+
+    Warns:
+        SceneWarning: Of organs that have lost their shape, or were not at rest.
+    """
+    start = 0
+    for placed, volume, before in zip(scene.organs, volumes.tolist(), initial.tolist(), strict=True):
+        shape = placed.vertices
+        own = slice(start, start + len(shape))
+        start = own.stop
+        share, deformation = volume / before, deformation_of(shape, nodes[own])
+        extent = float(np.ptp(shape, axis=0).max())
+        sag = float(shape[:, 2].max() - nodes[own, 2].max())
+        told = (
+            f"(its top has sunk by {sag:.2g} of {np.ptp(shape[:, 2]):.3g} u, it has {100.0 * share:.3g} % of its "
+            f"volume, and its nodes are {deformation:.2g} u from their places in it)"
+        )
+        if speeds is not None and speeds[own].max() > 0.0:
+            warn(
+                f"organ {placed.organ.name!r} has not come to rest: it still moved at {speeds[own].max():.2g} u/s when "
+                f"settling was ended {told}. It rolls or sags on; hold some of its nodes, put it on more of them, or "
+                "use a coarser surface"
+            )
+        elif share < LEAST_VOLUME or deformation > GREATEST_DEFORMATION * extent:
+            warn(
+                f"organ {placed.organ.name!r} does not keep its shape under its own weight {told}. With less "
+                "gravity, a smaller dt or a coarser surface it bears more of it"
+            )
+
+
+def deformation_of(before: FloatArray, after: FloatArray) -> float:
+    """How much a body has changed its shape, wherever it has moved or rolled.
+
+    The body is moved back as well as a rigid motion can (W. Kabsch, Acta Crystallographica A 32, 1976).
+
+    Args:
+        before: (V, 3) its nodes [u].
+        after: (V, 3) the same nodes later [u].
+
+    Returns:
+        Root mean square of the distances that remain [u].
+    """
+    a, b = before - before.mean(axis=0), after - after.mean(axis=0)
+    left, _, right = np.linalg.svd(a.T @ b)
+    turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    return float(np.sqrt(((a @ turn - b) ** 2).sum(axis=1).mean()))
