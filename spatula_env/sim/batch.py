@@ -272,7 +272,7 @@ class BatchSimulation:
         # As `Simulation` does it: kinetic damping.
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
             self._advance(nothing, nothing, 1, self._no_limits, self._no_limits, with_tools=False)
-            self._check_settling(indices, self._diverged, state)
+            self._check_settling(indices[self._diverged[indices]], state)
             energy = np.einsum("wv,wva,wva->w", masses, self._velocities, self._velocities)
             past = (energy < energy_before) & ~settled
             settled |= past & (np.abs(self._velocities).max(axis=(1, 2)) < SETTLED_SPEED)
@@ -289,7 +289,7 @@ class BatchSimulation:
                 f"the organs of {len(moving)} of {len(indices)} worlds, world {moving[0]} the first, have not come to "
                 f"rest: they still moved at up to {fastest:.2g} u/s when settling was ended"
             )
-        self._check_settling(indices, self._volumes.collapsed(self._nodes).any(axis=1), state)
+        self._check_settling(indices[self._volumes.collapsed(self._nodes)[indices].any(axis=1)], state)
         self._rest[indices] = self._nodes[indices]
         self.restore(state)
         self.reset(indices)
@@ -505,9 +505,8 @@ class BatchSimulation:
                 share_out(lambda block: batch_step.advance_blocks(block, block + 1, *arguments), blocks, threads)
         self._diverged |= self._volumes.inside_out(self._nodes).any(axis=1)
 
-    def _check_settling(self, worlds: IntArray, wrong: NDArray[np.bool_], state: BatchState) -> None:
-        """Give settling up, and go back to a state, if something has gone wrong in one of the worlds."""
-        bad = worlds[wrong[worlds]]
+    def _check_settling(self, bad: IntArray, state: BatchState) -> None:
+        """Give settling up, and go back to a state, if something has gone wrong in a world."""
         if not len(bad):
             return
         nodes = self._nodes[bad[:1]]

@@ -86,6 +86,7 @@ def test_sixty_simulations_leave_nothing_behind(engine, tmp_path):
     assert found == {"descriptors": 0, "clients": 0, "threads": 0, "files": 0}
 
 
+@pytest.mark.bullet
 def test_a_dropped_simulation_disconnects_its_client():
     import pybullet
 
@@ -97,6 +98,7 @@ def test_a_dropped_simulation_disconnects_its_client():
     assert not pybullet.isConnected(client)
 
 
+@pytest.mark.bullet
 def test_a_scene_that_bullet_refuses_leaves_no_client(monkeypatch):
     import pybullet
 

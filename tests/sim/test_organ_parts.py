@@ -103,6 +103,7 @@ def test_each_part_has_the_links_of_a_body_of_its_own():
 # Both engines ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("organ", [BALLS, hollow(), mixed(BALLS)[0]], ids=["two balls", "cavity", "mixed order"])
 def test_both_engines_step_all_parts_alike(organ):
     simulations = [Simulation(scene(organ), engine="bullet"), Simulation(scene(organ), "batch", precision="double")]
@@ -125,6 +126,7 @@ def test_both_engines_step_all_parts_alike(organ):
         simulation.close()
 
 
+@pytest.mark.bullet
 def test_a_part_moves_as_it_does_alone():
     # The second ball falls freely beside the first one, as if that were not there.
     both = Simulation(replace(scene(BALLS), gravity=0.0, ground=None), engine="bullet")
@@ -162,6 +164,7 @@ print(np.isfinite(simulation.nodes).all())
 """
 
 
+@pytest.mark.bullet
 def test_loose_parts_do_not_hang_bullet():
     # In a process of its own, as no signal reaches one that hangs in Bullet.
     done = subprocess.run(
@@ -170,6 +173,7 @@ def test_loose_parts_do_not_hang_bullet():
     assert done.stdout.strip() == "True", done.stderr
 
 
+@pytest.mark.bullet
 def test_parts_that_meet_in_a_vertex_are_refused_for_bullet_alone():
     with pytest.raises(ValueError, match=r"'hourglass' must not have parts that meet in a vertex.*7 nodes.*2 such"):
         Simulation(scene(touching(), held=False), engine="bullet")
@@ -178,6 +182,7 @@ def test_parts_that_meet_in_a_vertex_are_refused_for_bullet_alone():
     assert np.isfinite(simulation.nodes).all()
 
 
+@pytest.mark.bullet
 def test_more_nodes_than_bullet_can_count_are_refused(monkeypatch):
     monkeypatch.setattr("spatula_env.sim.bullet.MOST_NODES", 100)
     with pytest.raises(

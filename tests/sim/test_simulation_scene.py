@@ -313,7 +313,7 @@ def test_a_velocity_can_be_given_in_many_ways(fresh):
     ("name", "arguments"),
     [
         ("engine", {"engine": "magic"}),
-        ("engine", {"engine": None}),
+        ("engine", {"engine": 3}),
         ("contact", {"contact": "none"}),
         ("contact", {"contact": "Flags"}),
         ("first_step", {"first_step": "outside"}),
