@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
+from types import FrameType
 from typing import Any, Generic, TypeVar
 
 Item = TypeVar("Item")
@@ -196,8 +197,26 @@ def _end_with_parent() -> None:
 def _interrupts_held() -> Iterator[None]:
     """Keep interrupts until processes are started, which are begun with them blocked.
 
-    Ctrl-C goes to all processes of a terminal's group. Only the first one is to say anything; it ends the others.
+    Ctrl-C goes to all processes of a terminal's group. Only the first one is to say anything; it ends the others. A
+    process whose start is interrupted complains of what it has not been told.
     """
+    came: list[tuple[int, FrameType | None]] = []
+    here = threading.current_thread() is threading.main_thread()
+    # Another thread may take a signal that this one blocks, and the handler runs in this one all the same.
+    handler = signal.signal(signal.SIGINT, lambda *arguments: came.append(arguments)) if here else None
+    try:
+        with _interrupts_blocked():
+            yield
+    finally:
+        if here:
+            signal.signal(signal.SIGINT, handler)
+        if came and callable(handler):
+            handler(*came[0])
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block interrupts in this thread and in the processes that it starts."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
