@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.envs.observations import GOAL_ENTRIES
+
 if TYPE_CHECKING:
     import gymnasium
 
@@ -32,7 +34,8 @@ class Expert(ABC):
         """Learn how the observations and the actions of an environment are laid out.
 
         Args:
-            env: Of the task, for one agent or many, wrapped or not, in the modes "state" or "dict", with any reward.
+            env: Of the task, for one agent or many, wrapped or not, in the modes "state" or "dict", with any reward,
+                noise, delay and history.
 
         Raises:
             ValueError: If it is another one.
@@ -44,6 +47,7 @@ class Expert(ABC):
         if made.settings.obs_mode not in ("state", "dict"):
             raise ValueError(f"env must have obs_mode 'state' or 'dict', got {made.settings.obs_mode!r}")
         self._slices = made.observation_builder.slices
+        self._stacked = made.settings.observation.history > 1
         control = made.control
         self.max_speed, self.max_rotation_rate = control.max_speed, control.max_rotation_rate
         self.max_jaw_speed, self.names = control.max_jaw_speed, control.names
@@ -67,12 +71,13 @@ class Expert(ABC):
         return np.asarray(np.clip(np.stack(columns, axis=-1), -1.0, 1.0), dtype=np.float32)
 
     def part(self, observation: Any, name: str) -> FloatArray:
-        """A part (..., k) of an observation or of many."""
-        if isinstance(observation, Mapping):
-            if name in observation:
-                return np.asarray(observation[name], dtype=np.float64)
-            observation = observation["observation"]
-        return np.asarray(observation, dtype=np.float64)[..., self._slices[name]]
+        """A part (..., k) of an observation or of many; the newest where several are shown at once."""
+        if isinstance(observation, Mapping) and name in observation:
+            values = np.asarray(observation[name], dtype=np.float64)
+        else:
+            whole = observation["observation"] if isinstance(observation, Mapping) else observation
+            values = np.asarray(whole, dtype=np.float64)[..., self._slices[name]]
+        return values[..., -1, :] if self._stacked and name not in GOAL_ENTRIES else values
 
     def goal(self, observation: Any) -> FloatArray:
         """What is asked (..., G), whatever the reward."""

@@ -59,14 +59,34 @@ def call_worlds(env: SpatulaVectorEnv, name: str, *args: Any, **kwargs: Any) -> 
     Raises:
         AttributeError: If worlds have no such thing, or it is nothing that one world could do alone.
     """
+    if name == "save":
+        return tuple(env.save([world], *args, **kwargs) for world in range(env.num_envs))
+    if name == "restore":
+        raise AttributeError(f"worlds are restored together: call restore() of the {type(env).__name__}")
+    values = read_in_worlds(env, name)
+    if name not in READ and callable(values[0]) and not isinstance(values[0], type):
+        return tuple(value(*args, **kwargs) for value in values)
+    return values
+
+
+def read_in_worlds(env: SpatulaVectorEnv, name: str) -> tuple[Any, ...]:
+    """What worlds have under a name, methods as they are.
+
+    Args:
+        env: With W worlds.
+        name: Of an attribute or a method of the environment for one agent.
+
+    Returns:
+        (W,).
+
+    Raises:
+        AttributeError: If worlds have no such thing, or it is nothing that one world has alone.
+    """
     if name in READ:
         return tuple(READ[name](env))
     if name in ABOUT_ALL or not hasattr(env, name):
         raise AttributeError(_missing(env, name))
-    value = getattr(env, name)
-    if callable(value) and not isinstance(value, type):
-        return tuple(value(*args, **kwargs) for _ in range(env.num_envs))
-    return (value,) * env.num_envs
+    return (getattr(env, name),) * env.num_envs
 
 
 def set_in_worlds(env: SpatulaVectorEnv, name: str, values: Any) -> None:

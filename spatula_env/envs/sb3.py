@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from spatula_env.envs.attributes import read_in_worlds, set_in_worlds
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.naming import find_environment, vector_spec
@@ -28,7 +29,7 @@ except ImportError as error:
 if TYPE_CHECKING:
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-WORLD_METHODS = ("compute_reward",)
+WORLD_METHODS = ("compute_reward", "save", "restore")
 """What can be called for one world alone."""
 
 
@@ -127,30 +128,26 @@ class SpatulaVecEnv(VecEnv):
         Raises:
             AttributeError: If there is none.
         """
-        worlds = list(self._get_indices(indices))
-        if attr_name == "goal":
-            goals = self.env.goals
-            return [goals[world] for world in worlds]
-        if attr_name in ("observation_space", "action_space"):
-            attr_name = f"single_{attr_name}"
-        value = getattr(self.env, attr_name)
-        return [value] * len(worlds)
+        values = read_in_worlds(self.env, attr_name)
+        return [values[world] for world in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the environment, for all worlds.
 
         Args:
-            attr_name: Its name.
+            attr_name: "_max_episode_steps", a property that has a setter, or an attribute that a subclass has of its
+                own.
             value: What to set it to.
             indices: All worlds, or None.
 
         Raises:
+            AttributeError: If there is no such attribute, or setting it has no effect.
             ValueError: If only some worlds are named: they share their attributes.
         """
         worlds = sorted(self._get_indices(indices))
         if worlds != list(range(self.num_envs)):
             raise ValueError(f"indices must name all {self.num_envs} worlds, which share {attr_name!r}; got {worlds}")
-        setattr(self.env, attr_name, value)
+        set_in_worlds(self.env, attr_name, [value] * self.num_envs)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
@@ -158,18 +155,30 @@ class SpatulaVecEnv(VecEnv):
         """Call a method for some worlds.
 
         Args:
-            method_name: Only "compute_reward": worlds are not reset or stepped one by one.
+            method_name: "compute_reward"; "save", for the state of each world; or "restore", which puts one state into
+                each of them. Worlds are not reset or stepped one by one.
             *method_args: Passed on.
             indices: For which worlds; None: for all.
             **method_kwargs: Passed on.
+
+        Returns:
+            What each call returned; for "restore", the observation and the info of each world.
 
         Raises:
             AttributeError: If it is another method, or the environment has no goal interface.
         """
         if method_name not in WORLD_METHODS:
             raise AttributeError(f"method_name must be one of {list(WORLD_METHODS)}, got {method_name!r}")
+        worlds = list(self._get_indices(indices))
+        if method_name == "save":
+            return [self.env.save([world], *method_args, **method_kwargs) for world in worlds]
+        if method_name == "restore":
+            state = method_args[0] if method_args else method_kwargs["state"]
+            observation, infos = self.env.restore(state, worlds)
+            told = _split(infos, self.num_envs)
+            return [(_row(observation, world), told[world]) for world in worlds]
         method = getattr(self.env, method_name)
-        return [method(*method_args, **method_kwargs) for _ in self._get_indices(indices)]
+        return [method(*method_args, **method_kwargs) for _ in worlds]
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
@@ -208,6 +217,13 @@ def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwarg
     if seed is not None:
         env.seed(seed)
     return env
+
+
+def _row(observation: Observation, world: int) -> Observation:
+    """What is seen in one world."""
+    if isinstance(observation, dict):
+        return {name: values[world] for name, values in observation.items()}
+    return np.asarray(observation[world])
 
 
 def _split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:

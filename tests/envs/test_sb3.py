@@ -149,7 +149,7 @@ def test_attributes_and_methods() -> None:
     assert rewards.tolist() == [-1.0] * 5
     assert rewards.dtype == np.float32
     assert len(env.env_method("compute_reward", goals, goals, [{}] * 5)) == COUNT
-    with pytest.raises(AttributeError, match=r"method_name must be one of \['compute_reward'\], got 'reset'"):
+    with pytest.raises(AttributeError, match=r"method_name must be one of \['compute_reward', 'save', 'restore'\]"):
         env.env_method("reset")
     env.set_attr("max_episode_steps", 1)
     assert env.step(STILL)[2].all()
@@ -158,6 +158,39 @@ def test_attributes_and_methods() -> None:
     assert env.env_is_wrapped(gym.Wrapper) == [False] * COUNT
     assert env.env_is_wrapped(gym.Wrapper, indices=1) == [False]
     assert env.metadata["render_fps"] == 20
+
+
+@pytest.mark.parametrize("name", ["max_speed", "settings", "task", "goal", "reward", "render_mode", "colour"])
+def test_what_has_no_effect_cannot_be_set(name: str) -> None:
+    with pytest.raises(AttributeError, match=f"'{name}'"):
+        make().set_attr(name, 0.5)
+
+
+def test_worlds_tell_what_belongs_to_each() -> None:
+    env = make()
+    env.seed(3)
+    env.reset()
+    assert env.get_attr("task_description") == [env.env.task_description] * COUNT
+    assert env.get_attr("_max_episode_steps", indices=[1]) == [env.env.max_episode_steps]
+    assert env.get_attr("np_random_seed") == [3, 4, 5]
+    assert not env.has_attr("num_envs")
+    with pytest.raises(AttributeError, match="a world of PressVectorEnv has no attribute 'step'"):
+        env.get_attr("step")
+
+
+def test_worlds_are_saved_and_restored() -> None:
+    env = make()
+    env.seed(0)
+    env.reset()
+    env.step(STILL)
+    (state,) = env.env_method("save", indices=1)
+    expected = env.step(STILL)
+    ((observation, info), _) = env.env_method("restore", state, indices=[0, 2])
+    assert info["time"] == pytest.approx(0.05)
+    assert observation.shape == env.observation_space.shape
+    again = env.step(STILL)
+    assert again[0][0].tolist() == again[0][2].tolist() == expected[0][1].tolist()
+    assert again[1][0] == expected[1][1]
 
 
 def test_pictures_are_laid_side_by_side() -> None:
