@@ -11,9 +11,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.tasks.plain import as_plain
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
 from spatula_env.teleop.haptics.device import HapticDevice
 from spatula_env.teleop.haptics.tap import EnvironmentTap
+from spatula_env.teleop.registry import make_device
 
 Mode: TypeAlias = Literal["auto", "position", "rate"]
 Intervention: TypeAlias = Literal["always", "button", "motion"]
@@ -48,7 +50,7 @@ class Watching(Protocol):
         """
 
 
-class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any]):
+class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
     """Takes actions from a device, and lets the hand feel the contact; for a Falcon and for any other `TeleopDevice`.
 
     *Position mode*: the grip is where the tool is to be, one to one (`scale`). At the beginning of an episode, and when
@@ -90,7 +92,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any]):
     def __init__(
         self,
         env: gymnasium.Env[Any, Any],
-        device: TeleopDevice,
+        device: TeleopDevice | str | None,
         *,
         mode: Mode = "auto",
         scale: float = 1.0,
@@ -107,7 +109,8 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any]):
 
         Args:
             env: One of the Spatula environments, for one agent, wrapped or not.
-            device: Open and calibrated by the time of `reset`.
+            device: Open and calibrated by the time of `reset`. Or its name, one of `registry.DEVICES`: it is made, and
+                whoever wants to use it opens and closes `device`. A specification keeps a name, and no device.
             mode: "auto": what the device is.
             scale: Way of the tool over way of the grip, in position mode; forces are not scaled by it.
             clutch: Button that uncouples grip and tool, in position mode.
@@ -123,9 +126,30 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any]):
 
         Raises:
             ValueError: If an argument is not one of those allowed, or the device cannot do what `mode` asks.
-            TypeError: If `env` is none of this package.
+            TypeError: If `env` is none of this package, or there is no device.
         """
-        super().__init__(env)
+        # A device is a thing in the world, and a clock is somebody's: no specification can hold them.
+        arguments = {
+            "mode": mode,
+            "scale": scale,
+            "clutch": clutch,
+            "intervention": intervention,
+            "intervention_button": intervention_button,
+            "motion_threshold": motion_threshold,
+            "release_time": release_time,
+            "real_time": real_time,
+        }
+        gymnasium.utils.RecordConstructorArgs.__init__(
+            self, device=device if isinstance(device, str) else None, **as_plain(arguments)
+        )
+        gymnasium.Wrapper.__init__(self, env)
+        if device is None:
+            raise TypeError(
+                "device must be a device or the name of one, got None: a specification holds no device; "
+                "make the environment without FalconTeleop, and put that around it with a device"
+            )
+        if isinstance(device, str):
+            device = make_device(device)
         _check_choice(mode, "mode", MODES)
         _check_choice(intervention, "intervention", INTERVENTIONS)
         if mode == "position" and device.kind != "position":
