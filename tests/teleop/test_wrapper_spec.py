@@ -42,9 +42,7 @@ def test_a_device_of_ones_own_is_not_held() -> None:
     around = gym.wrappers.RecordEpisodeStatistics(made)
     assert around.spec is not None
     written = around.spec.to_json()
-    with pytest.raises(
-        TypeError, match="device must be a device or the name of one, got None"
-    ):
+    with pytest.raises(TypeError, match="device must be a device or the name of one, got None"):
         gym.make(EnvSpec.from_json(written))
     with pytest.raises(ValueError, match="device must be one of"):
         FalconTeleop(env, "joystick")
