@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
 from spatula_env.cli.common import CommandError, at_least, engine_option, note, read_changes, resolve_env
 from spatula_env.naming import same_environment
+from spatula_env.teleop.web.access import find_token
 
 if TYPE_CHECKING:
     import gymnasium
@@ -81,7 +82,15 @@ def add_device_options(parser: argparse.ArgumentParser) -> None:
     web = parser.add_argument_group("web page (--device web)")
     web.add_argument("--host", default="127.0.0.1", help="address to serve at (default: %(default)s)")
     web.add_argument("--port", metavar="N", type=at_least(0, 65535), default=8080, help="(default: %(default)s)")
-    web.add_argument("--token", help="what a visitor has to know; needed where other machines reach the page")
+    secret = web.add_mutually_exclusive_group()
+    secret.add_argument(
+        "--token-file",
+        type=Path,
+        metavar="FILE",
+        help="that holds what a visitor has to know; needed where other machines reach the page. The environment "
+        "variable SPATULA_TOKEN does as well",
+    )
+    secret.add_argument("--token", help="the same as it is, for all who use this machine to see")
     hand = parser.add_argument_group("from the hand to the tool")
     hand.add_argument(
         "--mode",
@@ -255,7 +264,7 @@ def serve_page(
         resolve_env(chosen.env),
         host=chosen.host,
         port=chosen.port,
-        token=chosen.token,
+        token=find_token(chosen.token, chosen.token_file),
         dataset=dataset,
         root=chosen.root,
         seed=chosen.seed,

@@ -306,6 +306,15 @@ class TestWeb:
         assert "recorded: success after 3 steps" in noted
         assert "practice" not in noted
 
+    def test_the_token_is_in_a_file(self, capsys, served, tmp_path) -> None:
+        file = tmp_path / "token"
+        file.write_text("a secret in a file\n")
+        file.chmod(0o600)
+        run(capsys, "play", "press", "--device", "web", "--token-file", str(file))
+        assert served[0][1]["token"] == "a secret in a file"
+        _, noted = run(capsys, "play", "press", "--device", "web", "--token-file", str(tmp_path / "missing"), status=1)
+        assert "missing" in noted
+
     def test_the_page_takes_what_is_given(self) -> None:
         pytest.importorskip("viser")
         pytest.importorskip("websockets")

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from http import HTTPStatus
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spatula_env.teleop.web.access import Doorkeeper, is_loopback
+from spatula_env.teleop.web.access import Doorkeeper, GuessLimit, find_token, is_loopback
 
 TOKEN = "open sesame & shut?"
 
 
 def head(**more):
-    return {"Host": "127.0.0.1:8080", **more}
+    return {name.lower(): [value] for name, value in {"Host": "127.0.0.1:8080", **more}.items()}
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.3.4.5", "::1", "localhost", "LOCALHOST"])
@@ -55,8 +56,8 @@ def test_address_with_a_token_for_this_machine():
 @pytest.mark.parametrize("name", ["127.0.0.1:8080", "localhost:9", "[::1]:1"])
 def test_on_loopback_everybody_of_this_machine_comes_in(name):
     door = Doorkeeper("127.0.0.1")
-    assert door.judge("/", {"Host": name}).status is HTTPStatus.OK
-    assert door.judge("/", {"Host": name, "Origin": f"http://{name}"}).status is HTTPStatus.OK
+    assert door.judge("/", head(Host=name)).status is HTTPStatus.OK
+    assert door.judge("/", head(Host=name, Origin=f"http://{name}")).status is HTTPStatus.OK
 
 
 @pytest.mark.parametrize(
@@ -66,13 +67,47 @@ def test_on_loopback_everybody_of_this_machine_comes_in(name):
         head(Origin="http://127.0.0.1:8081"),
         head(Origin="null"),
         # A name that somebody else owns, and points here.
-        {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"},
-        {"Host": "evil.example"},
-        {},
+        head(Host="evil.example:8080", Origin="http://evil.example:8080"),
+        head(Host="evil.example"),
+        head(Host="127.0.0.1.evil.example"),
+        # What is embedded in a page comes without Origin.
+        head(**{"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}),
+        head(**{"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}),
     ],
 )
 def test_no_page_of_another_site_comes_in(headers):
     assert Doorkeeper("127.0.0.1").judge("/", headers).status is HTTPStatus.FORBIDDEN
+
+
+def test_a_link_from_another_page_may_be_followed():
+    headers = head(**{"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"})
+    assert Doorkeeper("127.0.0.1").judge("/", headers).status is HTTPStatus.OK
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {},
+        {"host": []},
+        {"host": ["127.0.0.1:8080", "127.0.0.1:8080"]},
+        head(Host=""),
+        head(Host="["),
+        head(Host="[::1"),
+        head(Host="127.0.0.1:port"),
+        head(Host="127.0.0.1:99999"),
+        head(Host="127.0.0.1:8080/"),
+        head(Host="a@127.0.0.1:8080"),
+        head(Host="127.0.0.1:8080\udcff"),
+        head(Origin=""),
+        head(Origin="http://["),
+        head(Origin="127.0.0.1:8080"),
+        head(Origin="http://127.0.0.1:8080/path"),
+        {**head(), "origin": ["http://127.0.0.1:8080", "http://evil.example"]},
+    ],
+)
+@pytest.mark.parametrize("token", [None, TOKEN])
+def test_what_no_browser_sends_is_a_bad_request(headers, token):
+    assert Doorkeeper("127.0.0.1", token).judge("/", headers).status is HTTPStatus.BAD_REQUEST
 
 
 def test_the_token_is_asked_for_once():
@@ -104,3 +139,112 @@ def test_nothing_else_opens(query, cookie):
             verdict = door.judge(target, head(Cookie=cookie))
             assert verdict.status is HTTPStatus.UNAUTHORIZED
             assert not verdict.headers
+
+
+ANYTHING = st.text(st.characters(codec="ascii") | st.characters(min_codepoint=0xDC80, max_codepoint=0xDCFF))
+"""As servers read headers: bytes beyond ASCII are lone surrogates."""
+
+
+@given(
+    target=ANYTHING,
+    headers=st.dictionaries(
+        st.sampled_from(["host", "origin", "cookie", "sec-fetch-site", "sec-fetch-mode", "upgrade"]),
+        st.lists(ANYTHING | st.sampled_from(["127.0.0.1", "http://127.0.0.1", "http://["]), max_size=2),
+    ),
+    token=st.sampled_from([None, TOKEN]),
+)
+def test_there_is_an_answer_to_everything(target, headers, token):
+    verdict = Doorkeeper("127.0.0.1", token).judge(target, headers)
+    assert verdict.status is HTTPStatus.OK or 400 <= verdict.status < 500
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def guess(door, token, address):
+    return door.judge(f"/?token={token}", head(), address).status
+
+
+def test_who_guesses_has_to_wait():
+    clock = Clock()
+    door = Doorkeeper("0.0.0.0", "a-long-token", clock)
+    assert [guess(door, "wrong", "10.0.0.1") for _ in range(5)] == [HTTPStatus.UNAUTHORIZED] * 5
+    refused = door.judge("/?token=wrong", head(), "10.0.0.1")
+    assert refused.status is HTTPStatus.TOO_MANY_REQUESTS
+    assert refused.headers == {"Retry-After": "30"}
+    # Else the answer would still tell which guess is right.
+    assert guess(door, "a-long-token", "10.0.0.1") is HTTPStatus.TOO_MANY_REQUESTS
+    assert guess(door, "a-long-token", "10.0.0.2") is HTTPStatus.SEE_OTHER
+    # Looking at the page is no guess.
+    assert door.judge("/", head(), "10.0.0.1").status is HTTPStatus.UNAUTHORIZED
+    clock.now = 30.0
+    assert guess(door, "wrong", "10.0.0.1") is HTTPStatus.UNAUTHORIZED
+    assert guess(door, "wrong", "10.0.0.1") is HTTPStatus.TOO_MANY_REQUESTS
+    clock.now = 60.0
+    assert guess(door, "a-long-token", "10.0.0.1") is HTTPStatus.SEE_OTHER
+
+
+@pytest.mark.parametrize("address", ["10.0.{}.1", "2001:db8:{}::1", "nobody knows {}"])
+def test_nor_do_many_addresses_help(address):
+    clock = Clock()
+    door = Doorkeeper("0.0.0.0", "a-long-token", clock)
+    answers = [guess(door, "wrong", address.format(number)) for number in range(60)]
+    assert answers == [HTTPStatus.UNAUTHORIZED] * 50 + [HTTPStatus.TOO_MANY_REQUESTS] * 10
+    crumb = door.judge("/?token=a-long-token", head(), "10.9.9.9")
+    assert crumb.status is HTTPStatus.TOO_MANY_REQUESTS
+    clock.now = 3.0
+    assert guess(door, "a-long-token", "10.9.9.9") is HTTPStatus.SEE_OTHER
+
+
+def test_all_addresses_of_a_network_of_version_6_are_one():
+    door = Doorkeeper("0.0.0.0", "a-long-token", Clock())
+    answers = [guess(door, "wrong", f"2001:db8::{number:x}") for number in range(6)]
+    assert answers[-1] is HTTPStatus.TOO_MANY_REQUESTS
+    answers = [guess(door, "wrong", address) for address in ["::ffff:10.0.0.1", "10.0.0.1"] * 3]
+    assert answers[-1] is HTTPStatus.TOO_MANY_REQUESTS
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.floats(0.0, 10.0)), max_size=80))
+def test_guesses_are_no_more_than_allowed(guesses):
+    clock = Clock()
+    limit = GuessLimit(clock)
+    counted = dict.fromkeys(range(6), 0)
+    for who, passed in guesses:
+        clock.now += passed
+        if limit.wait(f"10.0.0.{who}") <= 0.0:
+            limit.count(f"10.0.0.{who}")
+            counted[who] += 1
+        assert all(count <= 5 + clock.now / 30.0 + 1e-6 for count in counted.values())
+        assert sum(counted.values()) <= 50 + clock.now / 3.0 + 1e-6
+
+
+def test_where_the_token_comes_from(tmp_path, monkeypatch):
+    monkeypatch.delenv("SPATULA_TOKEN", raising=False)
+    assert find_token() is None
+    assert find_token("as it is") == "as it is"
+    file = tmp_path / "token"
+    file.write_text("from a file\n")
+    file.chmod(0o600)
+    assert find_token(file=file) == "from a file"
+    monkeypatch.setenv("SPATULA_TOKEN", "from a variable")
+    assert find_token() == "from a variable"
+    assert find_token("as it is") == "as it is"
+    assert find_token(file=file) == "from a file"
+    with pytest.raises(ValueError, match="got both"):
+        find_token("as it is", file)
+    file.write_text("\n")
+    with pytest.raises(ValueError, match="got an empty file"):
+        find_token(file=file)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions of POSIX")
+def test_a_token_that_others_can_read_is_none(tmp_path):
+    file = tmp_path / "token"
+    file.write_text("from a file")
+    file.chmod(0o644)
+    with pytest.raises(ValueError, match="must be readable by you alone: chmod 600"):
+        find_token(file=file)

@@ -236,6 +236,35 @@ def test_ctrl_c_ends_it():
     assert done.stdout.split()[-1:] == ["ended"], done.stderr
 
 
+def test_a_page_cannot_name_a_module(session, tmp_path, monkeypatch):
+    import msgspec.msgpack
+    import viser
+    from websockets.sync.client import connect
+
+    (tmp_path / "named_by_a_page.py").write_text(f"open({str(tmp_path / 'it-ran')!r}, 'w')")
+    monkeypatch.syspath_prepend(tmp_path)
+    address = f"ws://{urlsplit(session.url).netloc}/"
+    camera = {
+        "type": "ViewerCameraMessage",
+        "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 1.0), "fov": 1.0, "near": 0.1, "far": 9.0,
+        "image_height": 10, "image_width": 10, "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 1.0, 0.0),
+    }  # fmt: skip
+    choice = {"type": "GuiUpdateMessage", "uuid": session._choice._impl.uuid}
+    options = {"subprotocols": [f"viser-v{viser.__version__}"], "max_size": None, "max_queue": None, "proxy": None}
+    with Script(session.url), connect(address, **options) as line:
+        line.send(msgspec.msgpack.encode(camera))
+        until(lambda: session.device.page.server.get_clients(), "a page")
+        until(lambda: session._status.text == "Practice", "practice")
+        for name in ("named_by_a_page:Spatula/Press-v0", "CartPole-v1", ""):
+            session._said = ""
+            line.send(msgspec.msgpack.encode({**choice, "updates": {"value": name}}))
+            until(lambda: session._said.startswith("There is no task"), "a refusal")
+            assert session.env_id == TASK
+        assert not (tmp_path / "it-ran").exists()
+        line.send(msgspec.msgpack.encode({**choice, "updates": {"value": "Spatula/Fissure-v0"}}))
+        until(lambda: session.env_id == "Spatula/Fissure-v0", "another task")
+
+
 # The device without a session.
 
 

@@ -47,7 +47,7 @@ def find_browser() -> str | None:
 
 
 @contextlib.contextmanager
-def open_browser():
+def open_browser(*switches: str):
     """A browser, or a skipped test where there is none; on CI a failed one."""
     playwright = pytest.importorskip("playwright.sync_api", reason="pip install 'spatula-env[dev]'")
     with playwright.sync_playwright() as started:
@@ -55,7 +55,7 @@ def open_browser():
         if path is None and not os.path.exists(started.chromium.executable_path):
             answer = pytest.fail if os.environ.get("CI") else pytest.skip
             answer("there is no Chromium: make test installs it, or apt-get install chromium")
-        browser = started.chromium.launch(executable_path=path, args=list(SWITCHES))
+        browser = started.chromium.launch(executable_path=path, args=[*SWITCHES, *switches])
         try:
             yield browser
         finally:

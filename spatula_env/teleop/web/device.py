@@ -226,6 +226,9 @@ class WebDevice(TeleopDevice):
 
     def _drag(self, target: FloatArray | None) -> None:
         page, env = self.page, self._env
+        # A page can say anything.
+        if target is not None and not np.isfinite(target).all():
+            return
         if page is not None and env is not None:
             page.hands.drag(None if target is None else env.workspace.from_scene(target))
 

@@ -1,7 +1,8 @@
-"""The gate in front of viser's server: it lets in whom the doorkeeper does, and has a line to the pages of its own.
+"""The gate: the one server that listens, which lets in whom the doorkeeper does.
 
-viser's server listens on a loopback port that nobody is told. The gate hands its page out, with a script for the keys,
-and passes its messages on in both directions. Its own line, ``/spatula/hand``, is what `hands` is fed by.
+viser asks nobody for anything, so it does not listen at all: `Gate.serve` takes the place of the server that viser
+would start, in viser's own thread, and hands it the connections of those who may come in. It also hands viser's page
+out, with a script for the keys. The script's own line, ``/spatula/hand``, is what `hands` is fed by.
 """
 
 from __future__ import annotations
@@ -11,24 +12,21 @@ import html
 import json
 import logging
 import socket
-import threading
-import urllib.request
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from http import HTTPStatus
 from importlib.resources import files
 from itertools import count
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 from spatula_env.teleop.device import DeviceBusy, DeviceError
 from spatula_env.teleop.web.access import TOKEN, Doorkeeper
 from spatula_env.teleop.web.hands import Hands
 
 if TYPE_CHECKING:
-    from websockets.asyncio.client import ClientConnection
     from websockets.asyncio.server import Server, ServerConnection
     from websockets.http11 import Request, Response
 
@@ -41,8 +39,8 @@ LARGEST_WORD = 4096
 """That the script may send [bytes]."""
 BUFFER = 2**18
 """Kept for a page that is slow [bytes]. What is on the way is old: viser leaves out what is outdated, if it is let."""
-STARTING = 20.0
-"""How long the gate may take to open [s]."""
+ENDING = 5.0
+"""How long connections may take to close [s]."""
 
 ASK = """<!doctype html><meta charset="utf-8"><title>spatula</title>
 <style>body{{font:16px system-ui;display:grid;place-content:center;height:90vh;gap:1em;text-align:center}}</style>
@@ -51,53 +49,91 @@ ASK = """<!doctype html><meta charset="utf-8"><title>spatula</title>
 
 
 class Gate:
-    """Serves the page at one address, from another thread."""
+    """Serves the page at one address, in viser's thread.
+
+    Attributes:
+        port: Where it listens; 0 while it does not.
+    """
 
     def __init__(
-        self,
-        doorkeeper: Doorkeeper,
-        port: int,
-        inner_port: int,
-        hands: Hands,
-        keys: tuple[str, ...],
-        on_key: Callable[[str], None],
+        self, doorkeeper: Doorkeeper, port: int, hands: Hands, keys: tuple[str, ...], on_key: Callable[[str], None]
     ) -> None:
-        """Open the gate.
+        """Describe the gate.
 
         Args:
             doorkeeper: Who comes in, and at which address.
             port: Where; 0 for any that is free.
-            inner_port: Where viser's server is, on 127.0.0.1.
             hands: Fed with what the pages say.
             keys: Codes of the keys that pages tell of.
-            on_key: Called with the code of each key when it is pressed, by the gate's thread.
-
-        Raises:
-            DeviceBusy: If the port is taken.
-            DeviceError: If the address cannot be served at.
+            on_key: Called with the code of each key when it is pressed, by viser's thread.
         """
+        self.port = 0
+        self._wanted = port
         self._doorkeeper, self._hands = doorkeeper, hands
         self._keys, self._on_key = keys, on_key
-        self._inner_port = inner_port
-        self._document = _with_script(inner_port)
+        self._document = _with_script()
         self._script = files(__package__).joinpath("page.js").read_bytes()
         self._numbers = count()
         self._lines: set[ServerConnection] = set()
-        self._loop = asyncio.new_event_loop()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._server: Server | None = None
-        self._thread = threading.Thread(target=self._run, name="web gate", daemon=True)
-        self._thread.start()
-        opening = self._call(self._open(port))
+        self._failure: Exception | None = None
+        self._draw: Callable[[ServerConnection], Awaitable[None]] | None = None
+
+    @asynccontextmanager
+    async def serve(self, draw: Callable[[ServerConnection], Awaitable[None]], **options: Any) -> AsyncIterator[Any]:
+        """Listen, instead of `websockets.asyncio.server.serve`, for as long as this lasts.
+
+        What goes wrong is kept for `check`: viser waits for its server for ever.
+
+        Args:
+            draw: viser's handler of connections.
+            options: viser's, of which its choice of a protocol is used.
+        """
+        from websockets.asyncio.server import serve
+
+        logger = logging.getLogger(__name__)
+        # Somebody who does not finish what he began to say is no error of ours.
+        logger.setLevel(logging.CRITICAL)
+        self._loop, self._draw = asyncio.get_running_loop(), draw
         try:
-            self.port = opening.result(STARTING)
-        except BaseException as error:
-            self._stop()
-            if isinstance(error, OSError):
-                where = f"port {port} of host {doorkeeper.host!r}"
-                if error.errno is not None and "in use" in str(error).lower():
-                    raise DeviceBusy(f"{where} is in use: choose another with port=, or port=0 for any") from error
-                raise DeviceError(f"the page cannot be served at {where}: {error}") from error
-            raise
+            server = await serve(
+                self._handle,
+                self._doorkeeper.host or None,
+                self._wanted,
+                process_request=self._answer,
+                select_subprotocol=options.get("select_subprotocol"),
+                compression=None,
+                max_size=LARGEST_MESSAGE,
+                write_limit=BUFFER,
+                logger=logger,
+            )
+        except Exception as error:
+            self._failure = error
+            yield SimpleNamespace(server=SimpleNamespace(sockets=()))
+            return
+        sockets = list(server.sockets)
+        for one in sockets:
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+        self._server, self.port = server, int(sockets[0].getsockname()[1])
+        async with server:
+            yield server
+
+    def check(self) -> None:
+        """See that the gate is open.
+
+        Raises:
+            DeviceBusy: If the port is taken.
+            DeviceError: If the address cannot be served at, or viser has not asked the gate to serve.
+        """
+        error = self._failure
+        if error is not None:
+            where = f"port {self._wanted} of host {self._doorkeeper.host!r}"
+            if isinstance(error, OSError) and error.errno is not None and "in use" in str(error).lower():
+                raise DeviceBusy(f"{where} is in use: choose another with port=, or port=0 for any") from error
+            raise DeviceError(f"the page cannot be served at {where}: {error}") from error
+        if self._server is None:
+            raise DeviceError("this version of viser listens by itself, so nobody can guard it; take viser 1.1.1")
 
     def tell(self, message: dict[str, Any]) -> None:
         """Send something to the scripts of all pages."""
@@ -108,71 +144,44 @@ class Gate:
                 with suppress(Exception):
                     await line.send(text)
 
-        if not self._loop.is_closed():
-            self._call(send())
+        self._call(send())
 
     def close(self) -> None:
         """Close it, and all connections. Closing twice is allowed."""
-        if self._server is None:
-            return
         server, self._server = self._server, None
+        if server is None:
+            return
 
         async def shut() -> None:
             server.close()
             await server.wait_closed()
 
-        # Not the built-in one in Python 3.10.
-        with suppress(FutureTimeoutError):
-            self._call(shut()).result(5.0)
-        self._stop()
+        ended = self._call(shut())
+        if ended is not None:
+            # Not the built-in one in Python 3.10.
+            with suppress(FutureTimeoutError):
+                ended.result(ENDING)
 
-    # The gate's thread.
+    def _call(self, work: Any) -> Future[Any] | None:
+        """Have viser's thread do something; None if it has ended."""
+        if self._loop is not None and not self._loop.is_closed():
+            with suppress(RuntimeError):
+                return asyncio.run_coroutine_threadsafe(work, self._loop)
+        work.close()
+        return None
 
-    def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
-        self._loop.run_forever()
-        for task in asyncio.all_tasks(self._loop):
-            task.cancel()
-        self._loop.run_until_complete(asyncio.sleep(0))
-        self._loop.close()
-
-    def _call(self, work: Any) -> Future[Any]:
-        return asyncio.run_coroutine_threadsafe(work, self._loop)
-
-    def _stop(self) -> None:
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join(5.0)
-
-    async def _open(self, port: int) -> int:
-        from websockets.asyncio.server import serve
-
-        logger = logging.getLogger(__name__)
-        # Somebody who does not finish what he began to say is no error of ours.
-        logger.setLevel(logging.CRITICAL)
-        self._server = await serve(
-            self._handle,
-            self._doorkeeper.host or None,
-            port,
-            process_request=self._answer,
-            select_subprotocol=lambda _, offered: offered[0] if offered else None,
-            compression=None,
-            max_size=LARGEST_MESSAGE,
-            write_limit=BUFFER,
-            logger=logger,
-        )
-        sockets = list(self._server.sockets)
-        for one in sockets:
-            one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
-        return int(sockets[0].getsockname()[1])
+    # In viser's thread.
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        verdict = self._doorkeeper.judge(request.path, request.headers)
-        path = urlsplit(request.path).path
+        address = str(connection.remote_address[0]) if connection.remote_address else ""
+        verdict = self._doorkeeper.judge(request.path, _unfolded(request), address)
+        path = request.path.partition("?")[0]
         if verdict.status is HTTPStatus.SEE_OTHER:
             return _response(HTTPStatus.SEE_OTHER, b"", "text/plain", **verdict.headers)
         if verdict.status is not HTTPStatus.OK:
-            return _response(verdict.status, _refusal(verdict.status, verdict.reason), "text/html")
-        if request.headers.get("Upgrade", "").lower() == "websocket":
+            refusal = _refusal(verdict.status, verdict.reason)
+            return _response(verdict.status, refusal, "text/html", **verdict.headers)
+        if any("websocket" in value.lower() for value in request.headers.get_all("Upgrade")):
             return None if path in ("/", HAND) else _response(HTTPStatus.NOT_FOUND, b"not found", "text/plain")
         if path == SCRIPT:
             return _response(HTTPStatus.OK, self._script, "text/javascript")
@@ -181,11 +190,11 @@ class Gate:
         return _response(HTTPStatus.NOT_FOUND, b"not found", "text/plain")
 
     async def _handle(self, connection: ServerConnection) -> None:
-        assert connection.request is not None
-        if urlsplit(connection.request.path).path == HAND:
+        assert connection.request is not None and self._draw is not None
+        if connection.request.path.partition("?")[0] == HAND:
             await self._listen(connection)
         else:
-            await self._pass_on(connection)
+            await self._draw(connection)
 
     async def _listen(self, connection: ServerConnection) -> None:
         """What a page's script says."""
@@ -207,50 +216,6 @@ class Gate:
         finally:
             self._lines.discard(connection)
             self._hands.leave(page)
-
-    async def _pass_on(self, connection: ServerConnection) -> None:
-        """Between a page and viser's server."""
-        from websockets.asyncio.client import connect
-
-        line = socket.socket()
-        line.setblocking(False)
-        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
-        await self._loop.sock_connect(line, ("127.0.0.1", self._inner_port))
-        protocols: Any = None if connection.subprotocol is None else [connection.subprotocol]
-        async with connect(
-            f"ws://127.0.0.1:{self._inner_port}/",
-            sock=line,
-            subprotocols=protocols,
-            compression=None,
-            max_size=None,
-            max_queue=2,
-            write_limit=BUFFER,
-            ping_interval=None,
-            proxy=None,
-        ) as inner:
-            ways = [asyncio.ensure_future(_pump(*way)) for way in ((connection, inner), (inner, connection))]
-            try:
-                await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for way in ways:
-                    way.cancel()
-                await asyncio.gather(*ways, return_exceptions=True)
-
-
-async def _pump(source: ServerConnection | ClientConnection, sink: ServerConnection | ClientConnection) -> None:
-    from websockets.exceptions import ConnectionClosed
-
-    try:
-        async for message in source:
-            await sink.send(message)
-    except ConnectionClosed as error:
-        if error.rcvd is not None:
-            await sink.close(error.rcvd.code, error.rcvd.reason)
-    else:
-        # A version of viser that does not suit the page says so when it closes.
-        if source.close_code is not None:
-            with suppress(Exception):
-                await sink.close(source.close_code, source.close_reason or "")
 
 
 def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str], bool, int | None] | None:
@@ -277,16 +242,24 @@ def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str]
     return held.intersection(known), bool(said.get("hidden")), frames if isinstance(frames, int) else None
 
 
-def _with_script(inner_port: int) -> bytes:
-    """The page that viser serves, with the script before everything else."""
-    with urllib.request.build_opener(urllib.request.ProxyHandler({})).open(
-        f"http://127.0.0.1:{inner_port}/", timeout=STARTING
-    ) as answer:
-        document: bytes = answer.read()
+def _with_script() -> bytes:
+    """The page of viser, with the script before everything else."""
+    try:
+        document = files("viser").joinpath("client", "build", "index.html").read_bytes()
+    except FileNotFoundError as error:
+        raise DeviceError("this version of viser comes without its page; take viser 1.1.1") from error
     head, found, rest = document.partition(b"<head>")
     if not found:
-        raise DeviceError("the page of this version of viser has no head; take another one")
+        raise DeviceError("the page of this version of viser has no head; take viser 1.1.1")
     return b"".join([head, found, f'<script src="{SCRIPT}"></script>'.encode(), rest])
+
+
+def _unfolded(request: Request) -> dict[str, list[str]]:
+    """All values of each header, by its name in lower case: a header may come twice, which is for others to judge."""
+    values: dict[str, list[str]] = {}
+    for name, value in request.headers.raw_items():
+        values.setdefault(name.lower(), []).append(value)
+    return values
 
 
 def _refusal(status: HTTPStatus, reason: str) -> bytes:
@@ -309,6 +282,7 @@ def _response(status: HTTPStatus, body: bytes, kind: str, **headers: str) -> Res
                 "Content-Length": str(len(body)),
                 "Cache-Control": "no-store",
                 "Connection": "close",
+                "Cross-Origin-Resource-Policy": "same-origin",
                 "Referrer-Policy": "no-referrer",
                 "X-Content-Type-Options": "nosniff",
                 "X-Frame-Options": "DENY",

@@ -1,15 +1,19 @@
-"""One page: viser's server, and the gate in front of it."""
+"""One page: viser, and the gate that its server is replaced by."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from spatula_env.teleop.web.access import Doorkeeper
+from spatula_env.teleop.web.access import Doorkeeper, find_token
 from spatula_env.teleop.web.gate import Gate
 from spatula_env.teleop.web.hands import KEYS, SLOW_KEYS, Hands
+
+_REPLACING = threading.Lock()
+"""Held while a name in another package stands for something else."""
 
 
 class Page:
@@ -35,7 +39,8 @@ class Page:
         Args:
             host: The address to listen at.
             port: Where; 0 for any that is free.
-            token: What has to be known to open it; None: nothing, which is allowed on a loopback address only.
+            token: What has to be known to open it; None: what the environment variable SPATULA_TOKEN says, or nothing,
+                which is allowed on a loopback address only.
             keys: Further keys to tell of, beside those that move the tool.
             on_key: Called with the code of a key that is pressed, by a thread of the page's.
 
@@ -45,16 +50,16 @@ class Page:
             DeviceBusy: If the port is taken.
         """
         viser = require_viser()
-        doorkeeper = Doorkeeper(host, token)
+        doorkeeper = Doorkeeper(host, find_token(token))
         self.hands = Hands()
+        self._gate = Gate(doorkeeper, port, self.hands, (*KEYS, *SLOW_KEYS, *keys), on_key)
         # It tells everybody the address that nobody is to use.
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server: Any = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        with _served_by(self._gate) as host, contextlib.redirect_stdout(io.StringIO()):
+            self.server: Any = viser.ViserServer(host=host, port=0, verbose=False)
         # A page may ask for the scene to be shown to the whole world; not here.
         self.server.request_share_url = _do_not_share
         try:
-            all_keys = (*KEYS, *SLOW_KEYS, *keys)
-            self._gate = Gate(doorkeeper, port, self.server.get_port(), self.hands, all_keys, on_key)
+            self._gate.check()
         except BaseException:
             self._stop_server()
             raise
@@ -79,6 +84,36 @@ class Page:
             server, self.server = self.server, None
             with contextlib.redirect_stdout(io.StringIO()):
                 server.stop()
+
+
+class _Marked(str):
+    """An address that is known again by its identity; a loopback one, should viser take it for what it is."""
+
+
+@contextlib.contextmanager
+def _served_by(gate: Gate) -> Iterator[str]:
+    """Have the gate serve what viser would.
+
+    viser's constructor starts `websockets.asyncio.server.serve` with the address that it is given, and offers no other
+    way to say who may connect. So that name stands for the gate meanwhile, if it is called with the address that this
+    yields; for all others it stays what it is.
+    """
+    from websockets.asyncio import server
+
+    host = _Marked("127.0.0.1")
+    with _REPLACING:
+        original: Any = server.serve
+
+        def serve(handler: Any, given: Any = None, *arguments: Any, **options: Any) -> Any:
+            if given is host:
+                return gate.serve(handler, **options)
+            return original(handler, given, *arguments, **options)
+
+        server.serve = serve  # type: ignore[assignment, misc]
+        try:
+            yield host
+        finally:
+            server.serve = original  # type: ignore[misc]
 
 
 def require_viser() -> Any:

@@ -250,8 +250,7 @@ class WebSession:
                 if asked == RECORD:
                     self._record(timed)
                     continue
-                if asked == TASK:
-                    self.env_id = self._choice.value
+                if asked == TASK and self._take_choice():
                     break
                 self._say("Practice", self._said or "Nothing is recorded.")
                 with _Mishaps(self):
@@ -262,6 +261,17 @@ class WebSession:
         finally:
             env, self.env = self.env, None
             env.close()
+
+    def _take_choice(self) -> bool:
+        """Change to the task that is chosen on the page, if it is one of those offered."""
+        # A page can say anything, and `gymnasium.make` imports what stands before a colon.
+        chosen = str(self._choice.value)
+        if chosen not in task_ids():
+            self._tell("Not a task", f"There is no task {chosen[:80]!r} here.", "red")
+            self._choice.value = self.env_id
+            return False
+        self.env_id = chosen
+        return True
 
     def _after_practice(self, observation: Any, info: dict[str, Any]) -> None:
         self._pause()
