@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,8 +13,8 @@ from spatula_env.data.episode import Episode
 
 COMPRESSION = 4
 """Of arrays of numbers, lossless."""
-SMALL = 1024
-"""Arrays up to this size are kept with their description: chunks and filters would cost more than they save [bytes]."""
+SMALL = 4096
+"""Arrays up to this size are kept with their description, unless they can be compressed [bytes]."""
 ONE_CHUNK = 1 << 20
 """Arrays up to this size are one chunk, longer ones several of about this size [bytes]."""
 FORMAT = "v110"
@@ -71,7 +72,8 @@ def _put_array(group: Any, name: str, array: Any, *, text: bool = False) -> None
     for folder in folders:
         group = group.require_group(folder)
     created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    if array.nbytes > SMALL:
+    created.set_obj_track_times(False)
+    if array.nbytes > SMALL or _is_compressible(array):
         # Whole steps: what is read is episodes, or steps of them.
         steps = max(1, ONE_CHUNK * len(array) // array.nbytes)
         created.set_chunk((min(steps, len(array)), *array.shape[1:]))
@@ -86,6 +88,12 @@ def _put_array(group: Any, name: str, array: Any, *, text: bool = False) -> None
     dataset = h5py.h5d.create(group.id, leaf.encode(), kind, space, created)
     if array.nbytes:
         dataset.write(h5py.h5s.ALL, h5py.h5s.ALL, np.ascontiguousarray(array), mtype=kind)
+
+
+def _is_compressible(array: Any) -> bool:
+    """Whether an array can be compressed."""
+    rows = np.frombuffer(np.ascontiguousarray(array).tobytes(), dtype=np.uint8).reshape(-1, array.dtype.itemsize)
+    return len(zlib.compress(rows.T.tobytes(), COMPRESSION)) < int(array.nbytes)
 
 
 def _flat(value: Mapping[str, Any], parent: str) -> dict[str, Any]:

@@ -73,18 +73,22 @@ def make_episode(number: int, *, nodes: Any = None) -> Episode:
     )
 
 
-def write_dataset(
-    root: Path, dataset_id: str = ID, *, layout: Layout = LAYOUT, episodes: int = 3, nodes: Any = None
-) -> Path:
-    """Write made-up episodes as a dataset; returns its folder."""
+def made_up_env() -> Any:
+    """What a writer wants to know of an environment, without the physics."""
     import gymnasium as gym
 
-    env: Any = SimpleNamespace(
+    return SimpleNamespace(
         spec=gym.spec("Spatula/Press-v0"),
         observation_space=spaces.Box(-1.0, 1.0, (4,), np.float32),
         action_space=spaces.Box(-1.0, 1.0, (3,), np.float32),
     )
-    writer = DatasetWriter(dataset_id, env, root=root, layout=layout, description="Made up.")
+
+
+def write_dataset(
+    root: Path, dataset_id: str = ID, *, layout: Layout = LAYOUT, episodes: int = 3, nodes: Any = None
+) -> Path:
+    """Write made-up episodes as a dataset; returns its folder."""
+    writer = DatasetWriter(dataset_id, made_up_env(), root=root, layout=layout, description="Made up.")
     for number in range(episodes):
         writer.add(make_episode(number, nodes=nodes))
     return writer.path
