@@ -143,9 +143,9 @@ class Episodes:
         self._succeeded: BoolArray = np.zeros(count, dtype=np.bool_)
         self._safety = Safety(count)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
-        longest = int(settings.randomization.get("action_delay", (0, 0))[1])
+        longest = round(settings.randomization.get("action_delay", (0.0, 0.0))[1] / self.period)
         self._asked: FloatArray = np.zeros((count, longest + 1, self.control.size))
-        self._frames = FrameMemory(settings.observation)
+        self._frames = FrameMemory(round(settings.observation.delay / self.period), settings.observation.history)
         # Gymnasium's return type covers all spaces; of these it is an array, or a dictionary of arrays.
         self._observation = cast("Observation", create_empty_array(self.observation_builder.space, count))
         self._info: Info = {}
@@ -361,7 +361,7 @@ class Episodes:
             return actions
         self._asked[:, :-1] = self._asked[:, 1:]
         self._asked[:, -1] = actions
-        late = self._variation.drawn["action_delay"].astype(np.int64)
+        late = np.rint(self._variation.drawn["action_delay"] / self.period).astype(np.int64)
         return np.asarray(self._asked[np.arange(self.count), self._asked.shape[1] - 1 - late])
 
     def _situation(self, motion: Motion, actions: FloatArray, loads: Loads) -> Situation:
@@ -465,8 +465,7 @@ class Episodes:
         noise = self._variation.sensor_noise(worlds, sum(part.size for part in builder.parts))
         pictures = None if self._draw_pictures is None else self._draw_pictures(worlds)
         frames = builder.build(situation, goals, evaluation, noise, pictures)
-        late = self.settings.observation
-        if late.delay or late.history > 1:
+        if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames, worlds = self._frames.show(), np.arange(self.count)
         if len(worlds) == self.count and (worlds[1:] > worlds[:-1]).all():

@@ -345,16 +345,22 @@ GOAL_ENTRIES = ("achieved_goal", "desired_goal")
 
 
 class FrameMemory:
-    """The last frames of W worlds: what is shown late, or more than once."""
+    """The last frames of W worlds: what is shown late, or more than once.
 
-    def __init__(self, settings: ObservationSettings) -> None:
+    Attributes:
+        delay: By how many frames what is shown is late.
+    """
+
+    def __init__(self, delay: int, history: int) -> None:
         """Remember nothing yet.
 
         Args:
-            settings: Delay and history.
+            delay: By how many frames what is shown is late.
+            history: How many are shown.
         """
-        self._depth = settings.delay + settings.history
-        self._history = settings.history
+        self.delay = delay
+        self._depth = delay + history
+        self._history = history
         self._frames: dict[str, NDArray[Any]] = {}
 
     def push(self, frames: dict[str, NDArray[Any]], worlds: NDArray[np.int64], count: int, *, first: bool) -> None:

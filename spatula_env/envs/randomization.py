@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 Ranges = Mapping[str, tuple[float, float]]
 """Least and greatest value of each thing that is drawn at random, uniformly, in each episode."""
 
+LONGEST_DELAY = 0.5
+"""Actions and observations can be late by this at most [s]."""
+
 NEUTRAL: Mapping[str, float] = MappingProxyType(
     {
         "stiffness": 1.0,
@@ -44,7 +47,7 @@ NEUTRAL: Mapping[str, float] = MappingProxyType(
 - organ_yaw: turn of the organ about the vertical [rad].
 - tool_size: factor on the tools' lengths.
 - sensor_noise: replaces `observation.noise`.
-- action_delay: after how many control steps an action is carried out, a whole number.
+- action_delay: after what time an action is carried out, a whole number of control steps [s].
 """
 
 LEAST: Mapping[str, float] = MappingProxyType(
@@ -72,7 +75,7 @@ GREATEST: Mapping[str, float] = MappingProxyType(
         "organ_yaw": np.pi,
         "tool_size": 2.0,
         "sensor_noise": 100.0,
-        "action_delay": 20.0,
+        "action_delay": LONGEST_DELAY,
     }
 )
 """Greatest values allowed."""
@@ -86,7 +89,7 @@ DEFAULT_RANGES: Ranges = MappingProxyType(
         "organ_y": (-0.004, 0.004),
         "tool_size": (0.95, 1.05),
         "sensor_noise": (0.0, 1.0),
-        "action_delay": (0.0, 1.0),
+        "action_delay": (0.0, 0.05),
     }
 )
 """Of `randomization="default"` where a task does not say otherwise."""
@@ -118,18 +121,16 @@ def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
         low, high = check_range(pair, f"randomization.{name}")
         if low < LEAST[name] or high > GREATEST[name]:
             raise ValueError(f"randomization.{name} must lie in {LEAST[name]:g} to {GREATEST[name]:g}, got {given!r}")
-        if name == "action_delay" and (low != round(low) or high != round(high)):
-            raise ValueError(f"randomization.action_delay must be whole numbers, got {given!r}")
         ranges[name] = (low, high)
     return ranges
 
 
-def draw(ranges: Ranges, generator: np.random.Generator) -> dict[str, float]:
-    """Draw everything once: all that can be drawn, by name."""
+def draw(ranges: Ranges, generator: np.random.Generator, period: float) -> dict[str, float]:
+    """Draw everything once: all that can be drawn, by name, with control steps of a length [s]."""
     values = dict(NEUTRAL)
     for name, (low, high) in ranges.items():
         if name == "action_delay":
-            values[name] = float(generator.integers(int(low), int(high) + 1))
+            values[name] = period * float(generator.integers(round(low / period), round(high / period) + 1))
         else:
             values[name] = float(generator.uniform(low, high))
     return values
@@ -183,7 +184,7 @@ class Variation:
             # depend on how long the episode before was.
             (child,) = generator.spawn(1)
             self._generators[world] = child
-            for name, value in draw(ranges, child).items():
+            for name, value in draw(ranges, child, self._setting.period).items():
                 if name in ranges:
                     self.drawn[name][world] = value
         self._apply(np.fromiter(generators, dtype=np.int64))

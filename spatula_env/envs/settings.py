@@ -12,7 +12,7 @@ import numpy as np
 
 from spatula_env.engines import choose_engine
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
-from spatula_env.envs.randomization import DEFAULT_RANGES, Ranges, read_ranges
+from spatula_env.envs.randomization import DEFAULT_RANGES, LONGEST_DELAY, Ranges, read_ranges
 from spatula_env.geometry.checks import check_count, check_not_negative, check_positive
 from spatula_env.tasks.configuration import config_from_mapping
 from spatula_env.tasks.plain import make_fields_plain
@@ -39,7 +39,7 @@ class ObservationSettings:
 
     Attributes:
         noise: Of measurements, a factor on the standard deviations in `observations.NOISE`; 0: none.
-        delay: By how many control steps observations are late.
+        delay: By how much observations are late, rounded to control steps [s].
         history: How many observations are shown, the oldest first, on a first axis if there is more than one.
         image_size: (height, width) of pictures [pixels].
         organ_points: How many points of the organ's surface a point cloud has.
@@ -47,7 +47,7 @@ class ObservationSettings:
     """
 
     noise: float = 0.0
-    delay: int = 0
+    delay: float = 0.0
     history: int = 1
     image_size: tuple[int, int] = (84, 84)
     organ_points: int = 256
@@ -57,7 +57,8 @@ class ObservationSettings:
         """Check the values, and take a list as it comes from a file, and NumPy's numbers and arrays."""
         make_fields_plain(self)
         check_not_negative(self.noise, "observation.noise")
-        check_count(self.delay, "observation.delay", 0)
+        if not 0.0 <= self.delay <= LONGEST_DELAY:
+            raise ValueError(f"observation.delay must be 0 to {LONGEST_DELAY:g} s, got {self.delay!r}")
         check_count(self.history, "observation.history", 1)
         check_count(self.organ_points, "observation.organ_points", 1)
         check_count(self.tool_points, "observation.tool_points", 1)

@@ -73,9 +73,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal.
 
     `observation` changes what is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm, 1 mm/s,
-    2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` in control steps; `history`, how many observations are
-    shown at once, the oldest first, on a first axis; `image_size` (height, width); `organ_points` and `tool_points`.
-    Goals are exact and never late.
+    2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
+    observations are shown at once, the oldest first, on a first axis; `image_size` (height, width); `organ_points` and
+    `tool_points`. Goals are exact and never late.
 
     Names that LeRobot's datasets have for these entries; `observations.lerobot_keys(space)` gives them:
 
@@ -129,7 +129,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `organ_yaw`    | not varied      | turn of the organ about the vertical [rad]                 |
     | `tool_size`    | 0.95 to 1.05    | factor on the tools' lengths                               |
     | `sensor_noise` | 0 to 1          | replaces `observation["noise"]`                            |
-    | `action_delay` | 0 to 1          | how late actions are, a whole number of control steps      |
+    | `action_delay` | 0 to 0.05       | how late actions are, rounded to control steps [s]         |
 
     ## Info
     The same keys after `reset` and `step`:

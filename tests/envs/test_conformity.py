@@ -133,7 +133,7 @@ def test_observations_stay_in_their_space(make: Env, id: str, obs_mode: str, con
 @pytest.mark.parametrize("id", IDS)
 @pytest.mark.parametrize("obs_mode", OBS_MODES)
 def test_late_noisy_and_stacked_observations_stay_in_their_space(make: Env, id: str, obs_mode: str) -> None:
-    seeing = {**SMALL["observation"], "noise": 3.0, "delay": 2, "history": 3}
+    seeing = {**SMALL["observation"], "noise": 3.0, "delay": 0.1, "history": 3}
     env = make(id, engine="batch", obs_mode=obs_mode, reward="sparse", observation=seeing)
     for observation, *_ in episode(env, actions_of(env, 3)):
         assert env.observation_space.contains(observation)

@@ -36,7 +36,7 @@ def test_histories_are_read_like_single_observations(task: str, obs_mode: str, r
 
 @pytest.mark.parametrize("reward", ["dense", "sparse"])
 def test_late_and_noisy_ones_too(reward: str) -> None:
-    seeing = {"history": 2, "delay": 1, "noise": 0.5}
+    seeing = {"history": 2, "delay": 0.05, "noise": 0.5}
     env = gym.make("Spatula/Press-v0", engine="batch", reward=reward, observation=seeing)
     expert = make_expert(env)
     observation, info = env.reset(seed=0)

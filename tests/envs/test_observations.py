@@ -153,7 +153,7 @@ def test_noise_has_the_deviations_of_the_units_and_spares_goals() -> None:
 
 
 def test_frames_are_late_and_stacked() -> None:
-    memory = FrameMemory(ObservationSettings(delay=1, history=2))
+    memory = FrameMemory(delay=1, history=2)
     worlds = np.arange(2)
     memory.push({"x": np.array([[1.0], [10.0]]), "desired_goal": np.array([[0.0], [0.0]])}, worlds, 2, first=True)
     assert memory.show()["x"].tolist() == [[[1.0], [1.0]], [[10.0], [10.0]]]
@@ -211,7 +211,8 @@ def test_pictures_are_taken_over() -> None:
     ("options", "message"),
     [
         ({"noise": -1.0}, "observation.noise must be zero or more"),
-        ({"delay": -1}, "observation.delay must be an integer of at least 0"),
+        ({"delay": -1}, "observation.delay must be 0 to 0.5 s, got -1"),
+        ({"delay": 2}, "observation.delay must be 0 to 0.5 s, got 2"),
         ({"history": 0}, "observation.history must be an integer of at least 1"),
         ({"image_size": 84}, r"observation.image_size must be two integers \(height, width\), got 84"),
         ({"image_size": (4, 84)}, "observation.image_size must be an integer of at least 8, got 4"),

@@ -329,7 +329,7 @@ def test_only_the_goal_interface_has_compute_reward(env: PressEnv, sparse_env: P
         ({"randomization": {"colour": (0, 1)}}, "randomization has no colour; allowed are action_delay, friction"),
         ({"randomization": {"stiffness": (0, 1)}}, r"randomization.stiffness must lie in 0.05 to 20, got \(0, 1\)"),
         ({"randomization": {"friction": (2, 1)}}, "randomization.friction must be two finite numbers in ascending"),
-        ({"randomization": {"action_delay": 0.5}}, "randomization.action_delay must be whole numbers, got 0.5"),
+        ({"randomization": {"action_delay": 2}}, "randomization.action_delay must lie in 0 to 0.5, got 2"),
     ],
 )
 def test_options_that_do_not_exist_are_refused(options: dict[str, Any], message: str) -> None:

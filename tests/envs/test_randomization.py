@@ -101,10 +101,26 @@ def test_both_engines_can_do_all_of_it(engine: str) -> None:
 
 
 def test_late_actions_are_carried_out_later() -> None:
-    with PressEnv(engine="batch", obs_mode="dict", randomization={"action_delay": 2}) as env:
+    with PressEnv(engine="batch", obs_mode="dict", randomization={"action_delay": 0.1}) as env:
         start = env.reset(seed=0)[0]["tool_position"]
         places = [env.step(np.array([0.0, 0.0, 0.5]))[0]["tool_position"] - start for _ in range(4)]
     assert np.array(places)[:, 2] == pytest.approx([0.0, 0.0, 0.0025, 0.005], abs=1e-7)
+
+
+@pytest.mark.parametrize("frequency", [20.0, 60.0])
+def test_delays_last_as_long_at_any_frequency(frequency: float) -> None:
+    def way(**options: Any) -> np.ndarray:
+        with PressEnv(engine="batch", obs_mode="dict", control_frequency=frequency, **options) as env:
+            start = env.reset(seed=0)[0]["tool_position"]
+            steps = round(0.4 * frequency)
+            places = [env.step(np.array([0.0, 0.0, 0.2]))[0]["tool_position"] - start for _ in range(steps)]
+        return np.array(places)[:, 2]
+
+    late = round(0.1 * frequency)
+    for options in ({"observation": {"delay": 0.1}}, {"randomization": {"action_delay": 0.1}}):
+        delayed = way(**options)
+        assert (delayed[:late] == 0.0).all()
+        assert delayed[late:] == pytest.approx(way()[:-late], abs=1e-6)
 
 
 def test_noise_is_drawn_anew_in_every_step_and_spares_goals() -> None:
@@ -182,7 +198,10 @@ def test_ranges_are_read() -> None:
 
 def test_draws_fill_their_ranges() -> None:
     generator = np.random.default_rng(0)
-    drawn = [draw({"stiffness": (0.5, 2.0), "action_delay": (1.0, 3.0)}, generator) for _ in range(300)]
+    drawn = [draw({"stiffness": (0.5, 2.0), "action_delay": (0.05, 0.15)}, generator, 0.05) for _ in range(300)]
     assert np.mean([each["stiffness"] for each in drawn]) == pytest.approx(1.25, abs=0.08)
-    assert {each["action_delay"] for each in drawn} == {1.0, 2.0, 3.0}
+    assert {round(each["action_delay"], 9) for each in drawn} == {0.05, 0.1, 0.15}
+    # The same time, in more steps.
+    finer = {round(draw({"action_delay": (0.05, 0.1)}, generator, 0.0125)["action_delay"], 9) for _ in range(300)}
+    assert finer == {0.05, 0.0625, 0.075, 0.0875, 0.1}
     assert {each["friction"] for each in drawn} == {1.0}

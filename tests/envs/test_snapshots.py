@@ -22,7 +22,7 @@ import spatula_env
 from spatula_env.envs import PressEnv, PressVectorEnv, SpatulaVectorEnv
 from spatula_env.envs.snapshots import EnvState
 
-EVERYTHING: dict[str, Any] = {"randomization": "default", "observation": {"noise": 1.0, "delay": 2, "history": 3}}
+EVERYTHING: dict[str, Any] = {"randomization": "default", "observation": {"noise": 1.0, "delay": 0.1, "history": 3}}
 """All that an environment can remember."""
 
 COUNT = 3
@@ -73,7 +73,7 @@ def test_ten_steps_are_the_same_ten_steps_again(task: str, engine: str) -> None:
         {"contact": "second_step", "engine": "batch"},
         {"obs_mode": "dict", "reward": "sparse", "engine": "batch", "damage_limit": 1000.0},
         {"obs_mode": "pointcloud", "reward": "sparse", "engine": "batch", "control": "velocity_6d"},
-        {"obs_mode": "rgbd", "engine": "batch", "observation": {"image_size": (36, 36), "delay": 1}},
+        {"obs_mode": "rgbd", "engine": "batch", "observation": {"image_size": (36, 36), "delay": 0.05}},
     ],
 )
 def test_so_it_is_with_other_options(options: dict[str, Any]) -> None:
@@ -164,7 +164,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
             env.restore({"nodes": 1})  # type: ignore[arg-type]
         for other, message in (
             (PressEnv(engine="batch", max_speed=0.05), "with max_speed=0.1, it is of one with 0.05"),
-            (PressEnv(engine="batch", observation={"delay": 1}), "with observation=ObservationSettings"),
+            (PressEnv(engine="batch", observation={"delay": 0.05}), "with observation=ObservationSettings"),
             (PressEnv(engine="bullet"), "with engine='batch', it is of one with 'bullet'"),
             (gym.make("Spatula/Retract-v0", engine="batch").unwrapped, "of the task 'press', it is of 'retract'"),
         ):
