@@ -1,6 +1,6 @@
 """Trained models that act: as a few arrays where dense layers are all that they have, and else by torch.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What can be known of a training before it begins: whether its values go together, and all that it needs can be made.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ import gymnasium
 import yaml
 
 from agents.configuration import find_config
+from spatula_env.installing import install_hint
 
 Config = TypeVar("Config")
 
@@ -41,7 +42,7 @@ def run_command(program: str, what: str, extra: str, run: Callable[[], None]) ->
         return fail(program, f"interrupted{f'; {error}' if isinstance(error, Interrupted) else ''}", INTERRUPTED)
     except ImportError as error:
         told = "pip install" in str(error) or error.name is None or error.name.partition(".")[0] in _OURS
-        return fail(program, str(error) if told else f"{what} needs {error.name}: pip install 'spatula-env[{extra}]'")
+        return fail(program, str(error) if told else f"{what} needs {error.name}: {install_hint(extra)}")
     except (OSError, TypeError, ValueError, gymnasium.error.Error, yaml.YAMLError) as error:
         return fail(program, str(error))
     return 0

@@ -15,6 +15,7 @@ from agents.configuration import check_noise
 from agents.evaluation import Plan
 from agents.policies import Policy, PolicySource, find_policy
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.installing import install_hint
 from spatula_env.naming import registered_id
 from spatula_env.policies import PartSelection
 
@@ -302,7 +303,7 @@ def _open_minari(name: str) -> Any:
     try:
         import minari
     except ImportError as error:
-        raise ImportError("data sets need Minari: pip install 'spatula-env[data]'", name=error.name) from error
+        raise ImportError(f"data sets need Minari: {install_hint('data')}", name=error.name) from error
     return minari.load_dataset(name)
 
 

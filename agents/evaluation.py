@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 import spatula_env
 from agents.policies import Policy, PolicySource
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.installing import install_hint
 from spatula_env.naming import find_spec, vector_spec
 from spatula_env.processes import available_cores, in_processes
 
@@ -336,7 +337,7 @@ def require_moviepy() -> None:
         ImportError: If not.
     """
     if find_module("moviepy") is None:
-        raise ImportError("films need moviepy: pip install 'spatula-env[video]'", name="moviepy")
+        raise ImportError(f"films need moviepy: {install_hint('video')}", name="moviepy")
 
 
 def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Bringing a policy's actions close to those demonstrated.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

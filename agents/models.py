@@ -1,6 +1,6 @@
 """Algorithms of Stable-Baselines3 and sb3-contrib, from configurations.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

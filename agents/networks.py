@@ -1,6 +1,6 @@
 """What comes before the layers of a policy: features of pictures, of points, and of vectors.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A replay buffer that keeps demonstrations apart, so that they are never overwritten and always in a batch.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Training with RLlib on a cluster of Ray: environment runners that each hold a vector environment, and one learner.
 
-Needs `pip install 'spatula-env[ray]'`.
+Needs the extra "ray".
 """
 
 from __future__ import annotations

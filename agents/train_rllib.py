@@ -18,6 +18,7 @@ from agents.command_line import choose_run, run_parser
 from agents.configuration import to_mapping
 from agents.rllib_configuration import read_rllib
 from agents.saving import write_text
+from spatula_env.installing import install_hint
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         from agents.rllib_training import RLlibTrainer
     except ImportError as error:
-        return _fail(f"training with RLlib needs {error.name}: pip install 'spatula-env[ray]'")
+        return _fail(f"training with RLlib needs {error.name}: {install_hint('ray')}")
     if chosen.resume is None:
         write_text(output / "config.yaml", yaml.safe_dump(to_mapping(config), sort_keys=False))
     started = not ray.is_initialized()

@@ -1,6 +1,6 @@
 """Training one agent: from nothing, or from where it was interrupted.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The environments that agents learn in, for Stable-Baselines3.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from spatula_env import Simulation, scenes
 from spatula_env.contact import Contacts, FlaggedDetector
 from spatula_env.geometry import Tool, seed_sphere
 from spatula_env.geometry.transforms import rotate
+from spatula_env.installing import install_hint
 
 Key = TypeVar("Key")
 
@@ -409,7 +410,7 @@ def draw(curves: dict[str, dict[str, Any]], file: Path) -> None:
         from matplotlib.figure import Figure
         from matplotlib.ticker import FuncFormatter
     except ImportError as error:
-        raise ImportError("the picture needs matplotlib: pip install 'spatula-env[viz]'") from error
+        raise ImportError(f"the picture needs matplotlib: {install_hint('viz')}") from error
 
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.plunges import ALLOWED, SPEEDS, THICKNESSES
 from spatula_env import scenes
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +48,7 @@ def require_matplotlib() -> None:
     try:
         import_module("matplotlib")
     except ImportError as error:
-        raise ImportError("pictures need Matplotlib; install it with: pip install 'spatula-env[viz]'") from error
+        raise ImportError(f"pictures need Matplotlib; install it with: {install_hint('viz')}") from error
 
 
 def new_figure(width: float, height: float) -> Figure:

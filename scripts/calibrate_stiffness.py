@@ -29,6 +29,7 @@ from spatula_env import scenes
 from spatula_env.engines import bullet_hint, bullet_is_there
 from spatula_env.geometry import FissuredBlock, RidgedBlock
 from spatula_env.geometry.transforms import random_quaternion
+from spatula_env.installing import install_hint
 from spatula_env.sim.worlds import Worlds, make_worlds
 
 if TYPE_CHECKING:
@@ -343,7 +344,7 @@ def draw(calibrations: Sequence[Calibration], path: Path) -> None:
         from matplotlib.figure import Figure
         from PIL import Image
     except ImportError as error:
-        raise ImportError("the figure needs Matplotlib and Pillow: pip install 'spatula-env[viz,demo]'") from error
+        raise ImportError(f"the figure needs Matplotlib and Pillow: {install_hint('viz', 'demo')}") from error
     style = {
         "font.size": 10.5,
         "axes.edgecolor": "0.35",

@@ -31,6 +31,7 @@ from spatula_env.geometry.transforms import (
     quaternion_multiply,
     rotate,
 )
+from spatula_env.installing import install_hint
 from spatula_env.sim.simulation import SimulationDiverged
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def styled() -> AbstractContextManager[Any]:
     try:
         import matplotlib
     except ImportError as error:
-        raise ImportError("the figures need Matplotlib: pip install 'spatula-env[viz]'") from error
+        raise ImportError(f"the figures need Matplotlib: {install_hint('viz')}") from error
     context: AbstractContextManager[Any] = matplotlib.rc_context(STYLE)
     return context
 

@@ -20,6 +20,7 @@ import numpy as np
 from task_pictures import GAP, SEEDS, SIDE
 
 from spatula_env import TASKS
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -138,7 +139,7 @@ def imaging() -> Any:
     try:
         return import_module("PIL.Image")
     except ImportError as error:
-        raise ImportError("pictures are cut out with Pillow: pip install 'spatula-env[demo]'") from error
+        raise ImportError(f"pictures are cut out with Pillow: {install_hint('demo')}") from error
 
 
 if __name__ == "__main__":

@@ -99,10 +99,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests for which an engine or a contact model of that name is a parameter, and skip those of Bullet's."""
+    """Mark tests of which "bullet" is a parameter, an engine or a contact model, and skip all that are marked so."""
     for item in items:
         parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
-        if "bullet" in (parameters.get("engine"), parameters.get("contact")):
+        if any(isinstance(value, str) and value == "bullet" for value in parameters.values()):
             item.add_marker(pytest.mark.bullet)
         if NO_BULLET is not None and item.get_closest_marker("bullet"):
             item.add_marker(pytest.mark.skip(reason=f"needs PyBullet: {NO_BULLET}"))

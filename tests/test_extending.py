@@ -39,7 +39,7 @@ def test_there_is_a_section_for_each_kind_of_thing():
 def test_a_section_runs_as_pasted(title, folder, capsys):
     for index, code in enumerate(SECTIONS[title]):
         if "load_organ" in code:
-            pytest.importorskip("trimesh", reason="surfaces are read with trimesh: pip install 'spatula-env[mesh]'")
+            pytest.importorskip("trimesh", reason="surfaces are read with trimesh: the extra mesh is not installed")
         file = re.match(r"# (\w+\.py)\n", code)
         if file:
             (folder / file[1]).write_text(code, encoding="utf-8")

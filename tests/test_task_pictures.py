@@ -13,7 +13,7 @@ import pytest
 from spatula_env import TASKS
 
 Image = pytest.importorskip(
-    "PIL.Image", reason="pictures are put together with Pillow: pip install 'spatula-env[demo]'"
+    "PIL.Image", reason="pictures are put together with Pillow: the extra demo is not installed"
 )
 
 ROOT = Path(__file__).parents[1]

@@ -15,6 +15,7 @@ from agents.results.page import write_page
 from agents.results.plan import planned_references, planned_runs, read_plan
 from agents.results.runs import evaluate_agent, is_finished, make_agents
 from agents.saving import write_text
+from spatula_env.installing import install_hint
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
         return _fail(str(error))
     except ImportError as error:
-        hint = str(error) if "pip install" in str(error) else f"needs {error.name}: pip install 'spatula-env[results]'"
+        hint = str(error) if "pip install" in str(error) else f"needs {error.name}: {install_hint('results')}"
         return _fail(hint)
     except KeyboardInterrupt:
         return _fail("interrupted; the same command goes on", 130)

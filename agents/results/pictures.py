@@ -13,6 +13,7 @@ from agents.results.gather import Row, names_of
 from agents.results.page import SUMMARY_PICTURE, picture_name
 from agents.results.plan import ResultsPlan
 from agents.results.statistics import estimate_columns, on_grid
+from spatula_env.installing import install_hint
 
 COLORS: Mapping[str, str] = MappingProxyType(
     {
@@ -48,7 +49,7 @@ def draw_pictures(plan: ResultsPlan, rows: Sequence[Row]) -> list[Path]:
     try:
         import matplotlib
     except ImportError as error:
-        raise ImportError("pictures need matplotlib: pip install 'spatula-env[results]'", name=error.name) from error
+        raise ImportError(f"pictures need matplotlib: {install_hint('results')}", name=error.name) from error
     matplotlib.use("Agg")
     folder = Path(plan.pictures)
     folder.mkdir(parents=True, exist_ok=True)

@@ -27,6 +27,7 @@ from spatula_env.cli.common import (
     print_table,
     resolve_env,
 )
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers
@@ -129,7 +130,7 @@ def _add_export(inner: Parsers) -> None:
         "in the layout of LeRobot's datasets",
         "Write a dataset in the layout of LeRobot's datasets, version 3. LeRobot itself writes it, so it has to be\n"
         "installed: it needs Python 3.12 or later and a torch of its own choice, so make an environment for it and\n"
-        "pip install 'spatula-env[lerobot]' there. What has no place in that layout (seeds, operators, devices) is in\n"
+        f"{install_hint('lerobot')} there. What has no place in that layout (seeds, operators, devices) is in\n"
         "meta/spatula_env.json.",
     )
     parser.add_argument("dataset", metavar="DATASET")

@@ -31,6 +31,7 @@ from spatula_env.cli.devices import (
     teleop_options,
 )
 from spatula_env.cli.showing import Film, has_window
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers
@@ -85,7 +86,7 @@ def render_mode(chosen: argparse.Namespace) -> str | None:
     if chosen.view == "auto" and not has_window():
         if chosen.device not in (*SCRIPTED, "replay"):
             note(
-                "There is nothing to see: no display, or no pyglet (pip install 'spatula-env[window]'). "
+                f"There is nothing to see: no display, or no pyglet ({install_hint('window')}). "
                 "--device web shows a page in a browser, --film FILE writes a film."
             )
         return None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from spatula_env.cli.common import CommandError
 from spatula_env.data.files import check_can_write
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     import gymnasium
@@ -42,9 +43,9 @@ def check_ending(path: Path, endings: Sequence[str]) -> None:
     if path.suffix not in endings:
         raise CommandError(f"the file must end with {', '.join(endings)}, got {path}")
     if path.suffix == ".mp4" and find_spec("moviepy") is None:
-        raise ImportError("films as .mp4 need moviepy: pip install 'spatula-env[video]'")
+        raise ImportError(f"films as .mp4 need moviepy: {install_hint('video')}")
     if path.suffix != ".mp4" and find_spec("PIL") is None:
-        raise ImportError("pictures need Pillow: pip install 'spatula-env[demo]'")
+        raise ImportError(f"pictures need Pillow: {install_hint('demo')}")
 
 
 class Film:

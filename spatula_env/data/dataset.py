@@ -39,6 +39,7 @@ from spatula_env.data.index import (
 )
 from spatula_env.data.layout import KEY, Layout
 from spatula_env.data.origin import SPECS, Origin
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     import gymnasium
@@ -337,7 +338,7 @@ def require_minari() -> tuple[ModuleType, ModuleType]:
         import h5py
         import minari
     except ImportError as error:
-        raise ImportError("datasets need Minari and h5py: pip install 'spatula-env[data]'") from error
+        raise ImportError(f"datasets need Minari and h5py: {install_hint('data')}") from error
     return minari, h5py
 
 

@@ -9,6 +9,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from spatula_env.installing import install_hint
+
 WRITE_LOCK = ".lock"
 """Held while something is added to a dataset; the name of a file in its folder."""
 RECORDING_LOCK = ".recording.lock"
@@ -161,5 +163,5 @@ def require_filelock() -> Any:
     try:
         import filelock
     except ImportError as error:
-        raise ImportError("writing datasets needs filelock: pip install 'spatula-env[data]'") from error
+        raise ImportError(f"writing datasets needs filelock: {install_hint('data')}") from error
     return filelock

@@ -25,6 +25,7 @@ from spatula_env.data.dataset import read_layout
 from spatula_env.data.drawing import StatePainter, recorded_moments
 from spatula_env.data.layout import VECTOR, Layout
 from spatula_env.data.replaying import open_dataset
+from spatula_env.installing import install_hint
 
 CAMERA = "observation.images.front"
 """What a camera's pictures are called."""
@@ -68,7 +69,7 @@ def require_lerobot() -> Any:
     except ImportError as error:
         raise ImportError(
             "exporting needs LeRobot, which needs Python 3.12 or later: make an environment for it and "
-            f"pip install 'spatula-env[lerobot]' there ({error})",
+            f"{install_hint('lerobot')} there ({error})",
             name=error.name,
         ) from error
     return LeRobotDataset

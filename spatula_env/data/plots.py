@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env.data.statistics import Curve, DatasetStatistics
+from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ def plot_statistics(found: DatasetStatistics, path: str | Path) -> None:
         from matplotlib import rc_context
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise ImportError("plots need Matplotlib: pip install 'spatula-env[viz]'", name=error.name) from error
+        raise ImportError(f"plots need Matplotlib: {install_hint('viz')}", name=error.name) from error
     file = Path(path)
     if file.suffix not in (".png", ".svg", ".pdf"):
         raise ValueError(f"path must end with .png, .svg or .pdf, got {file}")

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
+from spatula_env.installing import install_hint
+
 EXTRA_PACKAGES = ("PIL", "rich")
 """What the extra "demo" installs."""
 
@@ -20,6 +22,4 @@ def require_extra() -> None:
     """
     missing = [name for name in EXTRA_PACKAGES if find_spec(name) is None]
     if missing:
-        raise ImportError(
-            f"the demonstration needs {' and '.join(missing)}: pip install 'spatula-env[demo]'", name=missing[0]
-        )
+        raise ImportError(f"the demonstration needs {' and '.join(missing)}: {install_hint('demo')}", name=missing[0])

@@ -1,6 +1,6 @@
 """The vector environments for Stable-Baselines3, which has an interface of its own for them.
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from spatula_env.envs.attributes import read_in_worlds, set_in_worlds
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.installing import install_hint
 from spatula_env.naming import find_environment, vector_spec
 
 try:
     from stable_baselines3.common.vec_env.base_vec_env import VecEnv
 except ImportError as error:
     raise ImportError(
-        "spatula_env.envs.sb3 needs Stable-Baselines3: pip install 'spatula-env[train]'", name=error.name
+        f"spatula_env.envs.sb3 needs Stable-Baselines3: {install_hint('train')}", name=error.name
     ) from error
 
 if TYPE_CHECKING:

@@ -18,6 +18,7 @@ from spatula_env.geometry.parts import describe_parts, organ_parts
 from spatula_env.geometry.polyhedra import cell_count
 from spatula_env.geometry.surface import canonical_order, check_surface, edges, signed_volume, surface_area
 from spatula_env.geometry.transforms import as_vector3
+from spatula_env.installing import install_hint
 
 FILE_SUFFIXES = (".obj", ".stl", ".ply")
 """The file formats :func:`load_organ` reads."""
@@ -263,7 +264,7 @@ def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, IntArray]:
     try:
         import trimesh
     except ImportError as error:
-        raise ImportError("reading a surface from a file needs trimesh: pip install 'spatula-env[mesh]'") from error
+        raise ImportError(f"reading a surface from a file needs trimesh: {install_hint('mesh')}") from error
     try:
         # The vertices as they are in the file: not merged, reordered, or split where textures have seams.
         with file.open("rb") as stream:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.installing import install_hint
 from spatula_env.render.camera import Camera
 from spatula_env.render.moment import Moment
 from spatula_env.render.orbit import Orbit
@@ -195,7 +196,7 @@ def _open(width: int, height: int, title: str, visible: bool) -> tuple[Any, Any]
     try:
         import pyglet
     except ImportError as error:
-        raise ImportError("a window needs pyglet: pip install 'spatula-env[window]'") from error
+        raise ImportError(f"a window needs pyglet: {install_hint('window')}") from error
     if "pyglet.gl" not in sys.modules:
         # Asking for errors after every call takes longer than the calls.
         pyglet.options.debug_gl = False

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop.device import DeviceError, DeviceSample, TeleopDevice
 
 AXIS_NAMES = ("x", "y", "z")
@@ -29,7 +30,7 @@ def require_pygame() -> ModuleType:
     try:
         import pygame
     except ImportError as error:
-        raise ImportError("keyboard and gamepad need pygame-ce: pip install 'spatula-env[teleop]'") from error
+        raise ImportError(f"keyboard and gamepad need pygame-ce: {install_hint('teleop')}") from error
     module: ModuleType = pygame
     return module
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop.device import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from spatula_env.teleop.keys import RateDevice
 
@@ -50,7 +51,7 @@ class SpaceMouse(RateDevice):
             import pyspacemouse
             from pyspacemouse.types import AxisConvention
         except ImportError as error:
-            raise ImportError("a SpaceMouse needs pyspacemouse: pip install 'spatula-env[teleop]'") from error
+            raise ImportError(f"a SpaceMouse needs pyspacemouse: {install_hint('teleop')}") from error
         try:
             found = pyspacemouse.get_connected_devices()
         except Exception as error:

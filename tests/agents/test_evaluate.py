@@ -51,6 +51,7 @@ def test_episodes_do_not_depend_on_how_many_worlds_there_are(name):
         np.testing.assert_allclose(other["path_length"], results[0]["path_length"], atol=1e-5)
 
 
+@pytest.mark.bullet
 def test_processes_share_the_episodes():
     source = find_policy("random", PRESS)
     alone, _ = evaluate(source, plan(3, "bullet", max_episode_steps=4), processes=1)
@@ -156,7 +157,7 @@ def test_impossible_numbers_are_refused(arguments, capsys):
 
 
 def test_a_film_is_written(tmp_path):
-    pytest.importorskip("moviepy", reason="films are written with moviepy: pip install 'spatula-env[video]'")
+    pytest.importorskip("moviepy", reason="films are written with moviepy: the extra video is not installed")
     from agents.evaluation import film
 
     source = find_policy("random", PRESS)

@@ -9,7 +9,7 @@ import yaml
 
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("scipy")
-pytest.importorskip("matplotlib", reason="pictures are drawn with matplotlib: pip install 'spatula-env[results]'")
+pytest.importorskip("matplotlib", reason="pictures are drawn with matplotlib: the extra results is not installed")
 
 from agents.configuration import CONFIG_FOLDERS, find_config
 from agents.evaluation import MEASURES, Plan
@@ -247,6 +247,7 @@ def _short_evaluations(monkeypatch):
     monkeypatch.setattr(Plan, "make", make_short)
 
 
+@pytest.mark.bullet
 @pytest.mark.usefixtures("_short_evaluations")
 def test_a_small_plan_is_carried_out_once_and_gone_on_with(tmp_path, capsys, monkeypatch):
     file = write_plan(tmp_path)

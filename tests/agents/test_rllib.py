@@ -18,6 +18,7 @@ from agents.evaluation import Plan, evaluate
 from agents.policies import find_policy
 from agents.rllib_configuration import RLlibConfig, read_rllib
 from agents.saving import checkpoints_in, read_curve
+from spatula_env.installing import install_hint
 
 PRESS = "Spatula/Press-v0"
 
@@ -88,7 +89,7 @@ def test_what_is_written_is_read_as_it_was(tmp_path):
 @pytest.mark.skipif(find_spec("ray") is not None, reason="is about what happens without Ray")
 def test_without_ray_it_is_said_how_to_get_it(tmp_path, capsys):
     assert command.main(["--config", "rllib_press", "--output", str(tmp_path / "run")]) == 1
-    assert "needs ray: pip install 'spatula-env[ray]'" in capsys.readouterr().err
+    assert f"needs ray: {install_hint('ray')}" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 FILES = sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml"))
 
 needs_zoo = pytest.mark.skipif(
-    find_spec("rl_zoo3") is None, reason="needs RL Baselines3 Zoo: pip install 'spatula-env[zoo]'"
+    find_spec("rl_zoo3") is None, reason="needs RL Baselines3 Zoo: the extra zoo is not installed"
 )
 
 

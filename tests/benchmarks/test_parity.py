@@ -12,6 +12,8 @@ import pytest
 from benchmarks import parity
 from spatula_env import scenes
 
+pytestmark = pytest.mark.bullet
+
 SCENE = scenes.seed()
 short_press = functools.partial(parity.press, depth=0.1, hold=0.05, worlds=3)
 

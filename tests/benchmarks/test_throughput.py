@@ -121,7 +121,11 @@ def test_two_threads_need_two_cores():
 
 
 @pytest.mark.parametrize(
-    "make", [throughput.BulletBody, lambda *size: throughput.CompiledBody(SCENE, 3, *size[1:])], ids=["bullet", "batch"]
+    "make",
+    [
+        pytest.param(throughput.BulletBody, marks=pytest.mark.bullet, id="bullet"),
+        pytest.param(lambda *size: throughput.CompiledBody(SCENE, 3, *size[1:]), id="batch"),
+    ],
 )
 def test_a_body_makes_the_same_steps_in_every_turn(make):
     side = make(SCENE, 3, 4)
@@ -161,6 +165,7 @@ def press_plan():
     return throughput.make_press(SCENE, 2, 0.2, 0.1)
 
 
+@pytest.mark.bullet
 def test_a_press_of_many_is_the_press_of_each(press_plan):
     sides = [
         throughput.PressOfOne(SCENE, "bullet", press_plan),
@@ -244,6 +249,7 @@ def played(driver):
     return groups.transpose(0, 2, 1).reshape(-1, script.calls), seconds
 
 
+@pytest.mark.bullet
 def test_environments_play_the_same_one_by_one_and_together(script):
     drivers = [
         throughput.single_driver("batch", 2, script),
@@ -281,6 +287,7 @@ def test_odd_worlds_leave_the_script_when_time_is_taken(script):
     np.testing.assert_array_equal(np.array(seen)[script.down :, 1], script.by_chance([1])[0])
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("policy", throughput.POLICIES)
 def test_whole_episodes_are_those_that_a_seed_begins(policy):
     length, ends = 8, []
@@ -360,6 +367,7 @@ def test_new_processes_share_a_fresh_cache(tmp_path, monkeypatch):
         throughput.first_steps(told.append, "raise SystemExit(3)")
 
 
+@pytest.mark.bullet
 def test_last_line_is_json(monkeypatch, capsys):
     monkeypatch.setattr(throughput, "available_cores", lambda: 1)
     monkeypatch.setattr(throughput, "Size", lambda rounds: SMALL)

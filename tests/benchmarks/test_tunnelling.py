@@ -277,6 +277,7 @@ def test_a_run_is_reproducible_and_watched_in_every_step():
     np.testing.assert_array_equal(steps[plunge.moving_steps - 1][1], steps[-1][1])
 
 
+@pytest.mark.bullet
 def test_bullets_own_contact_fails_a_plunge():
     outcome = plunges.run(plunges.draw(tunnelling.SEED, FAST), "bullet")
     assert outcome.failed
@@ -428,6 +429,7 @@ def test_the_command_prints_one_line_of_json(monkeypatch, capsys):
     assert result["passed"] == (result["contact"]["flags"]["failed"] == 0)
 
 
+@pytest.mark.bullet
 def test_an_interrupted_run_prints_what_it_has(monkeypatch, capsys):
     def interrupted(job):
         if job.number == 3:

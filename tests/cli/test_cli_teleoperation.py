@@ -18,6 +18,8 @@ from PIL import Image
 
 from spatula_env import cli
 from spatula_env.cli import devices
+from spatula_env.engines import default_engine
+from spatula_env.installing import install_hint
 from spatula_env.teleop.device import DeviceLost
 from spatula_env.teleop.scripted import ScriptedOperator
 from spatula_env.teleop.web.recording import RecordingOptions
@@ -50,7 +52,7 @@ def headless(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scripted episodes in Bullet."""
+    """Two scripted episodes."""
     folder = tmp_path_factory.mktemp("datasets")
     words = [
         "--device",
@@ -131,13 +133,13 @@ class TestPlay:
 
     def test_who_holds_nothing_is_told_what_to_do(self, capsys, headless, monkeypatch) -> None:
         def missing(*_: Any, **__: Any) -> Any:
-            raise ImportError("keyboard and gamepad need pygame-ce: pip install 'spatula-env[teleop]'")
+            raise ImportError(f"keyboard and gamepad need pygame-ce: {install_hint('teleop')}")
 
         monkeypatch.setattr("spatula_env.teleop.registry.make_device", missing)
         _, noted = run(capsys, "play", "press", "--device", "keyboard", *SHORT, status=1)
         assert "There is nothing to see" in noted
         assert "--device web" in noted
-        assert "pip install 'spatula-env[teleop]'" in noted
+        assert install_hint("teleop") in noted
 
     def test_intervention_needs_somebody_to_intervene_with(self, capsys) -> None:
         _, noted = run(capsys, "play", "press", "--device", "keyboard", "--intervention", "button", status=1)
@@ -334,7 +336,7 @@ class TestRecord:
             {"emulated Falcon": 2},
         )
         assert [each["seed"] for each in found["list"]] == [0, 1]
-        assert found["env_kwargs"]["engine"] == "bullet"
+        assert found["env_kwargs"]["engine"] == default_engine()
         assert found["env_kwargs"].get("render_mode") is None
 
     def test_it_goes_on(self, capsys, tmp_path) -> None:

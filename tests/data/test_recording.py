@@ -55,7 +55,7 @@ def recorded(env, tmp_path_factory):
     return root, summary
 
 
-def test_what_came_of_it(recorded):
+def test_what_came_of_it(env, recorded):
     root, summary = recorded
     assert (summary.recorded, summary.discarded, summary.total_episodes, summary.lost) == (2, 0, 2, None)
     dataset = open_dataset(ID, root)
@@ -63,7 +63,7 @@ def test_what_came_of_it(recorded):
     (metadata,) = dataset.storage.get_episode_metadata([1])
     assert metadata["operator"] == "scripted"
     assert metadata["device"] == "emulated Falcon"
-    assert metadata["engine"] == "bullet"
+    assert metadata["engine"] == env.unwrapped.settings.engine
     episode = next(iter(dataset.iterate_episodes([0])))
     assert episode.observations.shape[0] == STEPS + 1
     assert {name.decode() for name in episode.infos["acted_by"]} == {"scripted"}
@@ -71,7 +71,7 @@ def test_what_came_of_it(recorded):
     assert "scripted" in dataset.storage.metadata["description"]
 
 
-def test_bullet_repeats_what_was_recorded(recorded):
+def test_the_engine_repeats_what_was_recorded(recorded):
     root, _ = recorded
     results = replay(ID, root=root)
     assert [result.episode for result in results] == [0, 1]

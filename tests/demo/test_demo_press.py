@@ -40,6 +40,7 @@ def test_forces_in_both_units(result: PressResult) -> None:
         assert record["force_scene_units"][name] * scale == pytest.approx(newtons)
 
 
+@pytest.mark.bullet
 def test_bullet_alone_lets_the_spatula_in() -> None:
     result = run_press(PressCase("bullet", 400.0, hold_time=WINDOW / 240.0))
     assert result.verdict == "inside"

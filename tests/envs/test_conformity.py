@@ -106,6 +106,7 @@ def test_stable_baselines_checker_finds_nothing(make: Env, id: str, obs_mode: st
     assert unexplained == []
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("id", IDS)
 def test_the_passive_checker_finds_nothing_in_bullet(id: str) -> None:
     with gym.make(id, engine="bullet") as env:

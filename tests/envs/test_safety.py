@@ -142,6 +142,7 @@ def test_an_impossible_greatest_force_is_refused(value: float) -> None:
         PressEnv(engine="batch", max_force=value)
 
 
+@pytest.mark.bullet
 def test_both_engines_count_alike() -> None:
     totals = []
     for engine in ("batch", "bullet"):

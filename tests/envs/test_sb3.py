@@ -20,6 +20,7 @@ from vector_helpers import (
 )
 
 from spatula_env.envs import PressVectorEnv
+from spatula_env.installing import install_hint
 
 pytest.importorskip("stable_baselines3")
 
@@ -299,4 +300,4 @@ def test_without_it_there_is_word_of_the_extra() -> None:
         "try: import spatula_env.envs.sb3\n"
         "except ImportError as error: print(error)"
     )
-    assert "pip install 'spatula-env[train]'" in run_code(code)
+    assert install_hint("train") in run_code(code)

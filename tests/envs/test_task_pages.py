@@ -11,7 +11,7 @@ import pytest
 
 from spatula_env import TASKS
 
-pytest.importorskip("PIL.Image", reason="pictures are cut out with Pillow: pip install 'spatula-env[demo]'")
+pytest.importorskip("PIL.Image", reason="pictures are cut out with Pillow: the extra demo is not installed")
 
 ROOT = Path(__file__).parents[2]
 NAMES = tuple(name.lower() for name in TASKS)

@@ -466,6 +466,7 @@ def test_a_breakdown_of_all_worlds_is_survived() -> None:
     assert not env.step(DOWN[:1])[4]["diverged"].any()
 
 
+@pytest.mark.bullet
 def test_a_simulation_that_diverges_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     def break_down(*_: object) -> None:
         raise SimulationDiverged("positions are not finite")

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import builtins
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from spatula_env.geometry import box_surface, load_organ, seed_sphere, torus
+from spatula_env.installing import install_hint
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -176,5 +178,5 @@ def test_without_trimesh_the_error_says_what_to_install(tmp_path, monkeypatch):
         return original(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(ImportError, match=r"pip install 'spatula-env\[mesh\]'"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("mesh"))):
         load_organ(write(tmp_path, "liver.obj", TETRAHEDRON + FACES))

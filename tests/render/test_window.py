@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import select
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 
 from spatula_env import scenes
+from spatula_env.installing import install_hint
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -39,7 +41,7 @@ def run(arguments: list[str], **variables: str | None) -> subprocess.CompletedPr
 def display() -> Iterator[str]:
     """A display that nobody sees."""
     if importlib.util.find_spec("pyglet") is None:
-        pytest.skip("pyglet is not installed: pip install 'spatula-env[window]'")
+        pytest.skip("pyglet is not installed")
     if shutil.which("Xvfb") is None:
         pytest.skip("Xvfb is not installed: apt-get install xvfb libgl1-mesa-dri libglx-mesa0 libgl1")
     reading, writing = os.pipe()
@@ -142,7 +144,7 @@ except RuntimeError as error:
 @pytest.mark.parametrize("name", [None, ":9999"])
 def test_without_a_display_the_error_says_what_to_do(name: str | None) -> None:
     if importlib.util.find_spec("pyglet") is None:
-        pytest.skip("pyglet is not installed: pip install 'spatula-env[window]'")
+        pytest.skip("pyglet is not installed")
     done = run(["-c", OPEN], DISPLAY=name)
     assert done.returncode == 0, done.stderr
     assert "a display is needed" in done.stdout
@@ -154,7 +156,7 @@ def test_without_pyglet_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setitem(sys.modules, "pyglet", None)
     scene = scenes.seed()
-    with pytest.raises(ImportError, match=r"pip install 'spatula-env\[window\]'"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("window"))):
         Window(scene, np.array(scene.organs[0].organ.triangles))
 
 

@@ -82,8 +82,9 @@ def test_a_world_is_what_a_simulation_is(dtype, top):
         assert batch.times[world] == pytest.approx(simulation.time)
 
 
+@pytest.mark.bullet
 def test_double_precision_follows_bullet(top):
-    batch, bullet = BatchSimulation(SCENE, 2, dtype=np.float64), Simulation(SCENE)
+    batch, bullet = BatchSimulation(SCENE, 2, dtype=np.float64), Simulation(SCENE, engine="bullet")
     batch.place_tools(np.tile([0.1, 0.0, top + 0.05], (2, 1, 1)))
     bullet.place_tool((0.1, 0.0, top + 0.05))
     for k in range(40):

@@ -42,6 +42,7 @@ LIKE_BULLET = {
 }
 
 
+@pytest.mark.bullet
 @pytest.mark.parametrize("name", LIKE_BULLET)
 def test_nodes_move_as_in_bullet(name):
     placed = LIKE_BULLET[name]
@@ -73,6 +74,7 @@ def test_nodes_move_as_in_bullet(name):
     assert 0.0 < np.abs(single.positions[0] - positions).max() < 1e-3
 
 
+@pytest.mark.bullet
 def test_the_inverse_masses_are_those_of_the_bullet_world():
     scene = Scene((HELD, BALL), (PlacedTool(Tool.box(), (0.0, 0.0, 50.0)),))
     world = BulletWorld(scene)

@@ -128,6 +128,7 @@ def test_limits_are_checked() -> None:
         worlds.advance(np.zeros((2, 1, 3)), pressure_limits=np.zeros(3))
 
 
+@pytest.mark.bullet
 def test_bullets_own_contact_tells_no_pressure() -> None:
     scene, linear, angular = press(1)
     worlds = SeparateWorlds([Simulation(scene, engine="bullet", contact="bullet")])

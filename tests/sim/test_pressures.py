@@ -125,6 +125,7 @@ def test_pressures_are_those_of_a_step(simulation):
         simulation.pressures()
 
 
+@pytest.mark.bullet
 def test_bullets_own_contact_tells_no_pressures():
     simulation = Simulation(scenes.seed(), contact="bullet")
     start_above(simulation)

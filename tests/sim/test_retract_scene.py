@@ -98,6 +98,7 @@ def test_the_fold_comes_back_when_it_is_let_go(simulation, block):
     assert np.abs(simulation.nodes - rest).max() < 0.03
 
 
+@pytest.mark.bullet
 def test_bullet_feels_the_same(simulation, block):
     expected = push(simulation, block, 1.0)
     with_bullet = Simulation(scenes.retract(), engine="bullet")

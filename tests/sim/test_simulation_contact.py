@@ -404,6 +404,7 @@ def test_second_step_alone_lets_both_faces_push():
     simulation.close()
 
 
+@pytest.mark.bullet
 def test_bullets_own_contact_ends_inside():
     simulation = Simulation(scenes.seed(), contact="bullet")
     top = start_above(simulation)
@@ -424,6 +425,7 @@ def test_bullets_own_contact_ends_inside():
     simulation.close()
 
 
+@pytest.mark.bullet
 def test_bullets_own_contact_feels_a_slow_touch():
     # So that the test above does not pass because there is no contact at all.
     simulation = Simulation(scenes.seed(), contact="bullet")

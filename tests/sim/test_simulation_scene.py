@@ -405,6 +405,7 @@ def test_after_close_nothing_steps_and_closing_twice_is_allowed():
     simulation.close()
 
 
+@pytest.mark.bullet
 def test_closing_frees_the_engine():
     # PyBullet has room for about a thousand physics servers in a process; here they take turns in one.
     tiny = scenes.Scene(
@@ -415,13 +416,13 @@ def test_closing_frees_the_engine():
     import pybullet
 
     for _ in range(5):
-        simulation = Simulation(tiny)
+        simulation = Simulation(tiny, engine="bullet")
         simulation.close()
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.disconnect(client)
     others = []
     for _ in range(3):
-        simulation = Simulation(tiny)
+        simulation = Simulation(tiny, engine="bullet")
         simulation.close()
         others.append(pybullet.connect(pybullet.DIRECT))
         pybullet.disconnect(others[-1])

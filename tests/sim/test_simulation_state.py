@@ -179,6 +179,7 @@ def test_restore_goes_on_as_before(pair, situation):
     np.testing.assert_array_equal(everything(one), kept)
 
 
+@pytest.mark.bullet
 def test_restore_brings_the_flags_back():
     # Flags that no pose tells: inside, the top's were set by a small step up. With Bullet's own contact the detector
     # only watches, and the hollow organ does not mind a tool in its middle.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import array
 import errno
+import re
 import sys
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from spatula_env.teleop.falcon import Falcon, ftdi
 from spatula_env.teleop.falcon.transport import UsbTransport, find_falcons
@@ -165,5 +167,5 @@ def test_libusb_is_missing(usb):
 def test_pyusb_is_missing(monkeypatch):
     for name in ("usb", "usb.core"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ImportError, match=r"pip install 'spatula-env\[teleop\]'"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("teleop"))):
         Falcon().open()

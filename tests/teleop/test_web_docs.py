@@ -14,8 +14,8 @@ from spatula_env.teleop.web.hands import AWAY, KEYS, SILENT
 from spatula_env.teleop.web.panel import SPAN
 from spatula_env.teleop.web.session import DATASET
 
-pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
-pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
+pytest.importorskip("viser", reason="the extra web is not installed")
+pytest.importorskip("minari", reason="the extra data is not installed")
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "web.md").read_text(encoding="utf-8")

@@ -10,8 +10,8 @@ from web_helpers import PATIENCE, open_browser, until
 
 from spatula_env.teleop.web import WebDevice, WebSession
 
-pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
-minari = pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
+pytest.importorskip("viser", reason="the extra web is not installed")
+minari = pytest.importorskip("minari", reason="the extra data is not installed")
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900)]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -19,6 +20,8 @@ from web_helpers import Script, until
 import spatula_env
 from spatula_env.data import DatasetWriteError, DatasetWriter, record
 from spatula_env.data.files import DatasetBusy, recording_lock
+from spatula_env.engines import default_engine
+from spatula_env.installing import install_hint
 from spatula_env.teleop import DeviceBusy, DeviceError, NotCalibrated
 from spatula_env.teleop.registry import make_device
 from spatula_env.teleop.web import WebDevice, WebSession, serve
@@ -28,8 +31,8 @@ from spatula_env.teleop.wrapper import FalconTeleop
 
 gym.register_envs(spatula_env)
 
-pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
-minari = pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
+pytest.importorskip("viser", reason="the extra web is not installed")
+minari = pytest.importorskip("minari", reason="the extra data is not installed")
 
 TASK = "Spatula/Press-v0"
 
@@ -111,7 +114,7 @@ def test_an_episode_is_recorded(session):
     dataset = load()
     assert dataset.total_episodes == 2
     first, second = attributes(dataset, 0), attributes(dataset, 1)
-    assert [first[name] for name in ("operator", "device", "engine")] == ["human", "web", "bullet"]
+    assert [first[name] for name in ("operator", "device", "engine")] == ["human", "web", default_engine()]
     assert first["operator_success"] and not second["operator_success"]
     assert not first["interrupted"]
     assert (first["seed"], second["seed"]) == (5, 6)
@@ -356,7 +359,7 @@ def test_a_port_that_is_taken():
 
 def test_without_viser_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(ImportError, match=r"pip install 'spatula-env\[web\]'"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("web"))):
         WebDevice(port=0).open()
 
 

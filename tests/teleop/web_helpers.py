@@ -49,7 +49,7 @@ def find_browser() -> str | None:
 @contextlib.contextmanager
 def open_browser(*switches: str):
     """A browser, or a skipped test where there is none; on CI a failed one."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="pip install 'spatula-env[dev]'")
+    playwright = pytest.importorskip("playwright.sync_api", reason="the extra dev is not installed")
     with playwright.sync_playwright() as started:
         path = find_browser()
         if path is None and not os.path.exists(started.chromium.executable_path):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop.device import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from spatula_env.teleop.falcon.ftdi import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID, VENDOR_ID
 
@@ -202,7 +203,7 @@ def _find() -> list[Any]:
     try:
         core = import_module("usb.core")
     except ImportError as error:
-        raise ImportError("the Novint Falcon needs pyusb: pip install 'spatula-env[teleop]'") from error
+        raise ImportError(f"the Novint Falcon needs pyusb: {install_hint('teleop')}") from error
     try:
         return list(core.find(find_all=True, idVendor=VENDOR_ID, idProduct=PRODUCT_ID))
     except core.NoBackendError as error:

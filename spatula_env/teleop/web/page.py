@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop.web.access import Doorkeeper, find_token
 from spatula_env.teleop.web.gate import Gate
 from spatula_env.teleop.web.hands import KEYS, SLOW_KEYS, Hands
@@ -125,7 +126,7 @@ def require_viser() -> Any:
     try:
         import viser
     except ImportError as error:
-        raise ImportError("the web device needs viser: pip install 'spatula-env[web]'") from error
+        raise ImportError(f"the web device needs viser: {install_hint('web')}") from error
     return viser
 
 

@@ -1,0 +1,71 @@
+"""How to install what is missing: the words depend on where this package was installed from."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+from urllib.request import url2pathname
+
+DISTRIBUTION = "spatula-env"
+
+
+def install_hint(*extras: str) -> str:
+    """The command that installs extras of this package, from where the package itself came from.
+
+    Args:
+        *extras: Such as "train"; pyproject.toml says what they bring.
+
+    Returns:
+        Such as ``pip install 'spatula-env[train]'``; from a checkout ``pip install -e '/path/of/checkout[train]'``.
+    """
+    wanted = f"[{','.join(extras)}]"
+    options, before, after = _origin()
+    quote = '"' if os.name == "nt" else "'"
+    return f"pip install {options}{quote}{before}{wanted}{after}{quote}"
+
+
+@cache
+def _origin() -> tuple[str, str, str]:
+    """Options of pip, and what stands before and after the extras."""
+    return origin_of(_direct_url(), Path(__file__).parents[1])
+
+
+def origin_of(direct_url: dict[str, Any] | None, place: Path) -> tuple[str, str, str]:
+    """Where to install from.
+
+    Args:
+        direct_url: What pip has written down of an installation from elsewhere than an index; None: nothing.
+        place: The folder that this package lies in.
+
+    Returns:
+        Options of pip, and what stands before and after the extras.
+    """
+    if (place / "pyproject.toml").is_file():
+        return "-e ", str(place), ""
+    if direct_url is None:
+        return "", DISTRIBUTION, ""
+    url = str(direct_url["url"])
+    if "vcs_info" in direct_url:
+        told = direct_url["vcs_info"]
+        return "", DISTRIBUTION, f" @ {told['vcs']}+{url}@{told.get('requested_revision') or told['commit_id']}"
+    if "dir_info" in direct_url:
+        folder = Path(url2pathname(unquote(urlsplit(url).path)))
+        if not folder.is_dir():
+            return "", DISTRIBUTION, ""
+        return "", str(folder), ""
+    return "", DISTRIBUTION, f" @ {url}"
+
+
+def _direct_url() -> dict[str, Any] | None:
+    """What pip has written down; see PEP 610."""
+    try:
+        text = metadata.distribution(DISTRIBUTION).read_text("direct_url.json")
+    except metadata.PackageNotFoundError:
+        return None
+    told: dict[str, Any] | None = json.loads(text) if text else None
+    return told
