@@ -13,6 +13,9 @@ from urllib.request import url2pathname
 
 DISTRIBUTION = "spatula-env"
 
+QUOTE = '"' if os.name == "nt" else "'"
+"""What shells take a word with brackets and spaces in."""
+
 
 def install_hint(*extras: str) -> str:
     """The command that installs extras of this package, from where the package itself came from.
@@ -25,8 +28,7 @@ def install_hint(*extras: str) -> str:
     """
     wanted = f"[{','.join(extras)}]"
     options, before, after = _origin()
-    quote = '"' if os.name == "nt" else "'"
-    return f"pip install {options}{quote}{before}{wanted}{after}{quote}"
+    return f"pip install {options}{QUOTE}{before}{wanted}{after}{QUOTE}"
 
 
 @cache

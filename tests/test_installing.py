@@ -41,9 +41,9 @@ def test_the_words_follow_from_where_the_package_came_from(
     direct_url: dict[str, Any] | None, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(installing, "_origin", lambda: origin_of(direct_url, tmp_path))
-    monkeypatch.setattr(installing.os, "name", "posix")
+    monkeypatch.setattr(installing, "QUOTE", "'")
     assert install_hint("train", "data") == told
-    monkeypatch.setattr(installing.os, "name", "nt")
+    monkeypatch.setattr(installing, "QUOTE", '"')
     assert install_hint("train", "data") == told.replace("'", '"')
 
 
