@@ -1,0 +1,128 @@
+"""LeRobot's names of observations, and the function that its EnvHub looks for.
+
+LeRobot itself (0.6, Python 3.12 or later) need not be installed for this module. In its evaluation of policies an
+environment observes "pixels", one picture or a dictionary of cameras, and "agent_pos", what the robot knows of
+itself; its datasets call the same `observation.images.<camera>` and `observation.state`, and those are the names that
+`spatula_env.data.export_lerobot` writes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+CAMERA = "front"
+"""What `export_lerobot` calls the camera."""
+
+
+class LeRobotWrapper(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
+    """One environment that observes "pixels" and "agent_pos".
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import spatula_env
+        >>> from spatula_env.envs.adapters.lerobot import LeRobotWrapper
+        >>> env = LeRobotWrapper(gym.make("Spatula/Press-v0", obs_mode="rgb"))
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any], camera: str | None = CAMERA) -> None:
+        """Wrap an environment.
+
+        Args:
+            env: With `obs_mode="rgb"` for pictures, or `"state"` for none, and `reward="dense"`.
+            camera: What to call the camera in the dictionary "pixels"; None: "pixels" is the picture itself.
+
+        Raises:
+            ValueError: If the environment observes something for which LeRobot has no name.
+        """
+        RecordConstructorArgs.__init__(self, camera=camera)
+        gymnasium.ObservationWrapper.__init__(self, env)
+        self._camera = camera
+        self.observation_space = _renamed_space(env.observation_space, camera)
+
+    def observation(self, observation: Any) -> dict[str, Any]:
+        """Rename an observation's entries."""
+        return _renamed(observation, self._camera)
+
+
+class LeRobotVectorWrapper(VectorWrapper, RecordConstructorArgs):
+    """Many environments that observe "pixels" and "agent_pos".
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import spatula_env
+        >>> from spatula_env.envs.adapters.lerobot import LeRobotVectorWrapper
+        >>> envs = LeRobotVectorWrapper(gym.make_vec("Spatula/Press-v0", num_envs=4, obs_mode="rgb"))
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], camera: str | None = CAMERA) -> None:
+        """Wrap an environment.
+
+        Args:
+            env: With `obs_mode="rgb"` for pictures, or `"state"` for none, and `reward="dense"`.
+            camera: What to call the camera in the dictionary "pixels"; None: "pixels" are the pictures themselves.
+
+        Raises:
+            ValueError: If the environment observes something for which LeRobot has no name.
+        """
+        RecordConstructorArgs.__init__(self, camera=camera)
+        VectorWrapper.__init__(self, env)
+        self._camera = camera
+        self.single_observation_space = _renamed_space(env.single_observation_space, camera)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin new episodes; see the environment."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        return _renamed(observations, self._camera), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step all environments; what was seen last in an episode is renamed as well."""
+        observations, rewards, terminations, truncations, infos = self.env.step(actions)
+        for world, last in enumerate(infos.get("final_obs", ())):
+            if last is not None:
+                infos["final_obs"][world] = _renamed(last, self._camera)
+        return _renamed(observations, self._camera), rewards, terminations, truncations, infos
+
+
+def make_hub_env(
+    id: str, n_envs: int = 1, use_async_envs: bool = False, camera: str | None = CAMERA, **kwargs: Any
+) -> LeRobotVectorWrapper:
+    """What `make_env(n_envs, use_async_envs)` in an EnvHub repository's `env.py` returns.
+
+    Args:
+        id: As `gymnasium.make_vec` takes it.
+        n_envs: How many environments.
+        use_async_envs: Whether each is a process of its own, with the engine "bullet"; else the batch engine steps all.
+        camera: See `LeRobotVectorWrapper`.
+        **kwargs: Further arguments of the environment; `obs_mode` is "rgb" unless told.
+    """
+    options = {"obs_mode": "rgb", "render_mode": "rgb_array", **kwargs}
+    mode = {"vectorization_mode": "async"} if use_async_envs else {}
+    return LeRobotVectorWrapper(gymnasium.make_vec(id, num_envs=n_envs, **mode, **options), camera)
+
+
+def _renamed(observation: Any, camera: str | None) -> dict[str, Any]:
+    """An observation or a batch under LeRobot's names."""
+    if not isinstance(observation, dict):
+        return {"agent_pos": observation}
+    pictures = observation["image"]
+    return {"pixels": pictures if camera is None else {camera: pictures}, "agent_pos": observation["state"]}
+
+
+def _renamed_space(space: spaces.Space[Any], camera: str | None) -> spaces.Dict:
+    """The space of renamed observations of one environment."""
+    if isinstance(space, spaces.Box):
+        return spaces.Dict({"agent_pos": space})
+    names = set(space.spaces) if isinstance(space, spaces.Dict) else set()
+    if names != {"image", "state"}:
+        raise ValueError(
+            "env must observe pictures (obs_mode='rgb') or one vector (obs_mode='state'), with reward='dense'; "
+            f"it observes {sorted(names)}"
+        )
+    return spaces.Dict(_renamed(dict(space.spaces), camera))  # type: ignore[attr-defined]

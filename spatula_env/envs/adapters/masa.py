@@ -1,0 +1,67 @@
+"""Labels for MASA-Safe-RL: names of what holds in each step, in a set.
+
+MASA-Safe-RL (`pip install masa-safe-rl`) need not be installed for this module. Interface: `LabelledEnv` and
+`LabelFn` of masa.common, which label observations; here labels follow from info, where pressures are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+
+LABELS: Mapping[str, str] = {
+    "success": "is_success",
+    "within_tolerance": "within_tolerance",
+    "contact": "force",
+    "cost": "cost",
+    "violation": "violation",
+    "damage": "is_damaged",
+}
+"""The names, and what of info must not be zero for each: contact is any force, cost a pressure beyond 2.67 kPa,
+violation one beyond 4.0 kPa, damage a cost of the episode beyond `damage_limit`."""
+
+
+def labels_of(info: Mapping[str, Any]) -> set[str]:
+    """The names in `LABELS` of what holds.
+
+    Args:
+        info: Of a reset or a step of one environment.
+    """
+    return {label for label, name in LABELS.items() if info[name]}
+
+
+class LabelsWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Puts labels into `info["labels"]`, a set, and offers MASA the `label_fn` that it asks environments for.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import spatula_env
+        >>> from spatula_env.envs.adapters.masa import LabelsWrapper
+        >>> env = LabelsWrapper(gym.make("Spatula/Press-v0"))
+        >>> _, info = env.reset(seed=0)
+        >>> info["labels"]
+        set()
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        """Wrap an environment of this package."""
+        super().__init__(env)
+        self._labels: set[str] = set()
+
+    def label_fn(self, observation: Any) -> set[str]:
+        """The labels of the environment's last step; the observation is not looked at."""
+        return set(self._labels)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode; see the environment."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._labels = labels_of(info)
+        return observation, {**info, "labels": set(self._labels)}
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step the environment; see there."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._labels = labels_of(info)
+        return observation, reward, terminated, truncated, {**info, "labels": set(self._labels)}
