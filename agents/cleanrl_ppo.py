@@ -236,7 +236,7 @@ def main(arguments: Arguments) -> dict[str, float]:
         update()
         steps = (rollout + 1) * arguments.rollout_steps * arguments.num_envs
         rate = np.mean(successes) if successes else 0.0
-        print(f"{steps:8d} steps  {time.perf_counter() - began:6.0f} s  success {rate:.2f}")
+        print(f"{steps:8d} steps  {time.perf_counter() - began:6.0f} s  success {rate:.2f}", flush=True)
     seconds = time.perf_counter() - began
     envs.close()
     success, episode_return = evaluate(arguments, agent, normalized)

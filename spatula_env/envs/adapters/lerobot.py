@@ -119,10 +119,10 @@ def _renamed_space(space: spaces.Space[Any], camera: str | None) -> spaces.Dict:
     """The space of renamed observations of one environment."""
     if isinstance(space, spaces.Box):
         return spaces.Dict({"agent_pos": space})
-    names = set(space.spaces) if isinstance(space, spaces.Dict) else set()
-    if names != {"image", "state"}:
+    if not isinstance(space, spaces.Dict) or set(space.spaces) != {"image", "state"}:
         raise ValueError(
             "env must observe pictures (obs_mode='rgb') or one vector (obs_mode='state'), with reward='dense'; "
-            f"it observes {sorted(names)}"
+            f"it observes {sorted(space.spaces) if isinstance(space, spaces.Dict) else space}"
         )
-    return spaces.Dict(_renamed(dict(space.spaces), camera))  # type: ignore[attr-defined]
+    picture, state = space["image"], space["state"]
+    return spaces.Dict({"pixels": picture if camera is None else spaces.Dict({camera: picture}), "agent_pos": state})

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
+from gymnasium.utils import RecordConstructorArgs
 
 LABELS: Mapping[str, str] = {
     "success": "is_success",
@@ -32,7 +33,7 @@ def labels_of(info: Mapping[str, Any]) -> set[str]:
     return {label for label, name in LABELS.items() if info[name]}
 
 
-class LabelsWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
+class LabelsWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Puts labels into `info["labels"]`, a set, and offers MASA the `label_fn` that it asks environments for.
 
     Example:
@@ -47,7 +48,8 @@ class LabelsWrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         """Wrap an environment of this package."""
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self)
+        gymnasium.Wrapper.__init__(self, env)
         self._labels: set[str] = set()
 
     def label_fn(self, observation: Any) -> set[str]:

@@ -26,8 +26,8 @@ import spatula_env
 from spatula_env.envs.episode_sums import values_of_step
 from spatula_env.geometry.checks import check_positive
 
-COST_SCALE = 1.0
-"""OmniSafe's costs in those of this package [1/(Pa s)]."""
+COST_SCALE = 1e-3
+"""Factor on costs: in kPa s those of an episode are of the size of OmniSafe's default limit of 25 [1/(Pa s)]."""
 
 
 class _NoSafetyGymnasium(ModuleType):
@@ -147,6 +147,7 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
             for world in np.flatnonzero(ended).tolist():
                 final[world] = infos["final_obs"][world]
             info["final_observation"] = self._tensor(final)
+            info["_final_observation"] = ended
             self.env_spec_log["Env/Success"] = float(values_of_step(infos, "is_success")[ended].mean())
         observed, reward, cost, terminated, truncated = (
             self._tensor(values) for values in (observations, rewards, costs, terminations, truncations)
