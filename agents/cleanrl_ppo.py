@@ -126,7 +126,9 @@ def make(arguments: Arguments, num_envs: int) -> gym.vector.VectorEnv:
     seen, space = entries(envs, arguments.leave_out), envs.single_observation_space
     smaller = gym.spaces.Box(space.low[seen], space.high[seen], dtype=np.float32)
     envs = vector.RecordEpisodeStatistics(envs)
-    envs = vector.TransformObservation(envs, lambda observations: observations[:, seen], single_observation_space=smaller)
+    envs = vector.TransformObservation(
+        envs, lambda observations: observations[:, seen], single_observation_space=smaller
+    )
     return vector.NormalizeObservation(envs)
 
 

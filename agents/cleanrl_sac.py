@@ -285,7 +285,10 @@ def main(arguments: Arguments) -> dict[str, float]:
                 update()
         if ended.any():
             rate, temperature = np.mean(successes), log_temperature.exp().item()
-            print(f"{steps:8d} steps  {time.perf_counter() - began:6.0f} s  success {rate:.2f}  {temperature=:.3f}", flush=True)
+            print(
+                f"{steps:8d} steps  {time.perf_counter() - began:6.0f} s  success {rate:.2f}  {temperature=:.3f}",
+                flush=True,
+            )
     seconds = time.perf_counter() - began
     envs.close()
     success, episode_return = evaluate(arguments, actor, norm)

@@ -12,6 +12,7 @@ Modules::
     scripted    demonstrations by a program at an emulated Falcon
     drawing     pictures of recorded states
     lerobot_export    the same in the layout of LeRobot's datasets
+    d3rlpy_dataset    the same for d3rlpy
 
 Importing this package loads neither Minari nor h5py; writing and reading datasets needs both.
 """
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from spatula_env.data.catalog import DatasetSummary, copy_episodes, list_datasets, summarize
+    from spatula_env.data.d3rlpy_dataset import load_d3rlpy
     from spatula_env.data.dataset import DatasetWriteError, DatasetWriter
     from spatula_env.data.episode import Episode, EpisodeRecorder
     from spatula_env.data.layout import Layout
@@ -48,6 +50,7 @@ __all__ = [
     "copy_episodes",
     "export_lerobot",
     "list_datasets",
+    "load_d3rlpy",
     "make_scripted",
     "plot_statistics",
     "record",
@@ -60,6 +63,7 @@ def __getattr__(name: str) -> Any:
     """Import a module when something of it is first asked for."""
     for module, names in (
         ("catalog", ("DatasetSummary", "copy_episodes", "list_datasets", "summarize")),
+        ("d3rlpy_dataset", ("load_d3rlpy",)),
         ("dataset", ("DatasetWriteError", "DatasetWriter")),
         ("episode", ("Episode", "EpisodeRecorder")),
         ("layout", ("Layout",)),

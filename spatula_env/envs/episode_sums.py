@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
+
+from spatula_env.envs.vector_wrapper import TransparentVectorWrapper
 
 
 def values_of_step(infos: Mapping[str, Any], name: str) -> NDArray[Any]:
@@ -36,7 +38,7 @@ def values_of_step(infos: Mapping[str, Any], name: str) -> NDArray[Any]:
     return np.where(ended, final[name], infos[name])
 
 
-class RecordEpisodeSums(VectorWrapper, RecordConstructorArgs):
+class RecordEpisodeSums(TransparentVectorWrapper, RecordConstructorArgs):
     """Adds up return, length and any numbers of info over each episode, in every autoreset mode.
 
     In the step that ends an episode, `infos["episode"]` holds "r" (the return), "l" (the number of steps) and the sum
@@ -69,7 +71,7 @@ class RecordEpisodeSums(VectorWrapper, RecordConstructorArgs):
         if len({"r", "l", *names}) != len(names) + 2:
             raise ValueError(f"names must differ, and from 'r' and 'l', got {list(names)}")
         RecordConstructorArgs.__init__(self, names=names, stats_key=stats_key)
-        VectorWrapper.__init__(self, env)
+        TransparentVectorWrapper.__init__(self, env)
         self._names, self._key = names, stats_key
         self._mode = env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
         self._sums = {name: np.zeros(self.num_envs) for name in ("r", *names)}

@@ -134,3 +134,13 @@ def test_a_wrapped_environment_can_be_made_again_from_its_specification(wrapper:
     assert again.spec == env.spec
     again.close()
     env.close()
+
+
+def test_what_libraries_ask_vector_environments_is_answered_through_wrappers() -> None:
+    plain = gym.make_vec(ID, num_envs=2, autoreset_mode="same_step", max_episode_steps=7)
+    envs = LeRobotVectorWrapper(SafetyGymnasiumVectorWrapper(plain))
+    assert envs.call("_max_episode_steps") == (7, 7)
+    assert envs.get_attr("task_description") == plain.get_attr("task_description")
+    assert envs.autoreset_mode is plain.autoreset_mode
+    assert not hasattr(envs, "nothing_of_the_kind")
+    envs.close()

@@ -13,8 +13,10 @@ from typing import Any
 import gymnasium
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
+
+from spatula_env.envs.vector_wrapper import TransparentVectorWrapper
 
 CAMERA = "front"
 """What `export_lerobot` calls the camera."""
@@ -50,7 +52,7 @@ class LeRobotWrapper(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstruc
         return _renamed(observation, self._camera)
 
 
-class LeRobotVectorWrapper(VectorWrapper, RecordConstructorArgs):
+class LeRobotVectorWrapper(TransparentVectorWrapper, RecordConstructorArgs):
     """Many environments that observe "pixels" and "agent_pos".
 
     Example:
@@ -71,7 +73,7 @@ class LeRobotVectorWrapper(VectorWrapper, RecordConstructorArgs):
             ValueError: If the environment observes something for which LeRobot has no name.
         """
         RecordConstructorArgs.__init__(self, camera=camera)
-        VectorWrapper.__init__(self, env)
+        TransparentVectorWrapper.__init__(self, env)
         self._camera = camera
         self.single_observation_space = _renamed_space(env.single_observation_space, camera)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

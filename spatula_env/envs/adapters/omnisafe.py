@@ -154,7 +154,9 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
         )
         return observed, reward, cost, terminated, truncated, info
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[torch.Tensor, dict[str, Any]]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[torch.Tensor, dict[str, Any]]:
         """Begin new episodes in all worlds.
 
         Args:

@@ -11,10 +11,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from spatula_env.envs.episode_sums import values_of_step
+from spatula_env.envs.vector_wrapper import TransparentVectorWrapper
 from spatula_env.geometry.checks import check_positive
 
 StepWithCost = tuple[Any, float, float, bool, bool, dict[str, Any]]
@@ -56,7 +57,7 @@ class SafetyGymnasiumWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstr
         return observation, float(reward), self._scale * float(info["cost"]), terminated, truncated, info
 
 
-class SafetyGymnasiumVectorWrapper(VectorWrapper, RecordConstructorArgs):
+class SafetyGymnasiumVectorWrapper(TransparentVectorWrapper, RecordConstructorArgs):
     """Many environments whose `step` returns observations, rewards, costs, terminations, truncations and infos.
 
     In the autoreset mode "same_step", which is Safety-Gymnasium's own, costs are those of the step that was taken
@@ -82,7 +83,7 @@ class SafetyGymnasiumVectorWrapper(VectorWrapper, RecordConstructorArgs):
         """
         check_positive(cost_scale, "cost_scale")
         RecordConstructorArgs.__init__(self, cost_scale=cost_scale)
-        VectorWrapper.__init__(self, env)
+        TransparentVectorWrapper.__init__(self, env)
         self._scale = float(cost_scale)
 
     def step(self, actions: Any) -> VectorStepWithCost:  # type: ignore[override]
