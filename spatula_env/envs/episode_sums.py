@@ -35,7 +35,7 @@ def values_of_step(infos: Mapping[str, Any], name: str) -> NDArray[Any]:
     ended, final = infos["_final_info"], infos["final_info"]
     if name not in infos:
         return np.array(final[name])
-    return np.where(ended, final[name], infos[name])
+    return np.asarray(np.where(ended, final[name], infos[name]))
 
 
 class RecordEpisodeSums(TransparentVectorWrapper, RecordConstructorArgs):

@@ -104,9 +104,10 @@ def make_hub_env(
         camera: See `LeRobotVectorWrapper`.
         **kwargs: Further arguments of the environment; `obs_mode` is "rgb" unless told.
     """
-    options = {"obs_mode": "rgb", "render_mode": "rgb_array", **kwargs}
-    mode = {"vectorization_mode": "async"} if use_async_envs else {}
-    return LeRobotVectorWrapper(gymnasium.make_vec(id, num_envs=n_envs, **mode, **options), camera)
+    options: dict[str, Any] = {"obs_mode": "rgb", "render_mode": "rgb_array", **kwargs}
+    if use_async_envs:
+        options["vectorization_mode"] = "async"
+    return LeRobotVectorWrapper(gymnasium.make_vec(id, num_envs=n_envs, **options), camera)
 
 
 def _renamed(observation: Any, camera: str | None) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
             raise RuntimeError("reset all worlds before some of them")
         seed = kwargs.get("seed", [one if chosen else None for one, chosen in zip(self._seeds, mask, strict=True)])
         options = {**(kwargs.get("options") or {}), "reset_mask": mask}
-        observations, infos = self.envs.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        observations, infos = self.envs.reset(seed=seed, options=options)
         self._seeds = [None if chosen else one for one, chosen in zip(self._seeds, mask, strict=True)]
         self._begun = True
         self._over[worlds] = self._passed_over[worlds] = False
