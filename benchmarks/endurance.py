@@ -198,8 +198,9 @@ def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
 
 
 def _memory() -> float:
-    """What this process holds in memory [MiB]."""
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+    """What this process holds in memory [MiB]; 0 where the system does not tell, as only Linux does."""
+    file = Path("/proc/self/status")
+    for line in file.read_text(encoding="ascii").splitlines() if file.exists() else ():
         if line.startswith("VmRSS:"):
             return float(line.split()[1]) / 1024.0
     return 0.0

@@ -11,7 +11,6 @@ its own, and for comparison in a thread beside the simulation::
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable
 from functools import partial
@@ -179,7 +178,7 @@ def main() -> None:
                 f"{run['energy_into_hand_mj']:.2f} mJ; force on the tool up to {run['peak_tool_force_n']:.2f} N"
             )
         print(" ".join(f"{name} {value:.1f}" for name, value in response.items()))
-    measure.finish({"runs": runs, "step": response, "load": os.getloadavg()[0]})
+    measure.finish({"runs": runs, "step": response, "load": measure.load_average()})
 
 
 if __name__ == "__main__":

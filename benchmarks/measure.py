@@ -55,6 +55,11 @@ def machine() -> dict[str, Any]:
     }
 
 
+def load_average() -> float | None:
+    """How many processes want a core, over the last minute; None where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
 def without_bullet(names: Iterable[Name]) -> list[Name]:
     """Engines or contact models to measure. Bullet is left out where PyBullet is not installed, and that is said.
 

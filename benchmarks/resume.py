@@ -10,9 +10,7 @@ from __future__ import annotations
 import io
 import itertools
 import json
-import os
 import pickle
-import signal
 import subprocess
 import sys
 import tempfile
@@ -136,7 +134,7 @@ def _kill_in_the_middle(command: list[str], run: Path, generator: np.random.Gene
                 break
             time.sleep(0.005)
     finally:
-        os.kill(process.pid, signal.SIGKILL)
+        process.kill()
         process.wait()
     return {"seconds": time.perf_counter() - start, "step": _last_step(place)}
 

@@ -8,7 +8,6 @@ episodes run one after the other in each process and the batch engine's all at o
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterable
 from contextlib import closing
@@ -19,7 +18,7 @@ import gymnasium
 import numpy as np
 
 import agents.experts as experts
-from benchmarks.measure import finish, parser, without_bullet
+from benchmarks.measure import finish, load_average, parser, without_bullet
 from benchmarks.parallel import available_cores, results
 from spatula_env import TASKS
 
@@ -234,7 +233,7 @@ def main() -> None:
             "passed": passed(table),
             "limits": {"expert": EXPERT_LIMIT, "random": RANDOM_LIMIT},
             "tasks": table,
-            "load": os.getloadavg()[0],
+            "load": load_average(),
             "seconds": time.perf_counter() - start,
         }
     )
