@@ -110,7 +110,7 @@ def run_parser(program: str, description: str, change: str) -> argparse.Argument
 
 
 def choose_run(
-    chosen: argparse.Namespace, read: Callable[[Path, Sequence[str]], Config], changes: Sequence[str]
+    chosen: argparse.Namespace, read: Callable[[Path, Sequence[str]], Config], changes: Sequence[str], holds: str
 ) -> tuple[Path, Config]:
     """Find the folder and the configuration of a run.
 
@@ -118,6 +118,7 @@ def choose_run(
         chosen: What the command was told.
         read: Reads a configuration from a file, with changes.
         changes: Of the configuration that a new run begins with.
+        holds: A key that its configurations have; see `find_config`.
 
     Raises:
         FileNotFoundError: If there is no such configuration.
@@ -125,7 +126,7 @@ def choose_run(
     """
     if chosen.resume is not None:
         return chosen.resume, read(chosen.resume / "config.yaml", ())
-    file = find_config(chosen.config)
+    file = find_config(chosen.config, holds)
     config = read(file, changes)
     output = chosen.output or Path("runs") / file.stem
     if (output / "config.yaml").exists():

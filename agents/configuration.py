@@ -40,23 +40,30 @@ CONFIG_FOLDERS = (Path(__file__).parent / "configs", Path(__file__).parents[1] /
 Config = TypeVar("Config", bound="DataclassInstance")
 
 
-def find_config(name: str | os.PathLike[str]) -> Path:
+def find_config(name: str | os.PathLike[str], holds: str = "algorithm") -> Path:
     """The file that is meant by a path, or by a name such as "press_sac".
 
     Args:
         name: A path, or the name of a configuration that comes with the package, without its ending.
+        holds: A key that a configuration of the kind that is wanted has, which others do not have.
 
     Raises:
-        FileNotFoundError: If there is no such file; the message lists the names that there are.
+        FileNotFoundError: If there is no such file; the message lists the names that there are, of that kind.
     """
     path = Path(name)
     if path.is_file():
         return path
     folder = next((folder for folder in CONFIG_FOLDERS if (folder / "press_sac.yaml").exists()), None)
-    known = sorted(file.stem for file in folder.glob("*.yaml")) if folder is not None else []
-    if folder is not None and str(name) in known:
-        return folder / f"{name}.yaml"
-    raise FileNotFoundError(f"config must be a file or one of {', '.join(known)}: no {name}")
+    files = {file.stem: file for file in sorted(folder.glob("*.yaml"))} if folder is not None else {}
+    if str(name) in files:
+        return files[str(name)]
+    fitting = [stem for stem, file in files.items() if holds in _top_keys(file)]
+    raise FileNotFoundError(f"config must be a file or one of {', '.join(fitting)}: no {name}")
+
+
+def _top_keys(file: Path) -> Sequence[str]:
+    content = load_yaml(file)
+    return list(content) if isinstance(content, Mapping) else []
 
 
 def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
@@ -582,7 +589,12 @@ def load_yaml(file: Path) -> Any:
     try:
         return yaml.safe_load(file.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
-        raise ValueError(f"{file} is not YAML: {error}") from error
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
+        said = getattr(error, "problem", None) or str(error)
+        raise ValueError(f"{file}{where}: this is not YAML: {said}") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: this is not YAML: it is no text in UTF-8") from error
 
 
 def check_noise(value: float | str, name: str) -> None:

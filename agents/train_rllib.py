@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if chosen.resume is not None and (chosen.changes or chosen.output):
         parser.error("--resume goes on as the run began: it takes neither --set nor --output")
     try:
-        output, config = choose_run(chosen, read_rllib, chosen.changes)
+        output, config = choose_run(chosen, read_rllib, chosen.changes, "env_runners")
     except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
         return _fail(str(error))
     try:

@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(chosen: argparse.Namespace) -> int:
-    plan = read_plan(find_config(chosen.plan))
+    plan = read_plan(find_config(chosen.plan, "tasks"))
     runs = planned_runs(plan, chosen.tasks, chosen.algorithms, chosen.seeds)
     failures: list[str] = []
     if not chosen.page:

@@ -10,6 +10,7 @@ import yaml
 from agents.configuration import (
     ALGORITHMS,
     changed,
+    find_config,
     make_environment,
     read_environment,
     read_training,
@@ -160,6 +161,28 @@ def test_changes_leave_the_mapping_as_it_was():
     content = {"a": {"b": 1, "c": 2}}
     assert changed(content, ["a.b=3", "d.e=4"]) == {"a": {"b": 3, "c": 2}, "d": {"e": 4}}
     assert content == {"a": {"b": 1, "c": 2}}
+
+
+def test_only_configurations_of_the_kind_that_is_wanted_are_offered():
+    offered = {}
+    for holds in ("algorithm", "tasks", "env_runners"):
+        with pytest.raises(FileNotFoundError, match=r"config must be a file or one of .*: no knead") as caught:
+            find_config("knead", holds)
+        offered[holds] = str(caught.value).partition("one of ")[2].rpartition(":")[0].split(", ")
+    assert offered["tasks"] == ["results"] and offered["env_runners"] == ["rllib_press"]
+    assert "press_sac" in offered["algorithm"]
+    for name in offered["algorithm"]:
+        read_training(find_config(name))
+
+
+def test_broken_yaml_names_its_file_and_line(tmp_path):
+    file = tmp_path / "broken.yaml"
+    file.write_text("algorithm: sac\nenvironment:\n  id: [press\nseeds: 3\n")
+    with pytest.raises(ValueError, match=r"broken\.yaml, line 4, column \d+: this is not YAML"):
+        read_training(file)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match=r"broken\.yaml.*this is not YAML"):
+        read_training(file)
 
 
 def test_only_parts_that_there_are_can_be_chosen():
