@@ -9,17 +9,21 @@ sums.
 from __future__ import annotations
 
 import functools
-import logging
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
+from numba.core import event
+
+from spatula_env._compilation import COMPILE, Announcer, find_cache
 
 Function = TypeVar("Function", bound=Callable[..., object])
+
+CACHE = find_cache()
+"""Where compiled kernels are kept."""
+
+event.register(COMPILE, Announcer(CACHE))  # type: ignore[no-untyped-call]
 
 ARRAYS: dict[str, Any] = {
     "f8": types.float64[::1],
@@ -45,7 +49,7 @@ def kernel(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., 
     Returns:
         A decorator that keeps the function's Python type for the type checker.
     """
-    return cast("Callable[[Function], Function]", numba.njit(list(signatures), cache=True, error_model="numpy"))
+    return cast("Callable[[Function], Function]", numba.njit(list(signatures), cache=CACHE.kept, error_model="numpy"))
 
 
 def kernel_on_demand(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., Any]]:
@@ -64,8 +68,7 @@ def kernel_on_demand(*signatures: Any) -> Callable[[Callable[..., object]], Call
         @functools.wraps(function)
         def call(*arguments: Any) -> Any:
             if not compiled:
-                with announce_compilation():
-                    compiled.append(kernel(*signatures)(function))
+                compiled.append(kernel(*signatures)(function))
             return compiled[0](*arguments)
 
         return call
@@ -75,39 +78,9 @@ def kernel_on_demand(*signatures: Any) -> Callable[[Callable[..., object]], Call
 
 def late_kernel(function: Function) -> Function:
     """Compile a function when it is first called: for what only some of those need who import its module."""
-    return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
+    return cast("Function", numba.njit(cache=CACHE.kept, error_model="numpy")(function))
 
 
 def inline_kernel(function: Function) -> Function:
     """Compile a small helper that only other kernels call; LLVM inlines it where that pays."""
-    return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
-
-
-PATIENCE = 2.0
-"""What takes longer than this is not loaded from the cache but compiled [s]."""
-
-
-_announced: ContextVar[bool] = ContextVar("announced", default=False)
-"""Whether this is done within `announce_compilation` already."""
-
-
-@contextmanager
-def announce_compilation(what: str = "the contact model") -> Iterator[None]:
-    """Say what the wait is for, if what is done in this context turns out to need compilation.
-
-    Args:
-        what: Whose kernels they are.
-    """
-    if _announced.get():
-        yield
-        return
-    message = f"spatula_env is compiling {what}, once after installation. This can take half a minute."
-    timer = threading.Timer(PATIENCE, logging.getLogger("spatula_env").warning, (message,))
-    timer.daemon = True
-    timer.start()
-    token = _announced.set(True)
-    try:
-        yield
-    finally:
-        _announced.reset(token)
-        timer.cancel()
+    return cast("Function", numba.njit(cache=CACHE.kept, error_model="numpy")(function))

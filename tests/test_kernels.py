@@ -1,51 +1,251 @@
-"""What is said while kernels are compiled."""
+"""Where compiled kernels are kept, and what is said while they are compiled."""
 
 from __future__ import annotations
 
 import logging
-import time
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
 
+import numba
+import numpy as np
 import pytest
+from numba.core import event
 
-from spatula_env import _kernels
+import spatula_env
+from spatula_env import _compilation, scenes
+from spatula_env._compilation import COMPILE, Announcer, Cache, find_cache
+from spatula_env.cli import main
+from spatula_env.cli.compile import STEPS
+from spatula_env.sim.batch import BatchSimulation
+
+PATIENCE = 300.0
 
 
 @pytest.fixture
-def impatient(monkeypatch, caplog):
-    monkeypatch.setattr(_kernels, "PATIENCE", 0.01)
+def log(caplog):
+    """What an announcer of this test's own says; the package's may have spoken before."""
     caplog.set_level(logging.WARNING, logger="spatula_env")
-    return caplog
+    listener = Announcer(Cache(kept=True))
+    event.register(COMPILE, listener)
+    yield lambda: list(dict.fromkeys(record.getMessage() for record in caplog.records))
+    event.unregister(COMPILE, listener)
 
 
-def wait_for_a_word(log, patience=10.0):
-    """Take long, until something is said; a busy machine needs a while for that."""
-    end = time.monotonic() + patience
-    while not log.records and time.monotonic() < end:
-        time.sleep(0.02)
+def function_of(module):
+    def double(number):
+        return 2.0 * number
+
+    double.__module__ = module
+    return numba.njit(double)
 
 
-def test_a_long_wait_is_explained_once(impatient):
-    with _kernels.announce_compilation(), _kernels.announce_compilation():
-        wait_for_a_word(impatient)
-        time.sleep(0.05)
-    assert [record.getMessage() for record in impatient.records] == [
-        "spatula_env is compiling the contact model, once after installation. This can take half a minute."
+# What is said ------------------------------------------------------------------------------------------------------
+
+
+def test_compiling_is_announced_once_for_a_part(log):
+    made = [
+        function_of(name) for name in ("spatula_env.render.made", "spatula_env.render.other", "spatula_env.sim.made")
     ]
+    assert not log()
+    assert [function(2.0) for function in made] == [4.0, 4.0, 4.0]
+    assert log()[:1] == [
+        "spatula_env is compiling what draws pictures, once after installation. This can take a minute; "
+        "`spatula compile` compiles all of it beforehand."
+    ]
+    assert [each.partition(",")[0] for each in log()[1:]] == ["spatula_env is compiling the simulation"]
+    assert made[0](2) == 4.0
+    assert len(log()) == 2
 
 
-def test_what_is_quick_is_not_spoken_of(impatient, monkeypatch):
-    monkeypatch.setattr(_kernels, "PATIENCE", 0.5)
+@pytest.mark.parametrize("module", ["benchmarks.made", "spatula_environment.sim", None])
+def test_what_others_compile_is_not_announced(log, module):
+    assert function_of(module)(2.0) == 4.0
+    assert not log()
+
+
+def test_steps_are_not_spoken_of_however_slow_they_are_and_start_no_thread(log, monkeypatch):
+    batch = BatchSimulation(scenes.seed(), 2, parallel=False)
+    still = np.zeros((2, 1, 3))
+    batch.advance(still)
+    before = log()
+
+    def refuse(self):
+        raise AssertionError("a thread was started")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
     for _ in range(3):
-        with _kernels.announce_compilation():
-            pass
-    time.sleep(0.7)
-    assert not impatient.records
+        batch.advance(still, steps=100)
+    assert log() == before
 
 
-def test_after_an_error_it_is_announced_again(impatient):
-    with pytest.raises(ValueError, match="broken"), _kernels.announce_compilation():
-        raise ValueError("broken")
-    impatient.clear()
-    with _kernels.announce_compilation():
-        wait_for_a_word(impatient)
-    assert len(impatient.records) == 1
+MADE = """
+from spatula_env._kernels import inline_kernel
+
+@inline_kernel
+def double(number):
+    return 2.0 * number
+"""
+
+SCRIPT = """
+import logging, sys
+logging.basicConfig(format="%(message)s", stream=sys.stdout)
+from spatula_env._kernels import CACHE
+from spatula_env.made import double
+print(double(2.0), CACHE.kept, CACHE.folder)
+"""
+
+
+def run_copy(site, *prefix, **environment):
+    """What a process says that compiles a kernel of a copy of the package."""
+    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [*prefix, sys.executable, "-c", SCRIPT],
+        env={**kept, "PYTHONPATH": str(site), **environment},
+        cwd=site,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder with a copy of the package that has a kernel more."""
+    folder = tmp_path / "site"
+    package = Path(spatula_env.__file__).parent
+    shutil.copytree(package, folder / "spatula_env", ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "spatula_env" / "made.py").write_text(MADE, encoding="utf-8")
+    return folder
+
+
+def test_loading_is_not_announced(site):
+    first = run_copy(site)
+    assert first[0].startswith("spatula_env is compiling kernels, once after installation.")
+    assert first[1] == "4.0 True None"
+    assert run_copy(site) == first[1:]
+
+
+# Where it is kept --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def unwritable(site, tmp_path):
+    """The copy and a home that nobody can write to: how to run a process that cannot, and its environment."""
+    prefix = []
+    if os.geteuid() == 0:
+        # The system's administrator may write everywhere, unless that capability is given up.
+        if shutil.which("setpriv") is None:
+            pytest.skip("the tests run as root, and setpriv is not installed")
+        prefix = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+    (tmp_path / "home").mkdir()
+    folders = [site, tmp_path / "home", *(path for path in site.rglob("*") if path.is_dir())]
+    for folder in folders:
+        folder.chmod(0o555)
+    yield prefix, {"HOME": str(tmp_path / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
+    for folder in folders:
+        folder.chmod(0o755)
+
+
+def test_where_neither_package_nor_home_can_be_written_a_temporary_folder_is_used(unwritable, site, tmp_path):
+    prefix, environment = unwritable
+    (tmp_path / "tmp").mkdir()
+    said = run_copy(site, *prefix, TMPDIR=str(tmp_path / "tmp"), **environment)
+    (folder,) = (tmp_path / "tmp").iterdir()
+    assert said[0].startswith(f"spatula_env is compiling kernels, once for as long as {folder} is there")
+    assert "set the environment variable NUMBA_CACHE_DIR to a folder that lasts" in said[0]
+    assert said[1] == f"4.0 True {folder}"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    # And it is loaded from there.
+    assert run_copy(site, *prefix, TMPDIR=str(tmp_path / "tmp"), **environment) == said[1:]
+
+
+def test_the_environment_variable_is_what_counts(unwritable, site, tmp_path):
+    prefix, environment = unwritable
+    said = run_copy(site, *prefix, NUMBA_CACHE_DIR=str(tmp_path / "cache"), **environment)
+    assert said[1] == "4.0 True None"
+    assert list((tmp_path / "cache").iterdir())
+
+
+@pytest.fixture
+def without_a_place(monkeypatch, tmp_path):
+    """Numba finds no place but those in a folder for temporary files."""
+    monkeypatch.setattr(_compilation.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(_compilation, "_is_kept", lambda: bool(numba.config.CACHE_DIR))
+    return tmp_path
+
+
+def test_a_folder_of_ones_own_is_made_and_found_again(without_a_place):
+    first = find_cache()
+    assert first.kept
+    assert first.folder is not None
+    assert first.folder.parent == without_a_place
+    numba.config.CACHE_DIR = ""
+    assert find_cache() == first
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="there are no modes here")
+@pytest.mark.parametrize("kind", ["writable by others", "a link", "a file"])
+def test_a_folder_that_others_may_have_filled_is_not_loaded_from(without_a_place, kind):
+    folder = without_a_place / f"spatula_env-kernels-{os.getuid()}"
+    if kind == "a file":
+        folder.write_text("", encoding="utf-8")
+    elif kind == "a link":
+        (without_a_place / "elsewhere").mkdir()
+        folder.symlink_to(without_a_place / "elsewhere")
+    else:
+        folder.mkdir()
+        folder.chmod(0o777)
+    found = find_cache()
+    assert found == Cache(kept=False)
+    assert numba.config.CACHE_DIR == ""
+    assert "in every process anew" in found.told
+    assert "NUMBA_CACHE_DIR" in found.told
+
+
+# The command -------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_does_every_step_and_tells(monkeypatch, capsys):
+    done = []
+    for name in STEPS:
+        monkeypatch.setitem(STEPS, name, lambda name=name: done.append(name))
+    assert main(["compile"]) == 0
+    assert done == list(STEPS)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition("] ")[2].partition(" (")[0] for line in lines[:-1]] == done
+    assert lines[-1] == "everything was compiled already"
+    monkeypatch.setitem(STEPS, "pictures", lambda: function_of("spatula_env.render.made")(2.0))
+    assert main(["compile"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "1 functions compiled"
+
+
+EVERYTHING = """
+import sys
+from pathlib import Path
+import spatula_env
+from spatula_env.cli.compile import STEPS
+for step in STEPS.values():
+    step()
+package = Path(spatula_env.__file__).parent
+for file in package.rglob("*.py"):
+    name = ".".join(("spatula_env", *file.relative_to(package).with_suffix("").parts))
+    if "from spatula_env._kernels import" in file.read_text(encoding="utf-8") and name not in sys.modules:
+        print(name)
+"""
+
+
+def test_the_command_reaches_every_module_with_kernels():
+    done = subprocess.run(
+        [sys.executable, "-c", EVERYTHING], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    # The command itself looks at the cache without being imported as one of its steps.
+    assert set(done.stdout.split()) <= {"spatula_env.cli.compile"}

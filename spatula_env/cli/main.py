@@ -11,10 +11,11 @@ import gymnasium
 
 from spatula_env import __version__
 from spatula_env.cli import bench, datasets, demo, envs, falcon, forward, play, record, replay, view
+from spatula_env.cli import compile as compile_command
 from spatula_env.cli.common import FAILURE, INTERRUPTED, CommandError, Stopped, fail
 from spatula_env.cli.interrupting import endings_like_ctrl_c
 
-COMMANDS = (demo, envs, play, record, replay, datasets, falcon, view, forward, bench)
+COMMANDS = (demo, envs, play, record, replay, datasets, falcon, view, forward, bench, compile_command)
 """In the order in which help lists them."""
 
 

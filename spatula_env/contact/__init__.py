@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from spatula_env._kernels import announce_compilation
-
-with announce_compilation():
-    from spatula_env.contact.flags import Contacts, FlaggedDetector
+from spatula_env.contact.flags import Contacts, FlaggedDetector
 
 __all__ = ["Contacts", "FlaggedDetector"]

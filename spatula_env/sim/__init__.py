@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from spatula_env._kernels import announce_compilation
 from spatula_env._warnings import SceneWarning
-
-with announce_compilation("the simulation"):
-    from spatula_env.sim.report import Report
-    from spatula_env.sim.simulation import Simulation, SimulationDiverged, SimulationState
+from spatula_env.sim.report import Report
+from spatula_env.sim.simulation import Simulation, SimulationDiverged, SimulationState
 
 __all__ = ["Report", "SceneWarning", "Simulation", "SimulationDiverged", "SimulationState"]

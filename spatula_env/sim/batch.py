@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numba
 import numpy as np
 
-from spatula_env._kernels import announce_compilation
 from spatula_env._warnings import warn
 from spatula_env.contact import step as contact_step
 from spatula_env.contact.flags import FIRST_STEP_CODES
@@ -125,19 +124,18 @@ class BatchSimulation:
         threads = numba.get_num_threads()
         self._parallel = threads > 1 if parallel is None else bool(parallel)
         self._scene = scene
-        with announce_compilation("the batch engine"):
-            body = join([soft_body(placed) for placed in scene.organs])
-            lanes = None
-            if worlds > 1:
-                lanes = WIDE if worlds >= WIDE * (threads if self._parallel else 1) else NARROW
-            self._body = BatchBody(body, worlds, dt=scene.dt, gravity=scene.gravity, dtype=dtype, lanes=lanes)
-            single = Simulation(
-                scene,
-                engine="batch",
-                contact=contact,
-                first_step=first_step,
-                precision="single" if np.dtype(dtype) == np.float32 else "double",
-            )
+        body = join([soft_body(placed) for placed in scene.organs])
+        lanes = None
+        if worlds > 1:
+            lanes = WIDE if worlds >= WIDE * (threads if self._parallel else 1) else NARROW
+        self._body = BatchBody(body, worlds, dt=scene.dt, gravity=scene.gravity, dtype=dtype, lanes=lanes)
+        single = Simulation(
+            scene,
+            engine="batch",
+            contact=contact,
+            first_step=first_step,
+            precision="single" if np.dtype(dtype) == np.float32 else "double",
+        )
         self._rest = np.repeat(single.nodes[None], worlds, axis=0)
         self._volumes = Volumes(scene)
         self._triangles = single.triangles
@@ -498,11 +496,10 @@ class BatchSimulation:
             self._diverged,
         )
         blocks, threads = len(self._body.arrays["positions"]), numba.get_num_threads() if self._parallel else 1
-        with announce_compilation("the batch engine"):
-            if min(blocks, threads) == 1:
-                batch_step.advance_blocks(0, blocks, *arguments)
-            else:
-                share_out(lambda block: batch_step.advance_blocks(block, block + 1, *arguments), blocks, threads)
+        if min(blocks, threads) == 1:
+            batch_step.advance_blocks(0, blocks, *arguments)
+        else:
+            share_out(lambda block: batch_step.advance_blocks(block, block + 1, *arguments), blocks, threads)
         self._diverged |= self._volumes.inside_out(self._nodes).any(axis=1)
 
     def _check_settling(self, bad: IntArray, state: BatchState) -> None:
