@@ -15,7 +15,6 @@ from agents.configuration import check_noise
 from agents.evaluation import Plan
 from agents.policies import Policy, PolicySource, find_policy
 from spatula_env.envs.vector import SpatulaVectorEnv
-from spatula_env.installing import install_hint
 from spatula_env.naming import registered_id
 from spatula_env.policies import PartSelection
 
@@ -300,11 +299,9 @@ def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any],
 
 
 def _open_minari(name: str) -> Any:
-    try:
-        import minari
-    except ImportError as error:
-        raise ImportError(f"data sets need Minari: {install_hint('data')}", name=error.name) from error
-    return minari.load_dataset(name)
+    from spatula_env.data.replaying import open_dataset
+
+    return open_dataset(name)
 
 
 def fill_buffer(buffer: ReplayBuffer, env: VecEnv, demonstrations: list[Demonstration]) -> None:

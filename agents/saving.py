@@ -19,9 +19,7 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import platform
-import random
 import re
 import shutil
 import subprocess
@@ -31,8 +29,6 @@ from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from agents.acting import acting_policy
 from agents.configuration import TrainingConfig, read_training, to_mapping, write_training
@@ -47,7 +43,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecNormalize
 
-MODEL, NORMALIZER, BUFFER, STATE, CONFIG = "model.zip", "normalizer.pkl", "buffer.pkl", "state.pkl", "config.yaml"
+MODEL, NORMALIZER, CONFIG = "model.zip", "normalizer.npz", "config.yaml"
 
 EVALUATION, PROVENANCE, SUMMARY, CURVE = "evaluation.json", "provenance.json", "summary.json", "curve.jsonl"
 
@@ -158,21 +154,11 @@ def save_checkpoint(
     Returns:
         The checkpoint; all but the last two are removed.
     """
-    import torch
-    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+    from agents.storage import write_progress
 
     def fill(place: Path) -> None:
         _write_policy(place, model, normalizer, config)
-        if isinstance(model, OffPolicyAlgorithm):
-            model.save_replay_buffer(place / BUFFER)
-        state = {
-            "progress": dict(progress),
-            "torch": torch.get_rng_state(),
-            "numpy": np.random.get_state(),  # noqa: NPY002 - what Stable-Baselines3 draws batches with
-            "python": random.getstate(),
-            "action_space": model.action_space,
-        }
-        (place / STATE).write_bytes(pickle.dumps(state))
+        write_progress(place, model, progress)
 
     checkpoint = folder / f"step-{model.num_timesteps:012d}"
     write_folder(checkpoint, fill)
@@ -186,19 +172,13 @@ def restore_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]
 
     Returns:
         What else was remembered.
-    """
-    import torch
-    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-    if isinstance(model, OffPolicyAlgorithm):
-        model.load_replay_buffer(checkpoint / BUFFER)
-    state = pickle.loads((checkpoint / STATE).read_bytes())
-    torch.set_rng_state(state["torch"])
-    np.random.set_state(state["numpy"])  # noqa: NPY002 - what Stable-Baselines3 draws batches with
-    random.setstate(state["python"])
-    model.action_space = state["action_space"]
-    progress: dict[str, Any] = state["progress"]
-    return progress
+    Raises:
+        ValueError: If the files are of an earlier version, or do not fit the model.
+    """
+    from agents.storage import read_progress
+
+    return read_progress(checkpoint, model)
 
 
 def checkpoints_in(folder: Path) -> list[Path]:
@@ -235,30 +215,34 @@ def read_saved_config(folder: Path) -> TrainingConfig:
 
 
 def load_model(folder: Path, config: TrainingConfig, env: Any = None) -> BaseAlgorithm:
-    """Read a saved model.
+    """Read a saved model: it is built by its configuration, and gets its weights. Nothing that its files hold is run.
 
     Args:
         folder: Of a policy or checkpoint.
         config: How it was trained.
         env: To train in; None: to act only.
+
+    Raises:
+        ValueError: If the files are of an earlier version, or do not fit the configuration.
     """
-    from agents.models import algorithm_class
+    from agents.storage import read_model
 
-    # To act, there is no need for room for what is seen; and hindsight replay could not be set up without worlds.
-    acting: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
-    model: BaseAlgorithm = algorithm_class(config).load(
-        folder / MODEL, env=env, device="cpu", custom_objects=acting if env is None else None
-    )
-    return model
+    return read_model(folder, config, env)
 
 
-def load_normalizer(folder: Path) -> VecNormalize | None:
-    """Read what normalised a saved model's observations, without an environment; None if nothing did."""
-    file = folder / NORMALIZER
-    if not file.exists():
-        return None
-    normalizer: VecNormalize = pickle.loads(file.read_bytes())
-    return normalizer
+def load_normalizer(folder: Path, env: VecNormalize | None = None) -> VecNormalize | None:
+    """Read what normalised a saved model's observations.
+
+    Args:
+        folder: Of a policy or checkpoint.
+        env: Gets the estimates; None: a new one, around no worlds.
+
+    Returns:
+        What has them; None if nothing was normalised.
+    """
+    from agents.storage import read_normalizer
+
+    return read_normalizer(folder, env)
 
 
 def load_policy(folder: Path, env: Any) -> Policy:
@@ -278,6 +262,7 @@ def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = 
         env: The environment as the user names it; needed to evaluate if its module has to be imported.
     """
     from agents.evaluation import Plan, evaluate, summarize
+    from agents.storage import read_steps
 
     folder = find_saved(path)
     config = read_saved_config(folder)
@@ -304,11 +289,10 @@ def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = 
         if candidate.exists():
             origin = json.loads(candidate.read_text(encoding="utf-8"))
             break
-    model = load_model(folder, config)
     write_json(
         output.with_suffix(".json"),
         {
-            "steps": int(model.num_timesteps),
+            "steps": read_steps(folder),
             "seed": config.seeds[0],
             "evaluation": evaluation,
             "config": to_mapping(config),
@@ -353,9 +337,9 @@ def write_curve(path: Path, lines: list[dict[str, Any]]) -> None:
 
 
 def _write_policy(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | None, config: TrainingConfig) -> None:
-    model.save(place / MODEL)
-    if normalizer is not None:
-        normalizer.save(str(place / NORMALIZER))
+    from agents.storage import write_model
+
+    write_model(place, model, normalizer)
     write_training(config, place / CONFIG)
 
 

@@ -233,7 +233,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
                 demonstrate(config, seed, model, env)
         else:
             if isinstance(env, VecNormalize):
-                env = _with_statistics(env, load_normalizer(checkpoint))
+                load_normalizer(checkpoint, env)
             model = load_model(checkpoint, config, env)
             progress = restore_checkpoint(checkpoint, model)
         # Stable-Baselines3 has seeded the worlds with its own seed.
@@ -401,13 +401,6 @@ def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> N
         actions = np.concatenate([each.actions for each in demonstrations])
         imitate(model, observations, actions, CloneConfig(gradient_steps=config.clone_steps, seed=seed))
         calm_down(model)
-
-
-def _with_statistics(env: VecNormalize, saved: VecNormalize | None) -> VecNormalize:
-    """The saved normalisation around the worlds of a new one."""
-    assert saved is not None
-    saved.set_venv(env.venv)
-    return saved
 
 
 class _TensorBoard(KVWriter):

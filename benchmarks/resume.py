@@ -10,7 +10,6 @@ from __future__ import annotations
 import io
 import itertools
 import json
-import pickle
 import subprocess
 import sys
 import tempfile
@@ -171,8 +170,10 @@ def _problem(file: Path) -> str:
                 json.loads(line)
         elif file.suffix == ".yaml":
             yaml.safe_load(content)
-        elif file.suffix == ".pkl":
-            pickle.loads(content)
+        elif file.suffix == ".npz":
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                for name in arrays.files:
+                    arrays[name]
         elif file.name == MODEL:
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 if broken := archive.testzip():

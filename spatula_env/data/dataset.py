@@ -304,15 +304,27 @@ def check_dataset_id(dataset_id: str) -> None:
 
 
 def dataset_folder(dataset_id: str, root: str | Path | None = None) -> Path:
-    """The folder of a dataset.
+    """The folder of a dataset, to read it or to write it.
 
     Args:
-        dataset_id: Its id.
+        dataset_id: Its id; "" for the folder of all datasets.
         root: Folder of all datasets; Minari's own by default.
+
+    Raises:
+        ValueError: If Minari takes no such name, or the folder is a link to a place outside `root`.
     """
     if root is None:
         root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
-    return Path(root) / dataset_id
+    top = Path(root)
+    if not dataset_id:
+        return top
+    check_dataset_id(dataset_id)
+    folder = top / dataset_id
+    if not folder.resolve().is_relative_to(top.resolve()):
+        raise ValueError(
+            f"dataset {dataset_id!r} is a link out of {top}, to {folder.resolve()}; name that folder's root"
+        )
+    return folder
 
 
 def read_layout(dataset_id: str, root: str | Path | None = None) -> Layout:

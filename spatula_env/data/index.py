@@ -101,6 +101,36 @@ def read_metadata(data: Path) -> dict[str, Any]:
     return found
 
 
+def check_harmless(data: Path) -> None:
+    """Check that a dataset can be opened by Minari without making what it names, or reading what is no part of it.
+
+    Args:
+        data: The folder "data" in that of the dataset.
+
+    Raises:
+        FileNotFoundError: If there is no dataset.
+        DatasetDamaged: If not.
+    """
+    import h5py
+
+    metadata = read_metadata(data)
+    for name in ("observation_space", "action_space"):
+        # Else Minari makes the environment to ask it, and imports what the dataset says that it is made by.
+        if not isinstance(metadata.get(name), str):
+            raise DatasetDamaged(f"{data / METADATA_FILE} has no {name}")
+    if metadata.get("data_format", "hdf5") != "hdf5" or not (data / MAIN_FILE).is_file():
+        return
+    try:
+        with h5py.File(data / MAIN_FILE, "r") as main:
+            links = [main.get(name, getlink=True) for name in main]
+    except OSError as error:
+        raise DatasetDamaged(f"{data / MAIN_FILE} cannot be read: {error}") from error
+    inside = data.resolve()
+    for target in {Path(link.filename) for link in links if isinstance(link, h5py.ExternalLink)}:
+        if not (data / target).resolve().is_relative_to(inside):
+            raise DatasetDamaged(f"{data / MAIN_FILE} has an episode that is no part of the dataset: {target}")
+
+
 def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[EpisodeEntry]:
     """What there is to know of each episode. Datasets without an index are gone through.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from spatula_env.data.dataset import dataset_folder, require_minari
 from spatula_env.data.episode import STATE, physics_state
-from spatula_env.data.index import EpisodeEntry, read_index, read_metadata
+from spatula_env.data.index import EpisodeEntry, check_harmless, read_index, read_metadata
 from spatula_env.data.layout import KEY
 from spatula_env.data.origin import SPECS
 from spatula_env.data.specs import make_recorded, spec_from_json
@@ -53,6 +53,9 @@ class EpisodeReplay:
 def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     """A recorded dataset, as ``minari.load_dataset`` gives it.
 
+    Its ``recover_environment`` makes whatever environment the dataset names, and so runs code if the dataset wants it
+    to; `make_recorded` does not.
+
     Args:
         dataset_id: Its id.
         root: Folder of all datasets; Minari's own by default.
@@ -60,9 +63,12 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     Raises:
         ImportError: If Minari is missing.
         FileNotFoundError: If there is no such dataset.
+        DatasetDamaged: If it cannot be read without more than reading it.
     """
     minari, _ = require_minari()
-    return minari.MinariDataset(data_folder(dataset_id, root))
+    data = data_folder(dataset_id, root)
+    check_harmless(data)
+    return minari.MinariDataset(data)
 
 
 def read_entries(dataset_id: str, root: str | Path | None = None) -> list[EpisodeEntry]:

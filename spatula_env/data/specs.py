@@ -26,6 +26,8 @@ ONLOOKERS = ("HumanRendering", "RecordVideo")
 environment again wants neither windows nor films."""
 TRUSTED = ("gymnasium", "spatula_env")
 """Packages whose wrappers a dataset may name."""
+MAKERS = ("GymV21Environment-v0", "GymV26Environment-v0")
+"""Gymnasium's environments that make another one, of Gym, by an id that is an option of theirs."""
 UNTOLD = "unspecified"
 
 
@@ -122,6 +124,8 @@ def make_recorded(spec: EnvSpec, render_mode: str | None = None, env_id: str | N
     found = copy.copy(spec)
     found.id = bare_id(registered_id(spec.id, env_id))
     registered = gymnasium.registry[found.id]
+    if found.id in MAKERS:
+        raise ValueError(f"the dataset was recorded in {found.id}, which makes whatever environment it is told to")
     found.entry_point, found.vector_entry_point = registered.entry_point, registered.vector_entry_point
     found.additional_wrappers = tuple(each for each in spec.additional_wrappers if not _only_looks_on(each))
     for each in found.additional_wrappers:
@@ -130,7 +134,9 @@ def make_recorded(spec: EnvSpec, render_mode: str | None = None, env_id: str | N
 
 
 def _only_looks_on(wrapper: WrapperSpec) -> bool:
-    return wrapper.name in ONLOOKERS and wrapper.entry_point.startswith("gymnasium.")
+    # By what it is made by: its name is only said.
+    module, _, name = wrapper.entry_point.partition(":")
+    return name in ONLOOKERS and module.partition(".")[0] == "gymnasium"
 
 
 def _check_wrapper(wrapper: WrapperSpec) -> None:
