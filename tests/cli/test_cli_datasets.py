@@ -103,9 +103,9 @@ def test_inspect(capsys, root) -> None:
 
 
 def test_a_dataset_that_is_not_there(capsys, root) -> None:
-    for words in (["inspect", "a/b-v0"], ["statistics", "a/b-v0"], ["merge", "a/b-v0", "--into", "b-v0"]):
+    for words in (["inspect", "aa/b-v0"], ["statistics", "aa/b-v0"], ["merge", "aa/b-v0", "--into", "b-v0"]):
         _, noted = run(capsys, root, *words, status=1)
-        assert "there is no dataset 'a/b-v0'" in noted
+        assert "there is no dataset 'aa/b-v0'" in noted
 
 
 def test_merge(capsys, root) -> None:
