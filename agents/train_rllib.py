@@ -47,7 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from agents.rllib_training import RLlibTrainer
     except ImportError as error:
         return _fail(f"training with RLlib needs {error.name}: {install_hint('ray')}")
-    if chosen.resume is None:
+    if chosen.resume is not None:
+        print(
+            "agents.train_rllib: RLlib's checkpoints are pickles, which run whatever they hold: go on with runs of your "
+            "own only",
+            file=sys.stderr,
+        )
+    else:
         write_text(output / "config.yaml", yaml.safe_dump(to_mapping(config), sort_keys=False))
     started = not ray.is_initialized()
     if started:
