@@ -49,8 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(f"training with RLlib needs {error.name}: {install_hint('ray')}")
     if chosen.resume is not None:
         print(
-            "agents.train_rllib: RLlib's checkpoints are pickles, which run whatever they hold: go on with runs of your "
-            "own only",
+            "agents.train_rllib: RLlib's checkpoints are pickles, which run whatever they hold: go on with runs of "
+            "your own only",
             file=sys.stderr,
         )
     else:
