@@ -1,0 +1,171 @@
+"""The scale with which a scene's tool feels an organ as stiff as a given material: an indentation of that organ.
+
+The organs are springs, whose stiffness depends on how their surface is meshed. So it is measured, with the scene's own
+tool on the scene's own organ, and the scale is chosen by what comes out. docs/calibration.md tells how the presets'
+constants were measured in the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from spatula_env._warnings import warn
+from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.transforms import rotate
+from spatula_env.scenes import TISSUE_MODULUS, Scale, Scene
+from spatula_env.sim.batch import BatchSimulation
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from spatula_env.scenes import PlacedTool
+
+    FloatArray = NDArray[np.float64]
+
+FLAT_PUNCH = 1.012
+"""A square plate on a half-space is this much stiffer than a round one of the same area (R. B. King, International
+Journal of Solids and Structures 23(12), 1987)."""
+
+POISSON = 0.5
+"""Poisson's ratio: tissue is nearly incompressible."""
+
+DEPTHS = (0.2, 0.3, 0.4, 0.5)
+"""At which the force is measured, in widths of the tool's face: 4 to 10 mm with a spatula of 20 mm, once it lies on."""
+
+PLACES = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
+"""Around the place that is asked for, in widths of the tool's face: facets of a coarse surface snap through."""
+
+SPEED = 0.5
+"""Of the tool, in widths of its face in a second."""
+
+REST = 0.5
+"""How long the tool waits, and then how long the force is averaged [s]."""
+
+BENT = 3.0
+"""A curve of which force over depth changes by more than this factor says little of a modulus."""
+
+
+def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: ArrayLike | None = None) -> Scene:
+    """A scene whose forces are those of a material, for any organ: its first tool is pressed onto it to find out.
+
+    The tool comes down from above, turned as in the scene, at five places close together, and waits at four depths
+    up to half its width. The mean of force over depth is compared with that of a flat punch on an elastic half-
+    space that is nearly incompressible (I. N. Sneddon, International Journal of Engineering Science 3, 1965): force
+    = modulus x 2a / (1 - ν²) x depth, a being the radius of the circle that has the area of the tool's lower face.
+    Masses in the scene stay as they are; what changes is how many kilograms a unit of mass is, and with it all
+    newtons and pascals.
+
+    Args:
+        scene: With the organ and the tool. The other tools stay where they are.
+        young_modulus: That the tool is to feel [Pa].
+        place: (2,) x and y at which the tool comes down [u]; by default those of its position in the scene.
+
+    Returns:
+        The scene, with another scale.
+
+    Raises:
+        ValueError: If an argument is not allowed, or there is no organ where the tool comes down or none that resists.
+
+    Warns:
+        SceneWarning: If force and depth are far from being in proportion, or of the scene; see `Simulation`.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from spatula_env import scenes
+        >>> from spatula_env.geometry import icosphere
+        >>> from spatula_env.sim import calibrated
+        >>> scene = scenes.palpate()
+        >>> ball = replace(scene.organs[0], organ=icosphere(3.0, 2), orientation=(0.0, 0.0, 0.0, 1.0))
+        >>> held = tuple((ball.vertices[:, 2] < 2.0).nonzero()[0].tolist())
+        >>> scene = calibrated(replace(scene, organs=(replace(ball, fixed_nodes=held),)))
+    """
+    check_positive(young_modulus, "young_modulus")
+    placed = scene.tools[0]
+    middle = np.array(placed.position[:2] if place is None else place, dtype=np.float64)
+    if middle.shape != (2,) or not np.isfinite(middle).all():
+        raise ValueError(f"place must be two finite numbers, got {place!r}")
+    width = math.sqrt(lower_face(placed))
+    depths = np.array(DEPTHS) * width
+    starts = _first_contacts(scene, middle + np.array(PLACES) * width, width)
+    forces = _forces(scene, starts, depths, width).mean(axis=0)
+    stiffness = float(forces @ depths / (depths @ depths))
+    if stiffness <= 0.0:
+        raise ValueError(f"scene {scene.name!r} does not resist the tool at {middle.tolist()}: {forces.tolist()}")
+    secants = forces / depths
+    if secants.max() > BENT * secants.min():
+        warn(
+            f"force and depth are not in proportion in scene {scene.name!r} at {middle.tolist()}: force over depth is "
+            f"{np.round(secants / stiffness, 2).tolist()} of its mean at depths of {np.round(depths, 3).tolist()} u"
+        )
+    radius = width / math.sqrt(math.pi)
+    modulus = stiffness / (FLAT_PUNCH * 2.0 * radius / (1.0 - POISSON**2))
+    length = scene.scale.length
+    return replace(scene, scale=Scale(length=length, mass=young_modulus * length / modulus))
+
+
+def lower_face(placed: PlacedTool) -> float:
+    """Area of the face of a tool that looks down most, as it is turned in the scene [u2]."""
+    tool = placed.tool
+    corners = rotate(np.array(placed.orientation), tool.vertices)[tool.triangles]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Seen from below: what of the surface looks down.
+    return float(0.5 * np.maximum(-across[:, 2], 0.0).sum())
+
+
+def _first_contacts(scene: Scene, places: FloatArray, width: float) -> FloatArray:
+    """(p, 3) where the tool's origin is when, coming down at places (p, 2), it first meets an organ [u]."""
+    worlds = BatchSimulation(scene, len(places))
+    nodes = worlds.nodes
+    corners = rotate(np.array(scene.tools[0].orientation), scene.tools[0].tool.vertices)
+    under = float(corners[:, 2].min())
+    low = float(nodes[:, :, 2].min()) if scene.ground is None else scene.ground.height
+    start = float(nodes[:, :, 2].max()) - under + 0.02 * width
+    _place(worlds, np.column_stack([places, np.full(len(places), start)]))
+    met = np.full(len(places), np.nan)
+    motion = np.zeros((len(places), len(scene.tools), 3))
+    motion[:, 0, 2] = -SPEED * width
+    height = start
+    while np.isnan(met).any() and height + under > low:
+        touched = worlds.advance(motion).peak_forces[:, 0] > 0.0
+        met[touched & np.isnan(met)] = height
+        # What has met the organ waits.
+        motion[touched] = 0.0
+        height -= SPEED * width * scene.dt
+    worlds.close()
+    if np.isnan(met).all():
+        middle = places[0].tolist()
+        raise ValueError(f"there is no organ under the tool at {middle} in scene {scene.name!r}; choose another place")
+    found = ~np.isnan(met)
+    return np.column_stack([places[found], met[found]])
+
+
+def _forces(scene: Scene, starts: FloatArray, depths: FloatArray, width: float) -> FloatArray:
+    """(p, k) upward force on the tool at depths (k,) below places (p, 3) where it only just touches [kg u/s2]."""
+    worlds = BatchSimulation(scene, len(starts) * len(depths))
+    _place(worlds, np.repeat(starts, len(depths), axis=0))
+    left, motion = np.tile(depths, len(starts)), np.zeros((worlds.count, len(scene.tools), 3))
+    steps = max(1, round(0.05 / scene.dt))
+    while (left > 1e-9).any():
+        speeds = np.clip(left / (steps * scene.dt), 0.0, SPEED * width)
+        motion[:, 0, 2] = -speeds
+        worlds.advance(motion, steps=steps)
+        left -= speeds * steps * scene.dt
+    rest = max(1, round(REST / scene.dt))
+    worlds.advance(np.zeros_like(motion), steps=rest)
+    loads = worlds.advance(np.zeros_like(motion), steps=rest)
+    worlds.close()
+    if loads.diverged.any():
+        raise ValueError(f"scene {scene.name!r} does not bear an indentation of {depths.max():.3g} u")
+    forces: FloatArray = loads.forces[:, 0, 2].reshape(len(starts), len(depths))
+    return forces
+
+
+def _place(worlds: BatchSimulation, positions: FloatArray) -> None:
+    """Put the first tool of every world (W, 3) somewhere; the others stay."""
+    everything = worlds.tool_positions
+    everything[:, 0] = positions
+    worlds.place_tools(everything)
