@@ -23,9 +23,10 @@ class PressEnv(SpatulaEnv):
     r"""Press the organ to a depth at a place, and hold it there.
 
     ## Description
-    A thin steel spatula, 20 x 20 x 2.5 mm, hovers flat over a soft organ of 60 mm radius and the density of
-    brain tissue, which rests on the ground. The agent moves the spatula. It has to push the organ's surface
-    down to a given depth (5 to 18 mm) at a given place (within 15 mm of the organ's axis), and to keep it
+    A thin steel spatula, 20 x 20 x 2.5 mm, hovers flat over a soft organ of 60 mm radius and the stiffness of
+    brain tissue, which rests on the ground; its density is a sixth of that, and with an organ of another mesh
+    forces hold only if it was calibrated. The agent moves the spatula. It has to push the organ's surface down to a
+    given depth (5 to 18 mm) at a given place (within 15 mm of the organ's axis), and to keep it
     there for half a second.
 
     Depth is measured on the organ: it is the height of the surface at rest, at the spatula's place, minus its
