@@ -12,7 +12,7 @@ from spatula_env.render.palette import PRESSURE_LIMITS
 from spatula_env.teleop.web.access import SHORTEST_TOKEN
 from spatula_env.teleop.web.hands import AWAY, KEYS, SILENT
 from spatula_env.teleop.web.panel import SPAN
-from spatula_env.teleop.web.session import DATASET
+from spatula_env.teleop.web.recording import DATASET
 
 pytest.importorskip("viser", reason="the extra web is not installed")
 pytest.importorskip("minari", reason="the extra data is not installed")
