@@ -86,7 +86,8 @@ class PressEnv(SpatulaEnv):
     | action | -0.01  | squared length of the action                                       |
 
     ## Starting State
-    The organ is at rest. The place is uniform in a disc of 15 mm radius around the organ's axis, the depth
+    The organ is at rest. The place is uniform in a disc of 15 mm radius around the organ's axis, or around `center`
+    of `PressConfig`, which an organ with a hole there needs; the depth is
     uniform in 5 to 18 mm. The spatula is at rest at a place uniform in a disc of 20 mm radius, its underside
     uniform in 10 to 30 mm above the organ's top.
 

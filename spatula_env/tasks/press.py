@@ -41,17 +41,20 @@ class PressConfig(TaskConfig):
     """What is asked in a press.
 
     Attributes:
-        place_radius: Goals lie within this distance of the organ's axis [m].
+        center: Where the middle of goals and starts is, seen from above, from the organ's axis (x, y) [m]. A ring has
+            no surface at its axis.
+        place_radius: Goals lie within this distance of the center [m].
         depth_range: Least and greatest depth asked for [m].
         place_tolerance: Allowed horizontal distance between spatula and place [m].
         depth_tolerance: Allowed difference of the depth from the goal's [m].
         hold_time: How long both must be kept without a break [s].
-        start_radius: The spatula starts within this distance of the organ's axis [m].
+        start_radius: The spatula starts within this distance of the center [m].
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         depth_scale: Error of depth or of place at which the term "depth" has fallen to 0.24 [m].
     """
 
+    center: tuple[float, float] = (0.0, 0.0)
     place_radius: float = 0.015
     depth_range: tuple[float, float] = (0.005, 0.018)
     place_tolerance: float = 0.002
@@ -65,6 +68,7 @@ class PressConfig(TaskConfig):
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
+        self._read_center()
         self._check_not_negative("place_radius", "start_radius")
         self._check_positive("place_tolerance", "depth_tolerance", "hold_time", "reach_scale", "depth_scale")
         self._read_ranges("depth_range")
@@ -75,6 +79,15 @@ class PressConfig(TaskConfig):
                 f"would fulfil the goal; got {self.depth_range}"
             )
         self._read_weights(PressWeights)
+
+    def _read_center(self) -> None:
+        try:
+            x, y = map(float, self._plain("center"))
+        except (TypeError, ValueError):
+            raise ValueError(f"center must be two numbers (x, y), got {self.center!r}") from None
+        if not np.isfinite([x, y]).all():
+            raise ValueError(f"center must be finite, got {self.center!r}")
+        object.__setattr__(self, "center", (x, y))
 
 
 class PressTask(Task):
@@ -101,7 +114,8 @@ class PressTask(Task):
             setting: Where.
 
         Raises:
-            ValueError: If the deepest goal or a start is out of the tool's reach.
+            ValueError: If the organ has no surface where goals are, or the deepest goal or a start is out of the tool's
+                reach.
         """
         low, high = setting.workspace_low, setting.workspace_high
         super().__init__(config, setting, [low[0], low[1], LEAST_DEPTH], [high[0], high[1], GREATEST_DEPTH])
@@ -120,7 +134,7 @@ class PressTask(Task):
         place = sample_disc(generator, config.place_radius, count)
         start = sample_disc(generator, config.start_radius, count)
         height = generator.uniform(*config.start_height_range, size=count)
-        middle = setting.organ_position[:2]
+        middle = setting.organ_position[:2] + config.center
         underside = setting.rest_nodes[:, 2].max() + height
         return Start(
             goal=np.column_stack([middle + place, depth]),
@@ -199,11 +213,20 @@ class PressTask(Task):
 
     def _check_reach(self) -> None:
         config, setting = self.config, self.setting
+        middle = setting.organ_position[:2] + config.center
         for name in ("place_radius", "start_radius"):
-            self.check_room(name, getattr(config, name), (0.0, 0.0))
+            self.check_room(name, getattr(config, name), middle)
         angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
         rim = config.place_radius * np.column_stack([np.cos(angle), np.sin(angle)])
-        lowest = setting.surface_heights(setting.rest_nodes[None], rim).min()
+        heights = setting.surface_heights(setting.rest_nodes[None], middle + np.concatenate([np.zeros((1, 2)), rim]))
+        missed = heights <= setting.ground_height
+        if missed.any():
+            where = "at " if missed[0] else f"within place_radius ({config.place_radius} m) of "
+            raise ValueError(
+                f"the organ has no surface {where}center {config.center} m from its axis, as in the hole of a ring: "
+                'choose another one, task={"center": (x, y)}, or a smaller place_radius'
+            )
+        lowest = heights.min()
         deepest = lowest - (setting.workspace_low[2] + setting.tool_low[2])
         if config.depth_range[1] > deepest:
             raise ValueError(

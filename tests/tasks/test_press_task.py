@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from spatula_env.geometry import Tool, icosphere
+from spatula_env.geometry import Tool, icosphere, torus
 from spatula_env.tasks import (
     Evaluation,
     Path,
@@ -243,3 +243,47 @@ def test_a_larger_spatula_reaches_farther_down(task: PressTask) -> None:
     task.begin_memory(memory, np.arange(2), Start(goal, situation.tool_position), [make_setting()] * 2)
     reach = task.evaluate(situation, goal, memory).terms["reach"]
     assert reach[1] > reach[0]
+
+
+# Organs with a hole ------------------------------------------------------------------------------------------------
+
+RING = torus(0.03, 0.012, 48, 24)
+
+
+def ring_setting() -> Setting:
+    """A ring that lies on the ground, its top 25 mm below the workspace's middle."""
+    return replace(
+        make_setting(),
+        rest_nodes=RING.vertices - [0.0, 0.0, 0.012 + 0.025],
+        triangles=RING.triangles,
+        ground_height=-0.024 - 0.025,
+    )
+
+
+def test_a_hole_at_the_axis_is_told() -> None:
+    with pytest.raises(ValueError, match=r"no surface at center \(0.0, 0.0\) m from its axis.*another one, task="):
+        PressTask(PressConfig(depth_range=(0.002, 0.005)), ring_setting())
+    with pytest.raises(ValueError, match=r"no surface within place_radius \(0.015 m\) of center \(0.03, 0.0\)"):
+        PressTask(PressConfig(center=(0.03, 0.0), depth_range=(0.002, 0.005)), ring_setting())
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_goals_and_starts_lie_around_the_center(seed: int) -> None:
+    config = PressConfig(center=[0.0, 0.03], place_radius=0.008, start_radius=0.01, depth_range=[0.002, 0.005])
+    setting = ring_setting()
+    start = PressTask(config, setting).sample(np.random.default_rng(seed), 50, setting)
+    assert (np.hypot(*(start.goal[:, :2] - [0.0, 0.03]).T) <= 0.008).all()
+    assert (np.hypot(*(start.tool_position[:, :2] - [0.0, 0.03]).T) <= 0.01).all()
+    heights = setting.surface_heights(setting.rest_nodes[None], start.goal[:, :2])
+    assert (heights > setting.ground_height + 0.01).all()
+
+
+@pytest.mark.parametrize("center", [(0.01,), (0.0, np.inf), "axis", None])
+def test_a_center_is_two_finite_numbers(center: object) -> None:
+    with pytest.raises(ValueError, match="center must be"):
+        PressConfig(center=center)
+
+
+def test_a_center_too_near_the_rim_of_the_workspace_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"place_radius must be 0.0108 m at most"):
+        PressTask(PressConfig(center=(0.04, 0.0)), make_setting())
