@@ -63,10 +63,17 @@ def default_engine() -> str:
 def bullet_is_there() -> bool:
     """Whether PyBullet can be imported. It is imported to tell."""
     try:
-        import_module("pybullet")
+        _load_bullet()
     except ImportError:
         return False
     return True
+
+
+def _load_bullet() -> Any:
+    """The module `pybullet`, without what it says when it is imported first."""
+    if "pybullet" not in sys.modules:
+        import_module("spatula_env._bullet")
+    return import_module("pybullet")
 
 
 def import_bullet(wanted: str) -> Any:
@@ -79,7 +86,7 @@ def import_bullet(wanted: str) -> Any:
         ImportError: If it is not installed; says what to install.
     """
     try:
-        return import_module("pybullet")
+        return _load_bullet()
     except ImportError as error:
         raise ImportError(
             f"{wanted} needs PyBullet, which cannot be imported ({error}). {bullet_hint()}", name="pybullet"
