@@ -65,12 +65,12 @@ def test_rotate_takes_any_number_of_points():
     quarter = quaternion_from_axis_angle((0.0, 0.0, 2.0), 0.5 * np.pi)
     points = np.array([[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 1.0, 0.0]]])
     expected = np.array([[[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [-1.0, 1.0, 0.0]]])
-    np.testing.assert_allclose(rotate(quarter, points), expected, atol=1e-15)
+    np.testing.assert_allclose(rotate(quarter, points), expected, atol=1e-12)
 
 
 def test_axis_angle_is_xyzw():
     np.testing.assert_allclose(
-        quaternion_from_axis_angle((0.0, 3.0, 0.0), 1.0), [0.0, np.sin(0.5), 0.0, np.cos(0.5)], atol=1e-15
+        quaternion_from_axis_angle((0.0, 3.0, 0.0), 1.0), [0.0, np.sin(0.5), 0.0, np.cos(0.5)], atol=1e-12
     )
 
 
@@ -89,7 +89,7 @@ def test_two_vectors_by_the_smallest_rotation(start, end):
 def test_two_vectors_nearly_parallel_or_opposite(tilt, sign):
     start, end = np.array([0.6, 0.0, 0.8]), sign * np.array([0.6, tilt, 0.8])
     np.testing.assert_allclose(
-        rotate(quaternion_from_two_vectors(start, end), start), end / np.linalg.norm(end), atol=1e-14
+        rotate(quaternion_from_two_vectors(start, end), start), end / np.linalg.norm(end), atol=1e-12
     )
 
 
@@ -111,7 +111,7 @@ def test_matrix_of_half_turn(axis):
 def test_integration_is_the_exponential_map(quaternion, angular_velocity, dt):
     turned = integrate_rotation(quaternion, angular_velocity, dt)
     expected = Rotation.from_rotvec(angular_velocity * dt) * Rotation.from_quat(quaternion)
-    assert np.linalg.norm(turned) == pytest.approx(1.0, abs=1e-15)
+    assert np.linalg.norm(turned) == pytest.approx(1.0, abs=1e-12)
     assert same_rotation(turned, expected.as_quat(), 1e-11)
 
 
@@ -148,7 +148,7 @@ def test_slerp_between_equal_orientations():
 def test_random_orientations_are_uniform():
     generator = np.random.default_rng(0)
     sample = np.array([random_quaternion(generator) for _ in range(4000)])
-    np.testing.assert_allclose(np.linalg.norm(sample, axis=1), 1.0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(sample, axis=1), 1.0, atol=1e-12)
     # On the unit sphere in four dimensions the second moment is I / 4, the fourth of each component 1 / 8.
     np.testing.assert_allclose(sample.T @ sample / len(sample), np.eye(4) / 4.0, atol=0.015)
     np.testing.assert_allclose((sample**4).mean(axis=0), 0.125, atol=0.015)

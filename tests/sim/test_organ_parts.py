@@ -224,3 +224,12 @@ def test_loading_a_file_of_several_parts_says_so(tmp_path):
     with pytest.warns(UserWarning, match=r"balls\.obj holds 2 parts that nothing connects \(162 nodes and 32.4 u3, 42"):
         organ = load_organ(file)
     assert len(organ.vertices) == 204
+
+
+@pytest.mark.bullet
+def test_bullet_is_given_nothing_to_draw():
+    # With the organ's own surface it would look for the nearest triangle of every vertex: minutes, for a fine one.
+    simulation = Simulation(scene(BALLS), engine="bullet")
+    world = simulation._world
+    assert [world._bullet.getMeshData(body, -1, physicsClientId=world._client)[0] for body in world._bodies] == [3, 3]
+    simulation.close()

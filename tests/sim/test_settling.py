@@ -125,12 +125,13 @@ def test_an_organ_that_loses_its_shape_is_told_with_figures(engine):
     assert "% of its volume" in told
 
 
-def test_settling_that_is_ended_is_told_with_the_sag():
-    # It stands on a vertex, and rolls.
-    (told,) = warnings_of(on_the_ground(icosphere(3.0, 1)))
-    assert told.startswith("organ 'icosphere' has not come to rest: it still moved at ")
-    assert "u/s when settling was ended (its top has sunk by 0.2" in told
-    assert "it has 100 % of its volume" in told
+def test_settling_that_is_ended_is_told_with_the_sag(monkeypatch):
+    monkeypatch.setattr("spatula_env.sim.simulation.LONGEST_SETTLING", 0.05)
+    (told,) = warnings_of(replace(on_the_ground(icosphere(3.0, 2)), ground=None))
+    # It has fallen for twelve steps of 1/240 s.
+    fallen = 10.0 / 240.0**2 * 12 * 13 / 2
+    assert told.startswith("organ 'icosphere' has not come to rest: it still moved at 0.5 u/s when settling was ended")
+    assert f"(its top has sunk by {fallen:.2g} of 6 u, it has 100 % of its volume" in told
 
 
 def test_many_worlds_whose_settling_is_ended_are_counted(monkeypatch):
