@@ -251,6 +251,7 @@ def test_every_face_and_edge_and_all_directions_are_drawn():
     np.testing.assert_allclose(directions.T @ directions / len(drawn), np.eye(3) / 3.0, atol=0.06)
 
 
+@pytest.mark.filterwarnings("ignore:organ 'sphere' has not come to rest")
 def test_a_run_is_reproducible_and_watched_in_every_step():
     plunge = plunges.draw(tunnelling.SEED, FAST)
     steps = []
