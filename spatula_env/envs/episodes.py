@@ -69,6 +69,7 @@ class Episodes:
         steps_per_action: Physics steps in a control step.
         period: Length of a control step [s].
         goals: (W, G) what is asked in each world's episode.
+        achieved: (W, G) what has been achieved of it.
         elapsed: (W,) control steps since each episode began.
         situation: Of all worlds, as it was last looked at; None before anything has begun.
     """
@@ -133,6 +134,7 @@ class Episodes:
         self.action_space = spaces.Box(-1.0, 1.0, (self.control.size,), dtype=np.float32)
         self._steps_to_hold = max(1, round(self.task.hold_time / self.period))
         self.goals: FloatArray = np.zeros((count, len(self.task.goal_names)))
+        self.achieved: FloatArray = np.zeros_like(self.goals)
         self.elapsed: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self.situation: Situation | None = None
         self._variation = Variation(
@@ -412,6 +414,7 @@ class Episodes:
         every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
         memory = self._memory if every else {name: values[worlds] for name, values in self._memory.items()}
         evaluation = self.task.evaluate(situation, goals, memory)
+        self.achieved[worlds] = evaluation.achieved
         if not every:
             for name, values in memory.items():
                 self._memory[name][worlds] = values

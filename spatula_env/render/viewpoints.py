@@ -12,9 +12,13 @@ from numpy.typing import NDArray
 from spatula_env.geometry.blocks import FissuredBlock, RidgedBlock
 from spatula_env.render.camera import Camera
 from spatula_env.render.shapes import quaternion_matrix
+from spatula_env.tasks.marks import Patch
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from spatula_env.scenes import Scene
+    from spatula_env.tasks.marks import Mark
 
 FloatArray = NDArray[np.float64]
 
@@ -53,6 +57,12 @@ BESIDE_RIDGE = Viewpoint(azimuth=24.0, elevation=22.0, lift=0.8)
 ALONG_RIDGE = Viewpoint(azimuth=10.0, elevation=32.0, base=0.4)
 """Along a ridge that is pushed aside."""
 
+STEEP = 0.5
+"""A part of the organ whose normal has a horizontal share above this is seen from its side only."""
+ASIDE = 38.0
+"""By how much a viewpoint is turned towards such a part: what is to be done there would hide it from straight ahead
+[degrees]."""
+
 HEADROOM = 0.9
 """Of what is higher above an organ than this, the handle of a long blade, nothing needs to be in the picture [u]."""
 
@@ -72,6 +82,31 @@ def viewpoint_of(scene: Scene) -> Viewpoint:
     choices = [turn + half + side * viewpoint.azimuth for half in (0.0, 180.0) for side in (-1.0, 1.0)]
     azimuth = min(choices, key=lambda angle: abs((angle - GENERAL.azimuth + 180.0) % 360.0 - 180.0))
     return replace(viewpoint, azimuth=(azimuth + 180.0) % 360.0 - 180.0)
+
+
+def viewpoint_toward(
+    scene: Scene, nodes: FloatArray, triangles: NDArray[np.int32], marks: Sequence[Mark]
+) -> Viewpoint:
+    """The viewpoint that suits a scene and a goal: on the side of the part of the organ that a task is about.
+
+    Args:
+        scene: What is to be seen.
+        nodes: (V, 3) of the organ [u].
+        triangles: (T, 3) of it, counter-clockwise from outside.
+        marks: What shows the goal.
+    """
+    viewpoint = viewpoint_of(scene)
+    inside = np.zeros(len(nodes), dtype=np.bool_)
+    for mark in marks:
+        if isinstance(mark, Patch) and mark.role == "target":
+            inside[mark.nodes] = True
+    first, second, third = (nodes[corner] for corner in triangles[inside[triangles].all(axis=1)].T)
+    out = np.cross(second - first, third - first).sum(axis=0)
+    if not np.hypot(out[0], out[1]) > STEEP * np.linalg.norm(out):
+        return viewpoint
+    beside = math.degrees(math.atan2(out[1], out[0])) - viewpoint.azimuth
+    beside = (beside + 180.0) % 360.0 - 180.0
+    return replace(viewpoint, azimuth=viewpoint.azimuth + min(max(beside, -ASIDE), ASIDE))
 
 
 def default_camera(scene: Scene, aspect: float = 1.0) -> Camera:

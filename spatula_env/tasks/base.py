@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spatula_env.tasks.configuration import TaskConfig
+from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
@@ -149,6 +150,22 @@ class Task(ABC):
     @abstractmethod
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
         """Whether what is achieved (..., G) is what is desired (..., G), for now: (...). From these numbers alone."""
+
+    def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
+        """The conditions that make up a goal, for a person to read; all are fulfilled exactly when `fulfils` says so.
+
+        By default one for each number of the goal, with the whole goal's verdict: a task that knows what it tolerates
+        tells it here.
+
+        Args:
+            achieved: (G,) what `fulfils` would be given.
+            goal: (G,) likewise.
+        """
+        within = bool(self.fulfils(achieved, goal))
+        return tuple(
+            Criterion(name.replace("_", " "), unit, float(is_now), float(wanted), float(wanted), within)
+            for name, unit, is_now, wanted in zip(self.goal_names, self.goal_units, achieved, goal, strict=True)
+        )
 
     def check_goal(self, goal: FloatArray) -> None:
         """Raise ValueError if a goal (G,) cannot be asked for."""

@@ -11,6 +11,7 @@ from spatula_env.geometry.blocks import RidgedBlock
 from spatula_env.geometry.rotations import conjugate, turn
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
+from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start, ToolShape
 
@@ -221,6 +222,15 @@ class ClampTask(Task):
         """Whether the lift is right and the slip is not greater than desired, (..., 2) each [m]."""
         error = desired - achieved
         return np.asarray((np.abs(error[..., 0]) <= self.config.lift_tolerance) & (error[..., 1] >= 0.0))
+
+    def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
+        """See `Task`."""
+        slip = float(achieved[1])
+        note = "no grip" if slip >= float(self.goal_high[1]) else ""
+        return (
+            Criterion.near("lift", "m", float(achieved[0]), float(goal[0]), self.config.lift_tolerance),
+            Criterion.at_most("slip", "m", slip, float(goal[1]), note),
+        )
 
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None

@@ -12,6 +12,7 @@ from spatula_env.geometry.checks import check_count, check_positive
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
+from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.exposure import visible_points
 from spatula_env.tasks.marks import Mark, Path
 from spatula_env.tasks.situation import BoolArray, FloatArray, Setting, Situation, Start
@@ -256,6 +257,15 @@ class FissureTask(Task):
             (np.abs(error[..., 0]) <= self.config.place_tolerance)
             & (np.abs(error[..., 1]) <= self.config.view_tolerance)
             & (error[..., 2] <= 0.0)
+        )
+
+    def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
+        """See `Task`."""
+        (place, tilt, seen), (wanted_place, view, share) = (values.tolist() for values in (achieved, goal))
+        return (
+            Criterion.at_least("target seen", "1", seen, share),
+            Criterion.near("tilt of the blade", "rad", tilt, view, self.config.view_tolerance),
+            Criterion.near("place along the fissure", "m", place, wanted_place, self.config.place_tolerance),
         )
 
     def marks(

@@ -10,6 +10,7 @@ import numpy as np
 from spatula_env.geometry.rotations import turn
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
+from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Path, Ring
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
@@ -298,6 +299,15 @@ class PalpateTask(Task):
             (error[..., 0] <= 0.0)
             & (np.hypot(error[..., 1], error[..., 2]) <= self.config.end_tolerance)
             & (np.abs(error[..., 3]) <= self.config.force_tolerance)
+        )
+
+    def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
+        """See `Task`."""
+        end = float(np.hypot(*(goal[1:3] - achieved[1:3])))
+        return (
+            Criterion.at_least("path felt", "1", float(achieved[0]), float(goal[0])),
+            Criterion.near("force", "N", float(achieved[3]), float(goal[3]), self.config.force_tolerance),
+            Criterion.at_most("distance from the path's end", "m", end, self.config.end_tolerance),
         )
 
     def marks(

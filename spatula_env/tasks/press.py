@@ -9,6 +9,7 @@ import numpy as np
 
 from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
+from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Path, Ring
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
@@ -199,6 +200,14 @@ class PressTask(Task):
         return np.asarray(
             (np.hypot(error[..., 0], error[..., 1]) <= self.config.place_tolerance)
             & (np.abs(error[..., 2]) <= self.config.depth_tolerance)
+        )
+
+    def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
+        """See `Task`."""
+        place = float(np.hypot(*(goal[:2] - achieved[:2])))
+        return (
+            Criterion.near("depth", "m", float(achieved[2]), float(goal[2]), self.config.depth_tolerance),
+            Criterion.at_most("distance from the rings' middle", "m", place, self.config.place_tolerance),
         )
 
     def marks(

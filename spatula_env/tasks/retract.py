@@ -10,6 +10,7 @@ import numpy as np
 from spatula_env.geometry.blocks import RidgedBlock
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
+from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path, Points
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
@@ -227,6 +228,11 @@ class RetractTask(Task):
         """Whether displacements (..., 2) are within tolerance of what is desired (..., 2) [m]."""
         error = desired - achieved
         return np.asarray(np.hypot(error[..., 0], error[..., 1]) <= self.config.tolerance)
+
+    def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
+        """See `Task`."""
+        distance = float(np.hypot(*(goal - achieved)))
+        return (Criterion.at_most("distance of the patch from its goal", "m", distance, self.config.tolerance),)
 
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None

@@ -11,20 +11,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.geometry.rotations import conjugate, multiply, to_rotation_vector
+from spatula_env.tasks.base import as_seen
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, NotCalibrated, Progress, TeleopDevice
 from spatula_env.teleop.session import DISCARD, FINISH, QUIT
 from spatula_env.teleop.web.page import Page
-from spatula_env.teleop.web.panel import Panel, Reading, Status, goal_in_words
+from spatula_env.teleop.web.panel import Panel
+from spatula_env.teleop.web.readings import Reading, Status
+from spatula_env.teleop.web.viewers import Viewers
 
 if TYPE_CHECKING:
     import gymnasium
 
+    from spatula_env.teleop.web.hands import Hands
     from spatula_env.teleop.web.stage import Stage
 
 LONGEST = 1.0
 """A page that draws nothing is shown something again after so long [s]."""
 APPROACH = 0.1
 """Time constant with which the grip follows the mouse [s]."""
+OPENED = 0.25e-3
+"""Jaws that are so near to what the slider says are there [m]."""
 BUTTON_KEYS: Mapping[str, str] = MappingProxyType({"Enter": FINISH, "Backspace": DISCARD, "Escape": QUIT})
 """Buttons, by the place of a key as browsers name it."""
 
@@ -81,8 +88,11 @@ class WebDevice(TeleopDevice):
         self._pressed: set[str] = set()
         self._sequence = 0
         self._stage: Stage | None = None
+        self._viewers: Viewers | None = None
         self._env: Any = None
         self._grip: FloatArray = np.zeros(3)
+        self._orientation: FloatArray = np.array([0.0, 0.0, 0.0, 1.0])
+        self._width: float | None = None
         self._drawn: dict[int, int | None] = {}
         self._shown = -np.inf
         self._stale = False
@@ -110,6 +120,7 @@ class WebDevice(TeleopDevice):
             return
         self.page = Page(**self._where, keys=tuple(self._shortcuts), on_key=self._key)
         self.panel = panel = Panel(self.page.server)
+        self._viewers = Viewers(self.page.server, panel)
         self._pressed.clear()
         self._stage = self._env = None
         if self._own:
@@ -118,10 +129,11 @@ class WebDevice(TeleopDevice):
             )
             panel.add_command("Discard", partial(self.press, DISCARD), hint="It counts for nothing (Backspace)")
             panel.add_command("Quit", partial(self.press, QUIT), hint="Nor does any other (Escape)")
-            panel.say(Status("Playing"))
+            panel.hint((("Enter", "finish"), ("Backspace", "discard"), ("Escape", "quit")))
         panel.gizmo.on_update(lambda _: self._stage and self._stage.set_gizmo(panel.gizmo.value))
         panel.see_through.on_update(lambda _: self._stage and self._stage.set_see_through(panel.see_through.value))
-        panel.home.on_click(lambda event: self._stage and self._stage.look(event.client))
+        panel.home.on_click(lambda event: self._viewers and self._viewers.look(event.client))
+        panel.jaws.on_update(self._slid)
 
     def calibrate(self, progress: Progress | None = None) -> None:
         """Wait until somebody has opened the page.
@@ -152,8 +164,10 @@ class WebDevice(TeleopDevice):
         self._rates = {name: share * rate for name, rate in hands.rates().items()}
         rate = np.array([self._rates.get(axis, 0.0) for axis in "xyz"])
         target = hands.target
-        if target is not None and self._env is not None:
-            rate = self._toward(target)
+        if self._env is not None:
+            if target is not None:
+                rate = self._toward(target)
+            self._rates.update(self._turning(hands.orientation) | self._opening(hands))
         self._sequence += 1
         return DeviceSample("rate", self.now(), self._sequence, None, rate, np.zeros(3), pressed)
 
@@ -170,23 +184,33 @@ class WebDevice(TeleopDevice):
             # Kernels are compiled, or taken from Numba's cache, when it is first needed.
             from spatula_env.teleop.web.stage import Stage
 
-            page.hands.drag(None)
+            page.hands.let_go()
             self._env = made
-            self._stage = Stage(page.server, made, self._drag)
+            assert self._viewers is not None
+            self._stage = Stage(page.server, self._viewers, made, self._drag, self._turn)
             self._stage.set_gizmo(panel.gizmo.value)
             self._stage.set_see_through(panel.see_through.value)
+            self._explain(env)
+        elif made._episodes.elapsed[0] == 0:
+            page.hands.let_go()
+            self._stage.begin()
         episodes = made._episodes
-        self._grip = np.array(episodes.situation.tool_position[0])
+        situation = episodes.situation
+        self._grip = np.array(situation.tool_position[0])
+        self._orientation = np.array(situation.tool_orientation[0])
+        self._width = float(situation.control[0, 0]) if made.control.layout.jaws else None
         info = {name: values[0].item() for name, values in episodes.info.items()}
         panel.add(
             Reading(
                 time=info["time"],
                 force=info["force"],
                 pressure=info["peak_pressure"],
-                within_tolerance=info["within_tolerance"],
                 success=info["is_success"],
                 cost=info["episode_cost"],
-                goal=goal_in_words(made.task.goal_names, made.task.goal_units, made.goal),
+                held=info["hold_time"],
+                hold_time=made.task.hold_time,
+                criteria=made.task.criteria(as_seen(episodes.achieved[0]), as_seen(episodes.goals[0])),
+                opening=self._width,
             )
         )
         # A page that is busy drawing would drown in pictures, and have no time for the hands.
@@ -203,11 +227,13 @@ class WebDevice(TeleopDevice):
             self._stale = False
             self._stage.show(self._env.moment)
             self.panel.show()
+            if self.page is not None and self.page.hands.opening is None:
+                self.panel.show_opening()
 
     def close(self) -> None:
         """See `TeleopDevice`; all pages lose their connection."""
         page, self.page, self.panel = self.page, None, None
-        self._stage = self._env = None
+        self._stage = self._env = self._viewers = None
         if page is not None:
             page.close()
 
@@ -231,6 +257,51 @@ class WebDevice(TeleopDevice):
             return
         if page is not None and env is not None:
             page.hands.drag(None if target is None else env.workspace.from_scene(target))
+
+    def _turn(self, orientation: FloatArray | None) -> None:
+        page = self.page
+        if orientation is not None and not np.isfinite(orientation).all():
+            return
+        if page is not None:
+            page.hands.turn(orientation)
+
+    def _slid(self, event: Any) -> None:
+        # What the program sets has no client.
+        if event.client is not None and self.page is not None:
+            self.page.hands.open(1e-3 * float(event.target.value))
+
+    def _explain(self, env: Any) -> None:
+        """Say what is asked in an environment, and how to do it."""
+        made, panel = self._env, self.panel
+        assert panel is not None
+        control = made.control
+        task = made.definition.name.capitalize()
+        opening = control.layout.opening_range if control.layout.jaws else None
+        panel.explain(task, getattr(made, "task_description", ""), control.names, opening)
+        if self._own:
+            limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
+            end = "" if limit is None else f"after {limit * made._episodes.period:g} s, or "
+            panel.say(Status("Playing", f"The episode ends {end}with Finish."))
+
+    def _turning(self, wanted: FloatArray | None) -> dict[str, float]:
+        """Rates by name that turn the first tool to an orientation (4,)."""
+        control = self._env.control
+        if wanted is None:
+            return {}
+        away = to_rotation_vector(multiply(wanted, conjugate(self._orientation)))
+        rates = np.clip(away / (APPROACH * float(control.max_rotation_rate)), -1.0, 1.0)
+        return {f"rotation_{axis}": float(rates["xyz".index(axis)]) for axis in control.layout.rotations}
+
+    def _opening(self, hands: Hands) -> dict[str, float]:
+        """Rate by name that brings the jaws as far apart as the slider says, until they are or keys say otherwise."""
+        wanted = hands.opening
+        if wanted is None or self._width is None:
+            return {}
+        if "jaw_speed" in self._rates or abs(wanted - self._width) < OPENED:
+            hands.open(None)
+            return {}
+        rate = (wanted - self._width) / (APPROACH * float(self._env.control.max_jaw_speed))
+        return {"jaw_speed": min(1.0, max(-1.0, rate))}
 
     def _key_share(self) -> float:
         """Of the greatest velocities, what keys command."""

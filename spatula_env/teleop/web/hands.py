@@ -49,6 +49,20 @@ AWAY = 3.0
 """A page that has said nothing for so long is gone [s]."""
 
 
+MOVES: tuple[tuple[tuple[str, ...], str, str], ...] = (
+    (("KeyW", "KeyA", "KeyS", "KeyD"), "velocity_x", "or arrows: away, left, near, right"),
+    (("KeyE", "KeyQ"), "velocity_z", "up, down"),
+    (("KeyU", "KeyJ"), "rotation_x", "lean towards you, away"),
+    (("KeyI", "KeyK"), "rotation_y", "lean right, left"),
+    (("KeyO", "KeyL"), "rotation_z", "turn left, right"),
+    (("Period", "Comma"), "jaw_speed", "open, close the jaws"),
+)
+"""Keys, the number in an action that they need, and what they do."""
+
+NAMES: Mapping[str, str] = MappingProxyType({"Period": ".", "Comma": ",", "ShiftLeft": "Shift"})
+"""What is printed on keys, where that is not the end of their code."""
+
+
 @dataclass
 class _Hand:
     keys: frozenset[str]
@@ -70,6 +84,8 @@ class Hands:
         self._lock = threading.Lock()
         self._hands: dict[int, _Hand] = {}
         self._target: FloatArray | None = None
+        self._orientation: FloatArray | None = None
+        self._opening: float | None = None
         self._anybody = threading.Event()
 
     def hear(self, page: int, keys: Iterable[str], hidden: bool = False, frames: int | None = None) -> frozenset[str]:
@@ -102,11 +118,38 @@ class Hands:
         with self._lock:
             self._target = None if target is None else np.array(target, dtype=np.float64)
 
+    def turn(self, orientation: FloatArray | None) -> None:
+        """The mouse turns the first tool to an orientation (4,), workspace frame; None: it has let go."""
+        with self._lock:
+            self._orientation = None if orientation is None else np.array(orientation, dtype=np.float64)
+
+    def open(self, opening: float | None) -> None:
+        """The jaws are to be so far apart [m]; None: they are to stay as they are."""
+        with self._lock:
+            self._opening = opening
+
+    def let_go(self) -> None:
+        """Forget what the mouse was about."""
+        with self._lock:
+            self._target = self._orientation = self._opening = None
+
     @property
     def target(self) -> FloatArray | None:
         """(3,) where the mouse drags the grip to [m]; None if it does not, or nobody is there."""
         with self._lock:
             return self._target if self._fresh(SILENT) else None
+
+    @property
+    def orientation(self) -> FloatArray | None:
+        """(4,) what orientation the mouse turns the first tool to; None if it does not, or nobody is there."""
+        with self._lock:
+            return self._orientation if self._fresh(SILENT) else None
+
+    @property
+    def opening(self) -> float | None:
+        """How far apart the jaws are to be [m]; None if nobody has said, or nobody is there."""
+        with self._lock:
+            return self._opening if self._fresh(SILENT) else None
 
     @property
     def keys(self) -> frozenset[str]:
@@ -121,6 +164,12 @@ class Hands:
             return bool(self._fresh(AWAY))
 
     @property
+    def viewers(self) -> int:
+        """How many pages are looked at."""
+        with self._lock:
+            return len(self._fresh(AWAY))
+
+    @property
     def frames(self) -> dict[int, int | None]:
         """How many pictures each page that is looked at has drawn."""
         earliest = self._now() - AWAY
@@ -131,7 +180,8 @@ class Hands:
     @property
     def active(self) -> bool:
         """Whether somebody moves the tool."""
-        return self.target is not None or not self.keys.isdisjoint(KEYS)
+        by_mouse = self.target is not None or self.orientation is not None or self.opening is not None
+        return by_mouse or not self.keys.isdisjoint(KEYS)
 
     def wait(self, timeout: float) -> bool:
         """Wait until somebody looks at a page.
@@ -158,3 +208,33 @@ class Hands:
     def _fresh(self, longest: float) -> list[_Hand]:
         earliest = self._now() - longest
         return [hand for hand in self._hands.values() if hand.heard >= earliest and not hand.hidden]
+
+
+def hints(names: tuple[str, ...], buttons: tuple[tuple[str, str], ...] = ()) -> str:
+    """What keys, mouse and fingers do, as HTML.
+
+    Args:
+        names: Of the numbers in an action: only keys that move one of them are named.
+        buttons: Codes of further keys, and what they do.
+    """
+    turns, jaws = any(name.startswith("rotation_") for name in names), "jaw_speed" in names
+    keys = [("".join(map(_key, codes)), does) for codes, name, does in MOVES if name in names]
+    keys += [(_key("ShiftLeft"), "slow"), *((_key(code), does) for code, does in buttons)]
+    shift = [f"with {_key('ShiftLeft')} at its height"]
+    drags = ["an arrow: along one axis"] + turns * ["the arc: turn it"] + jaws * ["the slider: open and close the jaws"]
+    drags += ["beside it: turn the view"]
+    return (
+        '<div class="sp sp-keys">'
+        + _line("keys", "Keys", [f"{what} {does}" for what, does in keys])
+        + _line("mouse", "Drag", ["the tool: move it", *shift, *drags, "wheel: zoom"])
+        + _line("touch", "Drag", ["the tool: move it", *drags, "two fingers: zoom"])
+        + "</div>"
+    )
+
+
+def _line(kind: str, title: str, entries: list[str]) -> str:
+    return f'<div class="{kind}"><b>{title}</b> {" ".join(f"<span>{entry}</span>" for entry in entries)}</div>'
+
+
+def _key(code: str) -> str:
+    return f'<kbd data-code="{code}">{NAMES.get(code, code.removeprefix("Key"))}</kbd>'

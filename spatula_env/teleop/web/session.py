@@ -14,7 +14,7 @@ import gymnasium
 from spatula_env.data.recording import RecordingSummary
 from spatula_env.teleop.session import DISCARD, FINISH, QUIT, EpisodeSummary, run_episode
 from spatula_env.teleop.web.device import WebDevice
-from spatula_env.teleop.web.panel import Status
+from spatula_env.teleop.web.readings import Status
 from spatula_env.teleop.web.recording import PageEpisode, PageRecording, RecordingOptions
 from spatula_env.teleop.wrapper import FalconTeleop
 
@@ -22,6 +22,14 @@ RECORD, SAVE, SUCCESS, RESET, TASK = "record", "save", "success", "reset", "task
 """What the page's buttons ask for, beside "discard" and "quit"."""
 VERDICTS = (SAVE, SUCCESS, DISCARD)
 """What becomes of an episode that is recorded."""
+
+KEYS_WAITING = (("Enter", "record"),)
+KEYS_RECORDING = (("Enter", "save"), ("Backspace", "discard"))
+"""What keys stand for which buttons, while nothing is recorded and while something is."""
+
+PRACTICE = "Nothing is recorded, and there is no limit of time."
+MESSAGE_TIME = 8.0
+"""For how long it is said what has become of the last recording [s]."""
 
 LOOKING = 0.2
 """How often a session that waits looks whether it is to end [s]."""
@@ -201,6 +209,8 @@ class WebSession:
         for name, button in self._buttons.items():
             button.visible = (name in VERDICTS) == self._recording
         self._choice.disabled = self._recording
+        assert self._device.panel is not None
+        self._device.panel.hint(KEYS_RECORDING if self._recording else KEYS_WAITING)
 
     def _say(self, text: str, detail: str = "") -> None:
         self._status = Status(text, detail, self._recording)
@@ -227,6 +237,7 @@ class WebSession:
             self._ended.set()
 
     def _play_task(self, claims: ExitStack) -> None:
+        self._say("Getting ready", f"{self.env_id} is being loaded; the first time, this takes a minute or two.")
         try:
             self.env = gymnasium.make(self.env_id, **self._options)
         except Exception as error:
@@ -252,11 +263,13 @@ class WebSession:
                     continue
                 if asked == TASK and self._take_choice():
                     break
-                self._say("Practice", self._said or "Nothing is recorded.")
+                self._say("Practice", self._said or PRACTICE)
                 with _Mishaps(self):
                     ends = self.recording.options.end_on_success
                     practised = run_episode(practice, seed=seed, end_on_success=ends, after_step=self._after_practice)
                     self._progress("practice", practised)
+                    # What is said is about the episode before this one.
+                    self._said = ""
                 seed = None
         finally:
             env, self.env = self.env, None
@@ -275,6 +288,9 @@ class WebSession:
 
     def _after_practice(self, observation: Any, info: dict[str, Any]) -> None:
         self._pause()
+        if self._said and info["time"] > MESSAGE_TIME:
+            self._said = ""
+            self._say("Practice", PRACTICE)
         if self._asked.what is not None:
             # Nothing happens in a control step but what was asked for before it.
             self._device.press(QUIT)
@@ -331,7 +347,8 @@ class WebSession:
         if info["time"] == 0.0:
             self._say("Ready", "The episode begins when you move the tool.")
             self._until_moved()
-        self._say(f"Recording {info['time']:.1f}{end} s", f"to {self.dataset_id(self.env_id)}")
+        limit_said = "" if limit is None else f"It ends after{end.removeprefix(' of')} s, or with a button. "
+        self._say(f"Recording {info['time']:.1f}{end} s", f"{limit_said}It goes to {self.dataset_id(self.env_id)}.")
         self._pause()
         if self._asked.what is not None:
             self._device.press(FINISH)
@@ -350,7 +367,7 @@ class WebSession:
             asked = self._asked.take()
             if asked in (*VERDICTS, QUIT):
                 return asked
-            self._say("The episode is over", "Keep it? It is recorded to its end.")
+            self._say("The episode is over", "It is recorded to its end, and not saved yet: Save, Success or Discard?")
             self._asked.wait(LOOKING)
 
     def _judge(self, episode: PageEpisode, summary: EpisodeSummary) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -10,40 +9,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.geometry.rotations import turn
+from spatula_env.geometry.rotations import multiply, turn
 from spatula_env.render.display_surface import DisplaySurface, vertex_normals
 from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, STEEL, TISSUE, Color
 from spatula_env.render.scene_model import ROLE_COLORS, Composition, SceneModel
-from spatula_env.render.viewpoints import fit_camera, viewpoint_of
-from spatula_env.tasks.marks import Patch
+from spatula_env.render.viewpoints import viewpoint_toward
+from spatula_env.tasks.marks import Patch, Path, Points, Ring
 from spatula_env.teleop.device import FloatArray
 from spatula_env.teleop.web.bands import LEVELS, pressure_bands, pressure_field
 
 if TYPE_CHECKING:
     from spatula_env.envs.spatula_env import SpatulaEnv
-    from spatula_env.render.camera import Camera
     from spatula_env.render.moment import Moment
     from spatula_env.render.primitives import Mesh
+    from spatula_env.render.viewpoints import Viewpoint
+    from spatula_env.teleop.web.viewers import Viewers
 
 LIFT = 0.006
 """How far over the organ what colours it lies [u]."""
 PATCH_LIFT = 0.004
 DYE = 0.85
 """How much of a marked part's colour is that of the dye."""
+SHINING = 0.4
+"""Opacity of what shows the goal, where something hides it."""
 SEEN_THROUGH = 0.45
 """Opacity of an organ that is to be seen through."""
-ASPECT = 1.25
-"""Width over height of the part of a page that the panel leaves free, about."""
+GIZMO_SIZE, ARC_SIZE = 0.9, 1.6
+"""Of the handles to drag the tool by, and of those to turn it by [u]."""
 GROUND_SIZE = 400.0
 """Edge of the ground [u]."""
 GROUND: Color = (0.62, 0.66, 0.70)
-FOG = (1.3, 4.0)
-"""Where the ground begins to fade, and where it is gone, as parts of the distance from the camera to the organ."""
 ROOM_ABOVE = 0.2
 """How much of the workspace over the organ is in the first view, beside where the tools start."""
 
 Drag = Callable[[FloatArray | None], None]
-"""Takes where the mouse drags the grip to (3,) [u], and None when it lets go."""
+"""Takes where the mouse drags the grip to (3,) [u], or how it turns the first tool (4,), and None when it lets go."""
 
 
 class Stage:
@@ -52,15 +52,18 @@ class Stage:
     Everything is in the frame and the unit of the scene, as if nothing of it had been drawn at random.
     """
 
-    def __init__(self, server: Any, env: SpatulaEnv, on_drag: Drag) -> None:
+    def __init__(self, server: Any, viewers: Viewers, env: SpatulaEnv, on_drag: Drag, on_turn: Drag) -> None:
         """Build it up.
 
         Args:
             server: viser's.
+            viewers: Whose cameras to aim.
             env: What to show.
             on_drag: Told when the mouse drags the tool.
+            on_turn: Told when the mouse turns the tool.
         """
-        self._server, self._on_drag = server, on_drag
+        self._server, self._viewers, self._env = server, viewers, env
+        self._on_drag, self._on_turn = on_drag, on_turn
         episodes = env._episodes
         scene, triangles = episodes.worlds.scene, episodes.worlds.triangles
         self._model = SceneModel(scene, triangles)
@@ -72,13 +75,15 @@ class Stage:
         # What the mouse has grabbed of the tool, and where the grip was then.
         self._grabbed: FloatArray | None = None
         self._held: FloatArray = np.zeros(3)
-        self._on_gizmo = False
+        self._on_gizmo = self._on_arc = False
+        self._orientation: FloatArray = np.array([0.0, 0.0, 0.0, 1.0])
+        self._turned_from = self._orientation
         self._grip = np.zeros(3)
         self._scale = 1.0
         self._patches: list[tuple[Patch, Any, NDArray[np.intp]]] = []
         self._signs: list[Any] = []
+        self._ghosts: list[Any] = []
         self._arrows: list[Any] = []
-        self._camera = first_camera(env)
         with server.atomic():
             server.scene.reset()
             self._light_up()
@@ -94,30 +99,24 @@ class Stage:
             ]
             self._tools = [self._add_tool(index) for index in range(len(self._shapes))]
             self._gizmo = server.scene.add_transform_controls(
-                "/grip", scale=0.9, line_width=3.0, disable_rotations=True, depth_test=False, opacity=0.75
+                "/grip", scale=GIZMO_SIZE, line_width=3.0, disable_rotations=True, depth_test=False, opacity=0.75
             )
+            self._arcs = [self._add_arc(axis) for axis in env.control.layout.rotations]
         self._gizmo.on_update(self._gizmo_moved)
-        self.look()
+        self.begin(anew=True)
 
-    def look(self, client: Any = None) -> None:
-        """Go to the first view.
+    def begin(self, *, anew: bool = False) -> None:
+        """An episode begins: have its goal in view.
 
         Args:
-            client: On one page; None: on all of them, and on those to come.
+            anew: Whether it is the first one.
         """
-        camera = self._camera
-        field = math.radians(camera.vertical_field_of_view)
-        if client is None:
-            first = self._server.initial_camera
-            first.position, first.look_at, first.up, first.fov = camera.position, camera.target, camera.up, field
-            first.near, first.far = 0.1, 200.0
-        for each in self._server.get_clients().values() if client is None else (client,):
-            each.camera.position, each.camera.look_at = camera.position, camera.target
-            each.camera.up_direction, each.camera.fov = camera.up, field
+        self._viewers.aim(*first_view(self._env), anew=anew)
 
     def set_gizmo(self, visible: bool) -> None:
-        """Show the arrows by which the tool can be dragged along one axis, or not."""
-        self._gizmo.visible = visible
+        """Show the handles by which the tool can be dragged along one axis and turned, or not."""
+        for handle in (self._gizmo, *self._arcs):
+            handle.visible = visible
 
     def set_see_through(self, wanted: bool) -> None:
         """Let the organ be seen through, or not."""
@@ -144,9 +143,12 @@ class Stage:
         composition = self._model.compose(replace(moment, pressures=None))
         self._point(composition)
         self._dye(points, normals, [mark for mark in moment.marks if isinstance(mark, Patch)])
-        self._grip = positions.mean(axis=0)
+        self._grip, self._orientation = positions.mean(axis=0), orientations[0]
         if not self._on_gizmo:
             self._gizmo.position = self._grip
+        if not self._on_arc:
+            for arc in self._arcs:
+                arc.position, arc.wxyz = self._grip, (1.0, 0.0, 0.0, 0.0)
 
     # What there is.
 
@@ -161,8 +163,6 @@ class Stage:
         scene.add_light_hemisphere(
             "/light/room", sky_color=(225, 235, 255), ground_color=(170, 150, 140), intensity=0.5
         )
-        away = math.dist(self._camera.position, self._camera.target)
-        scene.configure_fog(FOG[0] * away, FOG[1] * away, color=(255, 255, 255))
 
     def _lay_ground(self, height: float, middle: FloatArray) -> None:
         scene = self._server.scene
@@ -214,14 +214,17 @@ class Stage:
         arrows = composition.meshes[1 + len(self._tools) :]
         self._arrows = self._draw("/force", self._arrows, arrows)
         self._signs = self._draw("/goal", self._signs, composition.marks)
+        # Again, for what hides it: the page's script draws these over everything.
+        self._ghosts = self._draw("/through", self._ghosts, composition.marks, opacity=SHINING)
 
-    def _draw(self, name: str, handles: list[Any], meshes: list[Mesh]) -> list[Any]:
+    def _draw(self, name: str, handles: list[Any], meshes: list[Mesh], opacity: float | None = None) -> list[Any]:
         add = self._server.scene.add_mesh_simple
         for index, mesh in enumerate(meshes):
             vertices, faces = _single(mesh.vertices), mesh.triangles.astype(np.uint32)
             if index == len(handles):
                 color = _bytes(mesh.color)
-                handles.append(add(f"{name}/{index}", vertices, faces, color=color, cast_shadow=False))
+                look: dict[str, Any] = {"color": color, "cast_shadow": False, "opacity": opacity}
+                handles.append(add(f"{name}/{index}", vertices, faces, **look))
             else:
                 _replace(handles[index], (vertices, faces))
         for handle in handles[len(meshes) :]:
@@ -256,6 +259,22 @@ class Stage:
         add = self._server.scene.add_mesh_simple
         return add(f"/patch/{index}", vertices, faces, color=color, cast_shadow=False), used.astype(np.intp)
 
+    def _add_arc(self, axis: str) -> Any:
+        """A handle by which the tool is turned about an axis."""
+        arc = self._server.scene.add_transform_controls(
+            f"/turn/{axis}",
+            scale=ARC_SIZE,
+            line_width=4.0,
+            # An arc lies between the other two axes.
+            active_axes=tuple(each != axis for each in "xyz"),
+            disable_axes=True,
+            disable_sliders=True,
+            depth_test=False,
+            opacity=0.9,
+        )
+        arc.on_update(self._arc_moved)
+        return arc
+
     # The mouse. These are called by viser's thread, in order.
 
     def _make_drag(self, *, level: bool) -> Any:
@@ -280,21 +299,40 @@ class Stage:
         self._on_gizmo = event.phase != "end"
         self._on_drag(np.asarray(event.target.position) if self._on_gizmo else None)
 
+    async def _arc_moved(self, event: Any) -> None:
+        if not self._on_arc:
+            self._turned_from = self._orientation.copy()
+        self._on_arc = event.phase != "end"
+        turned = np.asarray(event.target.wxyz)[[1, 2, 3, 0]]
+        self._on_turn(multiply(turned, self._turned_from) if self._on_arc else None)
 
-def first_camera(env: SpatulaEnv) -> Camera:
-    """A camera that has the organ and the tools in the view, and room above them."""
-    scene, workspace = env._episodes.worlds.scene, env.workspace
-    viewpoint = replace(viewpoint_of(scene), room=0.05)
-    seen = []
+
+def first_view(env: SpatulaEnv) -> tuple[FloatArray, Viewpoint]:
+    """What is to be seen at first, (P, 3) [u], and from where: organ, tools and room above them, and the goal."""
+    scene, workspace, moment = env._episodes.worlds.scene, env.workspace, env.moment
+    nodes, triangles = np.asarray(moment.nodes), env._episodes.worlds.triangles
+    viewpoint = replace(viewpoint_toward(scene, nodes, triangles, moment.marks), room=0.05)
+    seen = [_points_of(mark) for mark in moment.marks if not isinstance(mark, Patch)]
     for placed in scene.organs:
         points = placed.vertices
         low, high = points[:, 2].min(), points[:, 2].max()
         seen.append(points[points[:, 2] >= low + viewpoint.base * (high - low)])
     top = float(workspace.to_scene(ROOM_ABOVE * workspace.high)[2])
-    for tool in scene.tools:
-        corners = turn(tool.orientation, tool.tool.vertices) + tool.position
-        seen += [corners, np.column_stack([corners[:, :2], np.full(len(corners), top)])]
-    return fit_camera(np.concatenate(seen), viewpoint, ASPECT)
+    places, orientations = np.atleast_2d(moment.tool_positions), np.atleast_2d(moment.tool_orientations)
+    # Of a long blade, the part that works and the handles to drag it by.
+    highest = float(places[:, 2].mean()) + GIZMO_SIZE
+    for tool, place, orientation in zip(scene.tools, places, orientations, strict=True):
+        corners = turn(orientation, moment.tool_scale * np.asarray(tool.tool.vertices)) + place
+        corners[:, 2] = np.minimum(corners[:, 2], max(highest, corners[:, 2].min()))
+        seen += [corners, np.column_stack([corners[:, :2], np.full(len(corners), max(top, highest))])]
+    return np.concatenate(seen), viewpoint
+
+
+def _points_of(mark: Ring | Path | Points) -> FloatArray:
+    if not isinstance(mark, Ring):
+        return np.asarray(mark.points)
+    side = mark.radius * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    return np.concatenate([mark.point + side, mark.point - side])
 
 
 def on_drag_plane(eye: FloatArray, point: FloatArray, grabbed: FloatArray, *, level: bool) -> FloatArray | None:

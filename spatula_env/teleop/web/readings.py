@@ -1,0 +1,107 @@
+"""What the page tells, and in which words."""
+
+from __future__ import annotations
+
+import html
+import math
+from dataclasses import dataclass
+
+from spatula_env.tasks.criteria import Criterion
+
+SHOWN_UNITS: dict[str, tuple[float, str, int]]
+"""For each unit: the factor to the one that is shown, its name, and how many decimals."""
+SHOWN_UNITS = {"m": (1e3, "mm", 1), "rad": (math.degrees(1.0), "°", 1), "1": (100.0, "%", 0), "N": (1.0, "N", 2)}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What is measured at the end of a control step.
+
+    Attributes:
+        time: Since the episode began [s].
+        force: Magnitude of the contact force [N].
+        pressure: Greatest contact pressure [Pa].
+        success: Whether the goal has been held in this episode.
+        cost: Of the episode [Pa s].
+        held: For how long the goal has been kept [s].
+        hold_time: For how long it is to be kept [s].
+        criteria: What the goal asks for.
+        opening: Free width between the jaws [m]; None: there are none.
+    """
+
+    time: float
+    force: float
+    pressure: float
+    success: bool = False
+    cost: float = 0.0
+    held: float = 0.0
+    hold_time: float = 0.0
+    criteria: tuple[Criterion, ...] = ()
+    opening: float | None = None
+
+
+@dataclass(frozen=True)
+class Status:
+    """What goes on.
+
+    Attributes:
+        text: In a few words.
+        detail: What to do, or what has been done.
+        recording: Whether this is being recorded.
+    """
+
+    text: str
+    detail: str = ""
+    recording: bool = False
+
+
+def in_words(value: float, unit: str, *, named: bool = True) -> str:
+    """A number in a unit that is easy to read.
+
+    Args:
+        value: In SI units.
+        unit: "m", "rad", "1", "N", or any other, which is shown as it is.
+        named: Whether to name the unit.
+    """
+    factor, name, decimals = SHOWN_UNITS.get(unit, (1.0, unit, 2))
+    # No minus sign before a zero.
+    shown = round(factor * value, decimals) + 0.0
+    return f"{shown:.{decimals}f} {name}".rstrip() if named else f"{shown:.{decimals}f}"
+
+
+def wanted_in_words(criterion: Criterion) -> str:
+    """What a criterion asks for."""
+    low, high, unit = criterion.low, criterion.high, criterion.unit
+    if low == high:
+        return in_words(low, unit)
+    if math.isinf(low):
+        return f"≤ {in_words(high, unit)}"
+    if math.isinf(high):
+        return f"≥ {in_words(low, unit)}"
+    return f"{in_words(0.5 * (low + high), unit, named=False)} ± {in_words(0.5 * (high - low), unit)}"
+
+
+def criteria_table(reading: Reading) -> str:
+    """The goal, what has been achieved of it, and for how long it has been kept, as HTML."""
+    rows = [
+        '<tr><th colspan="2">Goal</th><th class="n">now</th><th class="n">wanted</th></tr>',
+        *(_criterion_row(criterion) for criterion in reading.criteria),
+    ]
+    content = f'<table class="goal">{"".join(rows)}</table>' if reading.criteria else ""
+    if reading.success:
+        return content + f'<div class="success" role="status">✓ Success: held for {reading.hold_time:g} s</div>'
+    share = 100.0 * min(reading.held / reading.hold_time, 1.0) if reading.hold_time > 0.0 else 0.0
+    return content + (
+        f'<div class="hold"><i style="width:{share:.0f}%"></i>'
+        f"<span>all ✓ for {reading.hold_time:g} s without a break: {reading.held:.1f} s</span></div>"
+    )
+
+
+def _criterion_row(criterion: Criterion) -> str:
+    kind, sign, said = ("ok", "✓", "within tolerance") if criterion.within else ("off", "○", "not within tolerance")
+    present = html.escape(criterion.note or in_words(criterion.present, criterion.unit))
+    name = html.escape(criterion.name)
+    return (
+        f'<tr class="{kind}"><td aria-label="{said}" title="{said}">{sign}</td><td>{name}</td>'
+        f'<td class="n"><b>{present}</b></td><td class="n">{html.escape(wanted_in_words(criterion))}</td></tr>'
+    )

@@ -1,0 +1,159 @@
+"""What each page that is open has for itself: its camera, and whether its colours are dark."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spatula_env.render.viewpoints import Viewpoint, fit_camera
+from spatula_env.teleop.device import FloatArray
+from spatula_env.teleop.web.panel import Panel, theme
+
+if TYPE_CHECKING:
+    from spatula_env.render.camera import Camera
+
+NEAR, FAR = 0.1, 200.0
+"""What the camera sees [u]."""
+FOG = (1.3, 4.0)
+"""Where the ground begins to fade, and where it is gone, as parts of the distance from the camera to the organ."""
+LIGHT_SKY, DARK_SKY = (255, 255, 255), (20, 20, 20)
+"""What the ground fades to: viser's background."""
+LEAST_ASPECT, GREATEST_ASPECT = 0.4, 2.5
+"""Of views that all is to be seen in."""
+ASPECT = 1.25
+"""Width over height of a view, before a page has told it."""
+SETTLING = 0.5
+"""A page that still has another camera so long after it was given one has been given it by its user [s]."""
+DARK = "Dark colours"
+"""The label of the switch, which the page's script clicks where the system's colours are dark."""
+
+
+@dataclass
+class _Viewer:
+    client: Any
+    dark: bool = False
+    moved: bool = False
+    aspect: float = ASPECT
+    given: Camera | None = None
+    when: float = -math.inf
+
+
+class Viewers:
+    """All pages that are open. Everything may be called by any thread."""
+
+    def __init__(self, server: Any, panel: Panel) -> None:
+        """Take care of all who are there, and of all who come.
+
+        Args:
+            server: viser's.
+            panel: Gets a switch for dark colours, which is each page's own.
+        """
+        self._server, self._panel = server, panel
+        self._lock = threading.RLock()
+        self._viewers: dict[int, _Viewer] = {}
+        self._points: FloatArray | None = None
+        self._viewpoint: Viewpoint | None = None
+        server.on_client_connect(self._welcome)
+        server.on_client_disconnect(self._leave)
+
+    def aim(self, points: FloatArray, viewpoint: Viewpoint, *, anew: bool = False) -> None:
+        """Choose the first view.
+
+        Pages whose users have chosen another one keep it.
+
+        Args:
+            points: (P, 3) what is to be seen [u].
+            viewpoint: From where.
+            anew: Whether all pages are to look from there, as it is another scene.
+        """
+        with self._lock:
+            self._points, self._viewpoint = points, viewpoint
+            camera = fit_camera(points, viewpoint, ASPECT)
+            first = self._server.initial_camera
+            first.position, first.look_at, first.up = camera.position, camera.target, camera.up
+            first.fov, first.near, first.far = math.radians(camera.vertical_field_of_view), NEAR, FAR
+            if anew:
+                self._server.scene.configure_fog(*_fog(camera), color=LIGHT_SKY)
+            for viewer in self._viewers.values():
+                if anew or not viewer.moved:
+                    self._look(viewer)
+                self._color(viewer)
+
+    def look(self, client: Any) -> None:
+        """Go back to the first view on one page.
+
+        Args:
+            client: viser's.
+        """
+        with self._lock:
+            viewer = self._viewers.get(client.client_id)
+            if viewer is not None:
+                self._look(viewer)
+
+    # Called by viser's thread.
+
+    async def _welcome(self, client: Any) -> None:
+        with self._lock:
+            viewer = self._viewers[client.client_id] = _Viewer(client)
+            with self._panel.view:
+                switch = client.gui.add_checkbox(DARK, False)
+            self._look(viewer)
+
+        @switch.on_update
+        async def _(_: Any) -> None:
+            with self._lock:
+                viewer.dark = bool(switch.value)
+                theme(client.gui, dark=viewer.dark)
+                self._color(viewer)
+
+        @client.camera.on_update
+        async def _(camera: Any) -> None:
+            self._moved(viewer, camera)
+
+    async def _leave(self, client: Any) -> None:
+        with self._lock:
+            self._viewers.pop(client.client_id, None)
+
+    def _moved(self, viewer: _Viewer, camera: Any) -> None:
+        with self._lock:
+            given = viewer.given
+            if given is None or time.monotonic() < viewer.when + SETTLING:
+                return
+            away = 1e-2 * math.dist(given.position, given.target)
+            if math.dist(camera.position, given.position) > away or math.dist(camera.look_at, given.target) > away:
+                viewer.moved = True
+            # Another size, as when a panel is opened: all of it is to be seen still.
+            elif abs(_aspect(camera) - viewer.aspect) > 0.02 * viewer.aspect:
+                self._look(viewer)
+
+    def _look(self, viewer: _Viewer) -> None:
+        if self._points is None or self._viewpoint is None:
+            return
+        handle = viewer.client.camera
+        viewer.aspect = _aspect(handle)
+        aspect = min(max(viewer.aspect, LEAST_ASPECT), GREATEST_ASPECT)
+        viewer.given = camera = fit_camera(self._points, self._viewpoint, aspect)
+        viewer.moved, viewer.when = False, time.monotonic()
+        with viewer.client.atomic():
+            handle.up_direction, handle.fov = camera.up, math.radians(camera.vertical_field_of_view)
+            handle.position, handle.look_at = camera.position, camera.target
+
+    def _color(self, viewer: _Viewer) -> None:
+        if viewer.given is not None:
+            viewer.client.scene.configure_fog(*_fog(viewer.given), color=DARK_SKY if viewer.dark else LIGHT_SKY)
+
+
+def _fog(camera: Camera) -> tuple[float, float]:
+    away = math.dist(camera.position, camera.target)
+    return FOG[0] * away, FOG[1] * away
+
+
+def _aspect(camera: Any) -> float:
+    """Width over height of a page's view."""
+    width, height = float(camera.image_width), float(camera.image_height)
+    return width / height if width > 0.0 and height > 0.0 and np.isfinite(width / height) else ASPECT
