@@ -265,7 +265,7 @@ class FissureTask(Task):
         return (
             Criterion.at_least("target seen", "1", seen, share),
             Criterion.near("tilt of the blade", "rad", tilt, view, self.config.view_tolerance),
-            Criterion.near("place along the fissure", "m", place, wanted_place, self.config.place_tolerance),
+            Criterion.near("place along it", "m", place, wanted_place, self.config.place_tolerance),
         )
 
     def marks(

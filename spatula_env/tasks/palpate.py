@@ -307,7 +307,7 @@ class PalpateTask(Task):
         return (
             Criterion.at_least("path felt", "1", float(achieved[0]), float(goal[0])),
             Criterion.near("force", "N", float(achieved[3]), float(goal[3]), self.config.force_tolerance),
-            Criterion.at_most("distance from the path's end", "m", end, self.config.end_tolerance),
+            Criterion.at_most("distance to end", "m", end, self.config.end_tolerance),
         )
 
     def marks(

@@ -232,7 +232,7 @@ class RetractTask(Task):
     def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
         """See `Task`."""
         distance = float(np.hypot(*(goal - achieved)))
-        return (Criterion.at_most("distance of the patch from its goal", "m", distance, self.config.tolerance),)
+        return (Criterion.at_most("patch to its goal", "m", distance, self.config.tolerance),)
 
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from spatula_env.teleop.keys import RATE_NAMES
 from spatula_env.teleop.web.gate import LARGEST_WORD, read_word
-from spatula_env.teleop.web.hands import AWAY, KEYS, SILENT, SLOW, Hands
+from spatula_env.teleop.web.hands import AWAY, KEYS, SILENT, SLOW, Hands, hints
 
 
 class Clock:
@@ -132,3 +132,37 @@ def test_pages_tell_how_much_they_have_drawn(hands, clock):
 def test_long_words_are_not_heard():
     assert read_word(json.dumps({"keys": ["x" * LARGEST_WORD]}), KNOWN) is None
     assert read_word("[" * LARGEST_WORD, KNOWN) is None
+
+
+def test_turning_and_gripping_by_mouse_are_commands_too(hands, clock):
+    hands.hear(1, [])
+    for command, said in ((hands.turn, np.array([0.0, 0.0, 0.0, 1.0])), (hands.open, 0.012)):
+        assert not hands.active
+        command(said)
+        assert hands.active
+        clock.now += 1.1 * SILENT
+        # Nobody is there to let go.
+        assert not hands.active
+        hands.hear(1, [])
+        assert hands.active
+        hands.let_go()
+    assert hands.orientation is None and hands.opening is None
+
+
+def test_only_keys_that_move_something_are_named():
+    moves = tuple(f"velocity_{axis}" for axis in "xyz")
+    plain, tilting, gripping = hints(moves), hints((*moves, "rotation_x")), hints((*moves, "jaw_speed"))
+    for code, (name, _) in KEYS.items():
+        assert (f'"{code}"' in tilting) <= (name in "xyz" or name == "rotation_x")
+    assert all(f'"Key{letter}"' in plain for letter in "WASDEQ")
+    assert '"KeyU"' in tilting and '"KeyI"' not in tilting and '"Period"' not in tilting and "arc" in tilting
+    assert '"Period"' in gripping and '"KeyU"' not in gripping and "slider" in gripping
+    assert "arc" not in plain and "slider" not in plain
+    assert "record" in hints(moves, (("Enter", "record"),)) and "record" not in plain
+
+
+def test_every_rate_that_keys_command_is_explained():
+    every = hints(tuple(f"velocity_{axis}" for axis in "xyz") + tuple(f"rotation_{axis}" for axis in "xyz") + ("jaw_speed",))
+    for code in KEYS:
+        if not code.startswith(("Arrow", "Page")):
+            assert f'data-code="{code}"' in every

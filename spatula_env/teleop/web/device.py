@@ -13,6 +13,7 @@ import numpy as np
 
 from spatula_env.geometry.rotations import conjugate, multiply, to_rotation_vector
 from spatula_env.tasks.base import as_seen
+from spatula_env.tasks.marks import Patch
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, NotCalibrated, Progress, TeleopDevice
 from spatula_env.teleop.session import DISCARD, FINISH, QUIT
 from spatula_env.teleop.web.page import Page
@@ -132,7 +133,7 @@ class WebDevice(TeleopDevice):
             panel.hint((("Enter", "finish"), ("Backspace", "discard"), ("Escape", "quit")))
         panel.gizmo.on_update(lambda _: self._stage and self._stage.set_gizmo(panel.gizmo.value))
         panel.see_through.on_update(lambda _: self._stage and self._stage.set_see_through(panel.see_through.value))
-        panel.home.on_click(lambda event: self._viewers and self._viewers.look(event.client))
+        panel.home.on_click(self._look)
         panel.jaws.on_update(self._slid)
 
     def calibrate(self, progress: Progress | None = None) -> None:
@@ -265,6 +266,10 @@ class WebDevice(TeleopDevice):
         if page is not None:
             page.hands.turn(orientation)
 
+    def _look(self, event: Any) -> None:
+        if self._viewers is not None and event.client is not None:
+            self._viewers.look(event.client)
+
     def _slid(self, event: Any) -> None:
         # What the program sets has no client.
         if event.client is not None and self.page is not None:
@@ -277,7 +282,8 @@ class WebDevice(TeleopDevice):
         control = made.control
         task = made.definition.name.capitalize()
         opening = control.layout.opening_range if control.layout.jaws else None
-        panel.explain(task, getattr(made, "task_description", ""), control.names, opening)
+        roles = [mark.role if isinstance(mark, Patch) else "goal" for mark in made.moment.marks]
+        panel.explain(task, made.task_description, control.names, tuple(roles), opening)
         if self._own:
             limit = getattr(getattr(env, "spec", None), "max_episode_steps", None)
             end = "" if limit is None else f"after {limit * made._episodes.period:g} s, or "

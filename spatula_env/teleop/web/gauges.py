@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, PRESSURE_LIMITS, Color
-from spatula_env.teleop.web.readings import Reading
+from spatula_env.teleop.web.readings import Reading, css_color
 
 SPAN = 10.0
 """How much of the past the plot shows [s]."""
@@ -23,7 +23,7 @@ LIMIT_COLORS: tuple[Color, Color] = (PRESSURE.stops[1], PRESSURE.stops[2])
 FORCE_LINE, PRESSURE_LINE = "#3b82d6", "#e0455a"
 LIMIT_LINES = ("#c98a1b", "#d5406a")
 """Colours of curves, which have a contrast of 3 or more to white and to the dark panel."""
-PLOT_HEIGHT = 170
+PLOT_HEIGHT = 150
 
 
 class Bars:
@@ -51,7 +51,7 @@ class Bars:
             + _scale([(0.0, "0"), (0.5 * end, f"{0.5 * end:g}"), (end, f"{end:g} N")], end)
             + _bar("Peak pressure", f"{kilo:.2f} kPa", kilo, HIGHEST, warm, limits)
             + _scale(pressures, HIGHEST)
-            + f'<div class="small">Excess over {LOWER:.2f} kPa, summed over time'
+            + f'<div class="small">Dose above {LOWER:.2f} kPa'
             f'<span class="n">{1e-3 * reading.cost:.2f} kPa·s</span></div>'
         )
 
@@ -80,12 +80,12 @@ class Plot:
             ),
             scales=_scales(FORCE_STEPS[0]),
             axes=(
-                {"scale": "x", "size": 26, "label": "time before now [s]", "labelSize": 16, "labelFont": FONT},
-                {"scale": "kPa", "size": 30, "label": "pressure [kPa]", "labelSize": 16, "labelFont": FONT},
+                {"scale": "x", "size": 24, "label": "time before now [s]", "labelSize": 16, "labelFont": FONT},
+                {"scale": "kPa", "size": 38, "label": "pressure [kPa]", "labelSize": 16, "labelFont": FONT},
                 {
                     "scale": "N",
                     "side": 1,
-                    "size": 34,
+                    "size": 38,
                     "label": "force [N]",
                     "labelSize": 16,
                     "labelFont": FONT,
@@ -128,8 +128,8 @@ def _swatch(color: str, text: str, line: str = "solid") -> str:
 
 LEGEND = (
     f"<b>The last {SPAN:.0f} seconds</b>"
-    f'<div class="legend">{_swatch(PRESSURE_LINE, "peak pressure [kPa], left axis")}'
-    f"{_swatch(FORCE_LINE, 'contact force [N], right axis')}"
+    f'<div class="legend">{_swatch(PRESSURE_LINE, "peak pressure (left)")}'
+    f"{_swatch(FORCE_LINE, 'contact force (right)')}"
     f"{_swatch(LIMIT_LINES[0], f'{LOWER:.2f} kPa (20 mmHg)', 'dashed')}"
     f"{_swatch(LIMIT_LINES[1], f'{UPPER:.1f} kPa (30 mmHg)', 'dotted')}</div>"
 )
@@ -162,12 +162,3 @@ def _scale(marks: list[tuple[float, str]], end: float) -> str:
         shift = "0" if share == 0.0 else "-100%" if share == 1.0 else "-50%"
         spans.append(f'<span style="left:{100.0 * share:.2f}%;transform:translateX({shift})">{text}</span>')
     return f'<div class="scale">{"".join(spans)}</div>'
-
-
-def css_color(color: Any) -> str:
-    """A colour as style sheets name it.
-
-    Args:
-        color: Three numbers in 0..1.
-    """
-    return "#" + "".join(f"{round(255.0 * float(value)):02x}" for value in color)

@@ -50,7 +50,7 @@ AWAY = 3.0
 
 
 MOVES: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    (("KeyW", "KeyA", "KeyS", "KeyD"), "velocity_x", "or arrows: away, left, near, right"),
+    (("KeyW", "KeyA", "KeyS", "KeyD"), "velocity_x", "(or arrows) away, left, near, right"),
     (("KeyE", "KeyQ"), "velocity_z", "up, down"),
     (("KeyU", "KeyJ"), "rotation_x", "lean towards you, away"),
     (("KeyI", "KeyK"), "rotation_y", "lean right, left"),
@@ -220,13 +220,12 @@ def hints(names: tuple[str, ...], buttons: tuple[tuple[str, str], ...] = ()) -> 
     turns, jaws = any(name.startswith("rotation_") for name in names), "jaw_speed" in names
     keys = [("".join(map(_key, codes)), does) for codes, name, does in MOVES if name in names]
     keys += [(_key("ShiftLeft"), "slow"), *((_key(code), does) for code, does in buttons)]
-    shift = [f"with {_key('ShiftLeft')} at its height"]
-    drags = ["an arrow: along one axis"] + turns * ["the arc: turn it"] + jaws * ["the slider: open and close the jaws"]
-    drags += ["beside it: turn the view"]
+    drags = ["an arrow: one axis"] + turns * ["the arc: turn it"] + jaws * ["the slider: jaws"]
+    drags += ["beside it: the view"]
     return (
         '<div class="sp sp-keys">'
         + _line("keys", "Keys", [f"{what} {does}" for what, does in keys])
-        + _line("mouse", "Drag", ["the tool: move it", *shift, *drags, "wheel: zoom"])
+        + _line("mouse", "Drag", [f"the tool: move it ({_key('ShiftLeft')} at its height)", *drags, "wheel: zoom"])
         + _line("touch", "Drag", ["the tool: move it", *drags, "two fingers: zoom"])
         + "</div>"
     )

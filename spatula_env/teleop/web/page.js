@@ -121,7 +121,9 @@
     .sp table.goal { width: 100%; border-collapse: collapse; }
     .sp table.goal th { font-size: 11px; font-weight: 400; opacity: .8; text-align: left; padding: 0; }
     .sp table.goal th.n { text-align: right; }
-    .sp table.goal td { padding: 1px 0 1px 6px; vertical-align: top; }
+    .sp table.goal td { padding: 1px 0 1px 8px; vertical-align: top; }
+    .sp .colors { display: flex; flex-wrap: wrap; gap: 0 10px; font-size: 11px; margin: 0 0 4px; }
+    .sp .colors i { display: inline-block; width: 9px; height: 9px; margin-right: 4px; border-radius: 50%; }
     .sp table.goal td:first-child { padding-left: 0; width: 1em; }
     .sp tr.ok td:first-child, .sp tr.ok b { color: #2b8a3e; }
     .sp .hold { position: relative; margin: 4px 0 2px; border-radius: 4px; background: #8883; overflow: hidden; }
@@ -133,7 +135,7 @@
     .sp .key i { display: inline-block; width: 20px; margin-right: 4px; vertical-align: middle; }
     .sp-keys > div { font-size: 12px; line-height: 20px; }
     .sp-keys > div > span { margin-left: 8px; white-space: nowrap; }
-    .sp-keys em { font-style: normal; opacity: .8; }
+    @media (max-width: 60em) { .sp-keys > div { font-size: 11px; line-height: 18px; } }
     .sp-keys kbd { display: inline-block; min-width: 1.5em; padding: 0 3px; margin-right: 2px; border: 1px solid #8888;
       border-radius: 3px; font: 11px/15px system-ui, sans-serif; text-align: center; }
     .sp-keys .touch { display: none; }

@@ -9,7 +9,7 @@ from typing import Any
 from spatula_env.render.palette import FORCE
 from spatula_env.teleop.web.gauges import Bars, Plot
 from spatula_env.teleop.web.hands import hints
-from spatula_env.teleop.web.readings import Reading, Status, criteria_table
+from spatula_env.teleop.web.readings import Reading, Status, colors_in_words, criteria_table
 
 PLOT_EVERY = 2
 """Bars are shown so many times as often as the plot."""
@@ -53,7 +53,9 @@ class Panel:
         self._bars = Bars()
         self._shown = 0
         self._status = Status("Getting ready", "The first time, this takes a minute or two.")
-        self._task, self._names, self._instruction = "", (), ""
+        self._task = self._instruction = ""
+        self._names: tuple[str, ...] = ()
+        self._roles: tuple[str, ...] = ()
         self._buttons: tuple[tuple[str, str], ...] = ()
         self._reading = Reading(0.0, 0.0, 0.0)
         self._opening_set = 0.0
@@ -83,16 +85,24 @@ class Panel:
         button.on_click(lambda _: on_click())
         return button
 
-    def explain(self, task: str, instruction: str, names: tuple[str, ...], opening: tuple[float, float] | None) -> None:
+    def explain(
+        self,
+        task: str,
+        instruction: str,
+        names: tuple[str, ...],
+        roles: tuple[str, ...] = (),
+        opening: tuple[float, float] | None = None,
+    ) -> None:
         """Say what is asked, and how to do it.
 
         Args:
             task: Its name.
             instruction: A sentence.
             names: Of the numbers in an action.
+            roles: What is marked in the picture; see `colors_in_words`.
             opening: Least and greatest width between the jaws [m]; None: there are none.
         """
-        self._task, self._instruction, self._names = task, instruction, names
+        self._task, self._instruction, self._names, self._roles = task, instruction, names, roles
         self.jaws.visible = opening is not None
         if opening is not None:
             self.jaws.min, self.jaws.max = (1e3 * end for end in opening)
@@ -152,7 +162,9 @@ class Panel:
         )
         if instruction:
             content += f'<div class="task">{instruction}</div>'
-        content += (criteria_table(self._reading) if self._task else "") + "</div>"
+        if self._task:
+            content += colors_in_words(self._roles) + criteria_table(self._reading)
+        content += "</div>"
         if content != self._top.content:
             self._top.content = content
 

@@ -5,12 +5,19 @@ from __future__ import annotations
 import html
 import math
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
+from spatula_env.render.palette import CAUTION, FORCE, GOAL, MARKER, PRESSURE
 from spatula_env.tasks.criteria import Criterion
 
 SHOWN_UNITS: dict[str, tuple[float, str, int]]
 """For each unit: the factor to the one that is shown, its name, and how many decimals."""
 SHOWN_UNITS = {"m": (1e3, "mm", 1), "rad": (math.degrees(1.0), "°", 1), "1": (100.0, "%", 0), "N": (1.0, "N", 2)}
+
+
+ROLE_COLORS = MappingProxyType({"goal": GOAL, "target": MARKER, "caution": CAUTION})
+"""Of marks in the picture."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +72,8 @@ def in_words(value: float, unit: str, *, named: bool = True) -> str:
     """
     factor, name, decimals = SHOWN_UNITS.get(unit, (1.0, unit, 2))
     # No minus sign before a zero.
-    shown = round(factor * value, decimals) + 0.0
-    return f"{shown:.{decimals}f} {name}".rstrip() if named else f"{shown:.{decimals}f}"
+    shown = f"{round(factor * value, decimals) + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+    return f"{shown}{'' if name == '°' else ' '}{name}".rstrip() if named else shown
 
 
 def wanted_in_words(criterion: Criterion) -> str:
@@ -95,6 +102,28 @@ def criteria_table(reading: Reading) -> str:
         f'<div class="hold"><i style="width:{share:.0f}%"></i>'
         f"<span>all ✓ for {reading.hold_time:g} s without a break: {reading.held:.1f} s</span></div>"
     )
+
+
+def colors_in_words(roles: tuple[str, ...]) -> str:
+    """What the colours in the picture stand for, as HTML.
+
+    Args:
+        roles: Of the marks that are there: "goal", and those of patches.
+    """
+    meanings = {"goal": "goal", "target": "what is to be moved", "caution": "to be spared"}
+    named = [(ROLE_COLORS[role], said) for role, said in meanings.items() if role in roles]
+    named += [(FORCE, "force"), (PRESSURE.stops[1], "pressure")]
+    spans = (f'<span><i style="background:{css_color(color)}"></i>{said}</span>' for color, said in named)
+    return f'<div class="colors">{"".join(spans)}</div>'
+
+
+def css_color(color: Any) -> str:
+    """A colour as style sheets name it.
+
+    Args:
+        color: Three numbers in 0..1.
+    """
+    return "#" + "".join(f"{round(255.0 * float(value)):02x}" for value in color)
 
 
 def _criterion_row(criterion: Criterion) -> str:

@@ -82,7 +82,8 @@ class Viewers:
             for viewer in self._viewers.values():
                 if anew or not viewer.moved:
                     self._look(viewer)
-                self._color(viewer)
+                else:
+                    self._color(viewer)
 
     def look(self, client: Any) -> None:
         """Go back to the first view on one page.
@@ -104,16 +105,17 @@ class Viewers:
                 switch = client.gui.add_checkbox(DARK, False)
             self._look(viewer)
 
-        @switch.on_update
-        async def _(_: Any) -> None:
+        async def switched(_: Any) -> None:
             with self._lock:
                 viewer.dark = bool(switch.value)
                 theme(client.gui, dark=viewer.dark)
                 self._color(viewer)
 
-        @client.camera.on_update
-        async def _(camera: Any) -> None:
+        async def moved(camera: Any) -> None:
             self._moved(viewer, camera)
+
+        switch.on_update(switched)
+        client.camera.on_update(moved)
 
     async def _leave(self, client: Any) -> None:
         with self._lock:
@@ -122,14 +124,15 @@ class Viewers:
     def _moved(self, viewer: _Viewer, camera: Any) -> None:
         with self._lock:
             given = viewer.given
-            if given is None or time.monotonic() < viewer.when + SETTLING:
+            if given is None or viewer.moved:
+                return
+            if abs(_aspect(camera) - viewer.aspect) > 0.01 * viewer.aspect:
+                # Another size, as when a panel is opened: all of it is to be seen still.
+                self._look(viewer)
                 return
             away = 1e-2 * math.dist(given.position, given.target)
-            if math.dist(camera.position, given.position) > away or math.dist(camera.look_at, given.target) > away:
-                viewer.moved = True
-            # Another size, as when a panel is opened: all of it is to be seen still.
-            elif abs(_aspect(camera) - viewer.aspect) > 0.02 * viewer.aspect:
-                self._look(viewer)
+            elsewhere = max(math.dist(camera.position, given.position), math.dist(camera.look_at, given.target)) > away
+            viewer.moved = elsewhere and time.monotonic() > viewer.when + SETTLING
 
     def _look(self, viewer: _Viewer) -> None:
         if self._points is None or self._viewpoint is None:
@@ -142,6 +145,7 @@ class Viewers:
         with viewer.client.atomic():
             handle.up_direction, handle.fov = camera.up, math.radians(camera.vertical_field_of_view)
             handle.position, handle.look_at = camera.position, camera.target
+        self._color(viewer)
 
     def _color(self, viewer: _Viewer) -> None:
         if viewer.given is not None:
