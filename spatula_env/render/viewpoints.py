@@ -84,9 +84,7 @@ def viewpoint_of(scene: Scene) -> Viewpoint:
     return replace(viewpoint, azimuth=(azimuth + 180.0) % 360.0 - 180.0)
 
 
-def viewpoint_toward(
-    scene: Scene, nodes: FloatArray, triangles: NDArray[np.int32], marks: Sequence[Mark]
-) -> Viewpoint:
+def viewpoint_toward(scene: Scene, nodes: FloatArray, triangles: NDArray[np.int32], marks: Sequence[Mark]) -> Viewpoint:
     """The viewpoint that suits a scene and a goal: on the side of the part of the organ that a task is about.
 
     Args:

@@ -162,7 +162,9 @@ def test_only_keys_that_move_something_are_named():
 
 
 def test_every_rate_that_keys_command_is_explained():
-    every = hints(tuple(f"velocity_{axis}" for axis in "xyz") + tuple(f"rotation_{axis}" for axis in "xyz") + ("jaw_speed",))
+    every = hints(
+        tuple(f"velocity_{axis}" for axis in "xyz") + tuple(f"rotation_{axis}" for axis in "xyz") + ("jaw_speed",)
+    )
     for code in KEYS:
         if not code.startswith(("Arrow", "Page")):
             assert f'data-code="{code}"' in every

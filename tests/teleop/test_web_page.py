@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from web_helpers import PATIENCE, open_browser, until
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, open_browser, until, wait_for
 
 from spatula_env.teleop.web import WebDevice, WebSession
 
@@ -16,34 +16,6 @@ minari = pytest.importorskip("minari", reason="the extra data is not installed")
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900)]
 
 SIZE = {"width": 800, "height": 480}
-
-# The first `count` of the vertices that are drawn.
-MESH = """([name, count]) => {
-  const node = window.__viserMutable?.nodeRefFromName?.[name];
-  let found = null;
-  node?.traverse((each) => { if (found === null && each.geometry?.attributes?.position) found = each; });
-  if (found === null) return null;
-  const visible = (each) => each === null || (each.visible && visible(each.parent));
-  const { position, normal } = found.geometry.attributes;
-  return {
-    points: Array.from(position.array.slice(0, 3 * count)),
-    smooth: normal?.count === position.count && !found.material.flatShading,
-    visible: visible(found),
-  };
-}"""
-
-HUSH = """() => {
-  const buttons = document.querySelectorAll("[class*=Notification] button");
-  buttons.forEach((button) => button.click());
-  return buttons.length;
-}"""
-
-SEEN_AT = """(name) => {
-  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
-  const place = nodeRefFromName[name].getWorldPosition(camera.position.clone()).project(camera);
-  const box = canvas.getBoundingClientRect();
-  return [box.left + (0.5 + 0.5 * place.x) * box.width, box.top + (0.5 - 0.5 * place.y) * box.height];
-}"""
 
 
 @pytest.fixture(scope="module")
@@ -74,23 +46,6 @@ def page(browser, session):
     assert errors == []
 
 
-def wait_for(page, holds, what):
-    """Wait, and let the browser's messages come in meanwhile."""
-
-    def look():
-        page.wait_for_timeout(150)
-        return holds()
-
-    return until(look, what)
-
-
-def mesh(page, name, count=0):
-    found = page.evaluate(MESH, [name, count])
-    if found is not None:
-        found["points"] = np.array(found["points"]).reshape(-1, 3)
-    return found
-
-
 def nodes(session):
     return np.array(session.env.unwrapped.simulation.nodes)
 
@@ -99,10 +54,6 @@ def vertices(session):
     """What has to be drawn first of the organ: its nodes, in another order."""
     found = nodes(session)
     return session.device._stage._surface.place(found)[: len(found)]
-
-
-def click(page, label):
-    page.get_by_role("button", name=label).click()
 
 
 def new_episode(page, session):
@@ -165,8 +116,8 @@ def test_keys_do_not_move_the_camera_and_text_moves_no_tool(page, session):
 def test_the_mouse_drags_the_tool(page, session):
     new_episode(page, session)
     place = session.device._grip.copy()
-    page.get_by_text("View and keys").click()
-    page.get_by_text("Arrows to drag by").click()
+    page.get_by_text("View and speed").click()
+    page.get_by_text("Handles to drag by").click()
     x, y = page.evaluate(SEEN_AT, "/tool/0")
     page.mouse.move(x, y)
     wait_for(page, lambda: mesh(page, "/tool/0"), "the tool in the page")
@@ -183,8 +134,8 @@ def test_the_mouse_drags_the_tool(page, session):
     wait_for(page, lambda: session.device._grip[2] < place[2] - 0.003, "the tool follows downwards")
     page.mouse.up()
     wait_for(page, lambda: session.device.page.hands.target is None, "the mouse lets go")
-    page.get_by_text("Arrows to drag by").click()
-    page.get_by_text("View and keys").click()
+    page.get_by_text("Handles to drag by").click()
+    page.get_by_text("View and speed").click()
 
 
 def test_an_episode_is_recorded_from_the_page(page, session):

@@ -11,6 +11,7 @@ import threading
 import time
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 PATIENCE = 200.0
@@ -105,3 +106,53 @@ class Script:
     def _say(self):
         with contextlib.suppress(Exception):
             self._line.send(json.dumps({"keys": self._keys, "hidden": False, "frames": self.frames}))
+
+
+# The first `count` of the vertices that are drawn.
+MESH = """([name, count]) => {
+  const node = window.__viserMutable?.nodeRefFromName?.[name];
+  let found = null;
+  node?.traverse((each) => { if (found === null && each.geometry?.attributes?.position) found = each; });
+  if (found === null) return null;
+  const visible = (each) => each === null || (each.visible && visible(each.parent));
+  const { position, normal } = found.geometry.attributes;
+  return {
+    points: Array.from(position.array.slice(0, 3 * count)),
+    smooth: normal?.count === position.count && !found.material.flatShading,
+    visible: visible(found),
+  };
+}"""
+
+HUSH = """() => {
+  const buttons = document.querySelectorAll("[class*=Notification] button");
+  buttons.forEach((button) => button.click());
+  return buttons.length;
+}"""
+
+SEEN_AT = """(name) => {
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  const place = nodeRefFromName[name].getWorldPosition(camera.position.clone()).project(camera);
+  const box = canvas.getBoundingClientRect();
+  return [box.left + (0.5 + 0.5 * place.x) * box.width, box.top + (0.5 - 0.5 * place.y) * box.height];
+}"""
+
+
+def wait_for(page, holds, what):
+    """Wait, and let the browser's messages come in meanwhile."""
+
+    def look():
+        page.wait_for_timeout(150)
+        return holds()
+
+    return until(look, what)
+
+
+def mesh(page, name, count=0):
+    found = page.evaluate(MESH, [name, count])
+    if found is not None:
+        found["points"] = np.array(found["points"]).reshape(-1, 3)
+    return found
+
+
+def click(page, label):
+    page.get_by_role("button", name=label).click()

@@ -237,8 +237,16 @@
     }
   };
 
+  // Where a plot is given its size and data at once, it forgets to find the ticks of its axes.
+  const drawAxes = () => {
+    for (const { chart } of Object.values(window.__viserTestpoints?.uplots ?? {})) {
+      if (chart.width > 0 && chart.axes.some((axis) => axis.show && axis._found?.[1] === 0)) chart.redraw(true, true);
+    }
+  };
+
   const look = () => {
     showKeys();
+    drawAxes();
     fit();
     sayLost();
     choose();

@@ -1,0 +1,366 @@
+"""The page explains itself: what is asked, what is where, and what hands can do, on large screens and small ones."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, open_browser, wait_for
+
+from spatula_env.geometry.rotations import to_rotation_vector
+from spatula_env.teleop.web import WebSession
+from spatula_env.teleop.web.session import task_ids
+
+pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
+pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
+
+pytestmark = [pytest.mark.browser, pytest.mark.timeout(900)]
+
+SIZES = {"phone": (390, 844), "small": (800, 600), "large": (1280, 800)}
+TASKS = [f"Spatula/{name}-v0" for name in ("Press", "Retract", "Fissure", "Clamp", "Palpate")]
+
+LAYOUT = """() => {
+  const box = (each) => (({ left, top, right, bottom }) => [left, top, right, bottom])(each.getBoundingClientRect());
+  const canvas = document.querySelector("canvas");
+  const top = document.querySelector("#root .sp-top");
+  const panel = top.closest('[style*="position: fixed"]') ?? top;
+  return {
+    canvas: box(canvas), panel: box(panel), foot: box(document.getElementById("sp-foot")),
+    wide: document.documentElement.scrollWidth, tall: document.documentElement.scrollHeight,
+    over: [...document.querySelectorAll(".sp, .sp *")].filter(
+      (each) => each.clientWidth > 0 && each.scrollWidth > each.clientWidth + 1 && !each.closest(".scale")
+    ).map((each) => each.outerHTML),
+    small: [...document.querySelectorAll(".sp *")].filter(
+      (each) => each.clientHeight > 0 && parseFloat(getComputedStyle(each).fontSize) < 11
+    ).length,
+  };
+}"""
+EXTENT = """(name) => {
+  const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+  let position = null;
+  nodeRefFromName[name]?.traverse((each) => { position ??= each.geometry?.attributes?.position ?? null; });
+  if (position === null) return null;
+  const box = canvas.getBoundingClientRect();
+  const seen = [...Array(position.count).keys()].map((index) =>
+    camera.position.clone().fromBufferAttribute(position, index).project(camera));
+  const across = seen.map((place) => box.left + (0.5 + 0.5 * place.x) * box.width);
+  const down = seen.map((place) => box.top + (0.5 - 0.5 * place.y) * box.height);
+  return [Math.min(...across), Math.min(...down), Math.max(...across), Math.max(...down)];
+}"""
+AXES = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(
+  ({ chart }) => chart.axes.map((axis) => axis._found?.[1] > 0 && axis._values?.length > 1))"""
+SCHEME = "() => document.documentElement.dataset.mantineColorScheme"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with open_browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("datasets")
+    with WebSession(TASKS[0], port=0, dataset=folder, seed=0, env_kwargs={"engine": "batch"}) as made:
+        yield made
+
+
+def visit(browser, session, size="large", **options):
+    width, height = SIZES[size]
+    opened = browser.new_context(viewport={"width": width, "height": height}, **options).new_page()
+    opened.set_default_timeout(1000.0 * PATIENCE)
+    opened.goto(session.url)
+    wait_for(opened, lambda: mesh(opened, "/organ"), "the organ in the page")
+    wait_for(opened, lambda: session._status.text == "Practice", "an episode")
+    wait_for(opened, lambda: opened.evaluate(HUSH) == 0, "no notification")
+    return opened
+
+
+@pytest.fixture(scope="module")
+def page(browser, session):
+    opened = visit(browser, session)
+    errors = []
+    opened.on("pageerror", lambda error: errors.append(str(error)))
+    yield opened
+    opened.context.close()
+    assert errors == []
+
+
+def take(page, session, task):
+    """Have a task on the page, and a new episode of it."""
+    if session.env is None or session.env.spec.id != task:
+        session._choice.value = task
+        session._ask("task")
+        wait_for(page, lambda: session.env is not None and session.env.spec.id == task, "another task")
+        name = task.partition("/")[2].partition("-")[0]
+        wait_for(page, lambda: page.title() == f"{name} – Spatula", "the task's name")
+    else:
+        before = session.env.unwrapped.goal
+        session._ask("reset")
+        wait_for(page, lambda: (session.env.unwrapped.goal != before).any(), "a new episode")
+    count = session.device._sequence
+    wait_for(page, lambda: session.device._sequence > count + 3, "steps of it")
+
+
+def resize(page, size):
+    width, height = SIZES[size]
+    page.set_viewport_size({"width": width, "height": height})
+    seen = []
+
+    def settled():
+        page.wait_for_timeout(300)
+        seen.append(page.evaluate(LAYOUT)["canvas"])
+        return len(seen) > 3 and seen[-1] == seen[-2] == seen[-3] and seen[-1][2] <= width + 1
+
+    wait_for(page, settled, "a picture of that size")
+
+
+def info(session):
+    return session.env.unwrapped._episodes.info
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_it_says_what_is_asked_how_near_it_is_and_what_hands_can_do(page, session, task):
+    take(page, session, task)
+    made = session.env.unwrapped
+    assert made.task_description in page.locator(".sp-top .task").inner_text()
+    rows = page.locator(".sp-top tr").all_inner_texts()[1:]
+    criteria = made.task.criteria(made._episodes.achieved[0], made.goal)
+    assert [criterion.name for criterion in criteria] == [row.split("\t")[1] for row in rows]
+    assert all(any(unit in row for unit in ("mm", "°", "%", "N")) for row in rows)
+    assert f"for {made.task.hold_time:g} s" in page.locator(".sp-top .hold").inner_text()
+    # Keys of this task only, in sight.
+    foot = page.locator("#sp-foot")
+    assert foot.is_visible()
+    codes = foot.locator("kbd").evaluate_all("all => all.map((key) => key.dataset.code)")
+    names = made.control.names
+    assert ("KeyU" in codes) == ("rotation_x" in names) and ("Period" in codes) == ("jaw_speed" in names)
+    assert "KeyI" not in codes and "KeyO" not in codes and {"KeyW", "KeyQ", "Enter"} <= set(codes)
+    # Handles to turn it by, and the jaws' slider, where there is something to turn or to open.
+    assert (mesh(page, "/turn/x") is not None) == ("rotation_x" in names)
+    assert (page.get_by_text("Jaws [mm]").count() > 0) == ("jaw_speed" in names)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("task", [TASKS[2], TASKS[3]])
+def test_nothing_is_hidden_on_any_screen(page, session, task, size):
+    take(page, session, task)
+    resize(page, size)
+    width, height = SIZES[size]
+    seen = page.evaluate(LAYOUT)
+    canvas, panel, foot = seen["canvas"], seen["panel"], seen["foot"]
+    assert seen["wide"] <= width and seen["tall"] <= height
+    # The picture is a good part of the screen, and under nothing.
+    assert (canvas[2] - canvas[0]) * (canvas[3] - canvas[1]) > 0.4 * width * height
+    if size == "phone":
+        assert canvas[3] <= panel[1] + 1 and panel[0] <= 1 and panel[2] >= width - 1
+    else:
+        assert canvas[2] <= panel[0] + 1 and canvas[3] <= foot[1] + 1
+    assert seen["over"] == [] and seen["small"] == 0
+    # All that is to be seen at first is in the picture: the goal, too.
+    for name in ("/goal/0", "/goal/1"):
+        if page.evaluate(EXTENT, name) is not None:
+            left, top, right, bottom = page.evaluate(EXTENT, name)
+            assert canvas[0] <= left < right <= canvas[2] and canvas[1] <= top < bottom <= canvas[3]
+    x, y = page.evaluate(SEEN_AT, "/tool/0")
+    assert canvas[0] <= x <= canvas[2] and canvas[1] <= y <= canvas[3]
+    wait_for(page, lambda: all(all(axes) for axes in page.evaluate(AXES)), "axes of the plot")
+    if size == "phone":
+        page.get_by_text("Spatula", exact=True).first.click()
+        wait_for(page, lambda: page.evaluate(LAYOUT)["canvas"][3] > canvas[3] + 150, "a larger picture")
+        page.get_by_text("Spatula", exact=True).first.click()
+        wait_for(page, lambda: page.evaluate(LAYOUT)["canvas"][3] < canvas[3] + 20, "the panel again")
+    resize(page, "large")
+
+
+def goal_pixels(page):
+    from PIL import Image
+
+    left, top, right, bottom = (round(value) for value in page.evaluate(LAYOUT)["canvas"])
+    box = {"x": left, "y": top, "width": right - left, "height": bottom - top}
+    picture = np.asarray(Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB"), dtype=float)
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    # Green on a red organ, also where half of it shines through.
+    return int(((green > red + 8.0) & (green > blue - 20.0)).sum())
+
+
+@pytest.mark.parametrize("task", [TASKS[0], TASKS[1], TASKS[2]])
+def test_a_goal_inside_the_organ_shines_through(page, session, task):
+    take(page, session, task)
+    page.get_by_text("View and speed").click()
+    page.get_by_text("Handles to drag by").click()
+    through = "() => Object.keys(window.__viserMutable.nodeRefFromName).filter((name) => name.startsWith('/through/'))"
+    show = "([names, on]) => names.forEach((name) => { window.__viserMutable.nodeRefFromName[name].visible = on; })"
+    deep = """() => Object.entries(window.__viserMutable.nodeRefFromName).some(([name, node]) => {
+      let found = false;
+      if (name.startsWith("/through/")) node.traverse((each) => { found ||= each.material?.depthTest === true; });
+      return found;
+    })"""
+    wait_for(page, lambda: page.evaluate(through) and not page.evaluate(deep), "what shines through")
+    page.wait_for_timeout(600)
+    shining = goal_pixels(page)
+    names = page.evaluate(through)
+    count = session.device._sequence
+    page.evaluate(show, [names, False])
+    wait_for(page, lambda: session.device._sequence > count + 4, "another picture")
+    page.wait_for_timeout(600)
+    plain = goal_pixels(page)
+    page.evaluate(show, [names, True])
+    page.get_by_text("Handles to drag by").click()
+    page.get_by_text("View and speed").click()
+    # More of it is seen by far than without: in a fold, nothing would be.
+    assert shining > 60 and shining > 1.3 * plain
+
+
+def test_keys_work_after_a_click_on_buttons_and_sliders(page, session):
+    take(page, session, TASKS[0])
+    click(page, "New episode")
+    page.get_by_text("View and speed").click()
+    slider = page.locator("[role=slider]").last
+    wait_for(page, slider.is_visible, "the slider")
+    box = slider.bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    speed, place = session.device.panel.speed.value, session.device._grip.copy()
+    page.keyboard.down("ArrowRight")
+    wait_for(page, lambda: session.device._grip[0] > place[0] + 0.002, "the tool goes to the right")
+    page.keyboard.up("ArrowRight")
+    assert session.device.panel.speed.value == speed
+    # A number that was typed is no more in the keys' way.
+    field = page.locator("#root input[inputmode=numeric], #root input[inputmode=decimal]").last
+    field.fill("20")
+    field.press("Enter")
+    wait_for(page, lambda: session.device.panel.speed.value == 20, "another speed")
+    place = session.device._grip.copy()
+    page.keyboard.down("KeyA")
+    wait_for(page, lambda: session.device._grip[0] < place[0] - 0.001, "the tool goes to the left")
+    page.keyboard.up("KeyA")
+    page.get_by_text("View and speed").click()
+
+
+def test_the_mouse_turns_the_blade(page, session):
+    take(page, session, TASKS[2])
+
+    def tilt():
+        turned = session.device._orientation
+        return float(np.degrees(np.linalg.norm(to_rotation_vector(turned)))), turned.copy()
+
+    before = tilt()[1]
+    # Somewhere on the arc, which lies between the axes y and z.
+    x, y = page.evaluate("""() => {
+      const { nodeRefFromName, camera, canvas } = window.__viserMutable;
+      const node = nodeRefFromName["/turn/x"];
+      let line = null;
+      node.traverse((each) => { if (each.isLine2 || each.type === "Line2") line ??= each; });
+      const place = line.geometry.attributes.instanceStart;
+      const index = Math.floor(place.count / 2);
+      const point = camera.position.clone().set(place.getX(index), place.getY(index), place.getZ(index));
+      const seen = line.localToWorld(point).project(camera);
+      const box = canvas.getBoundingClientRect();
+      return [box.left + (0.5 + 0.5 * seen.x) * box.width, box.top + (0.5 - 0.5 * seen.y) * box.height];
+    }""")
+    page.mouse.move(x, y)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    for step in range(1, 13):
+        page.mouse.move(x - 4 * step, y - 3 * step)
+        page.wait_for_timeout(60)
+    wait_for(page, lambda: session.device.page.hands.orientation is not None, "an orientation to turn to")
+    wait_for(page, lambda: np.abs(session.device._orientation - before).max() > 0.03, "a blade that turns")
+    page.mouse.up()
+    wait_for(page, lambda: session.device.page.hands.orientation is None, "the mouse lets go")
+
+
+def test_the_mouse_closes_the_jaws(page, session):
+    take(page, session, TASKS[3])
+    before = session.device._width
+    thumb = page.locator("[role=slider]").first
+    box = thumb.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for step in range(1, 6):
+        page.mouse.move(x - 8 * step, y)
+        page.wait_for_timeout(60)
+    page.mouse.up()
+    wait_for(page, lambda: session.device._width < before - 0.004, "jaws that close")
+    wait_for(page, lambda: session.device.page.hands.opening is None, "jaws where they are to be")
+    wait_for(page, lambda: abs(1e3 * session.device._width - session.device.panel.jaws.value) < 0.6, "the slider")
+
+
+def test_a_press_is_done_by_mouse_and_keys(page, session):
+    take(page, session, TASKS[0])
+    made = session.env.unwrapped
+    goal = made.goal
+
+    def hold(key, reached, what):
+        page.keyboard.down(key)
+        wait_for(page, reached, what)
+        page.keyboard.up(key)
+        wait_for(page, lambda: not session.device.page.hands.keys, "a key that is let go")
+
+    session.device.panel.speed.value = 10
+    for axis, (less, more) in enumerate((("KeyA", "KeyD"), ("KeyS", "KeyW"))):
+        away = goal[axis] - session.device._grip[axis]
+        sign = np.sign(away)
+        key = more if away > 0.0 else less
+        hold(key, lambda a=axis, s=sign: s * (goal[a] - session.device._grip[a]) < 0.0012, "a place")
+    # By the mouse down to the organ, on the upward arrow; by keys to the depth.
+    hold("KeyQ", lambda: info(session)["depth"][0] > goal[2] - 0.0006, "a depth")
+    for _ in range(12):
+        if info(session)["is_success"][0]:
+            break
+        error = goal[2] - info(session)["depth"][0]
+        if abs(error) > 0.0008:
+            key = "KeyQ" if error > 0.0 else "KeyE"
+            page.keyboard.down("Shift")
+            hold(key, lambda: abs(goal[2] - info(session)["depth"][0]) < 0.0006, "the depth")
+            page.keyboard.up("Shift")
+        page.wait_for_timeout(800)
+    wait_for(page, lambda: info(session)["is_success"][0], "success")
+    wait_for(page, lambda: page.locator(".sp-top .success").count() == 1, "which is said")
+    assert "Success: held for 0.5 s" in page.locator(".sp-top .success").inner_text()
+    assert "✓" in page.locator(".sp-top tr.ok").first.inner_text()
+
+
+def test_what_was_said_of_an_episode_goes_away_with_the_next(page, session):
+    take(page, session, TASKS[0])
+    click(page, "Record an episode")
+    wait_for(page, lambda: session._status.text == "Ready", "recording")
+    wait_for(page, lambda: "Backspace" in page.locator("#sp-foot").inner_text(), "the keys for it")
+    click(page, "Discard")
+    wait_for(page, lambda: "not kept" in page.locator(".sp-top").inner_text(), "what has become of it")
+    wait_for(page, lambda: page.get_by_role("button", name="New episode").count() == 1, "the buttons")
+    click(page, "New episode")
+    wait_for(page, lambda: "Nothing is recorded" in page.locator(".sp-top").inner_text(), "no word of it")
+
+
+def test_colours_follow_the_system_until_somebody_chooses(browser, session, page):
+    dark = visit(browser, session, "small", color_scheme="dark")
+    wait_for(dark, lambda: dark.evaluate(SCHEME) == "dark", "dark colours")
+    # Each page has its own.
+    assert page.evaluate(SCHEME) == "light"
+    wait_for(dark, lambda: all(all(axes) for axes in dark.evaluate(AXES)), "axes of the plot")
+    color = dark.locator(".sp-top .state").evaluate("each => getComputedStyle(each).color")
+    assert min(int(part) for part in color.strip("rgb()").split(",")) > 150
+    dark.get_by_text("View and speed").click()
+    dark.get_by_label("Dark colours").click()
+    wait_for(dark, lambda: dark.evaluate(SCHEME) == "light", "light colours")
+    dark.emulate_media(color_scheme="light")
+    dark.emulate_media(color_scheme="dark")
+    dark.wait_for_timeout(600)
+    assert dark.evaluate(SCHEME) == "light"
+    dark.context.close()
+
+
+def test_a_page_says_when_nobody_serves_it_any_more(browser, tmp_path):
+    with WebSession(TASKS[0], port=0, dataset=tmp_path, env_kwargs={"engine": "batch"}) as served:
+        left = visit(browser, served, "small")
+        assert not left.locator("#sp-lost").is_visible()
+    left.locator("#sp-lost").wait_for(state="visible")
+    assert "Disconnected" in left.locator("#sp-lost").inner_text()
+    left.context.close()
+
+
+def test_all_tasks_were_tried():
+    assert set(TASKS) == set(task_ids())
