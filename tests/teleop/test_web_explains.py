@@ -110,8 +110,12 @@ def resize(page, size):
 
     def settled():
         page.wait_for_timeout(300)
-        seen.append(page.evaluate(LAYOUT)["canvas"])
-        return len(seen) > 3 and seen[-1] == seen[-2] == seen[-3] and seen[-1][2] <= width + 1
+        now = page.evaluate(LAYOUT)
+        seen.append(now["canvas"])
+        fits = now["panel"][2] <= width and (
+            now["panel"][0] <= 1 if size == "phone" else now["canvas"][3] > 0.8 * height
+        )
+        return fits and len(seen) > 3 and seen[-1] == seen[-2] == seen[-3]
 
     wait_for(page, settled, "a picture of that size")
 
@@ -159,10 +163,15 @@ def test_nothing_is_hidden_on_any_screen(page, session, task, size):
         assert canvas[2] <= panel[0] + 1 and canvas[3] <= foot[1] + 1
     assert seen["over"] == [] and seen["small"] == 0
     # All that is to be seen at first is in the picture: the goal, too.
-    for name in ("/goal/0", "/goal/1"):
-        if page.evaluate(EXTENT, name) is not None:
-            left, top, right, bottom = page.evaluate(EXTENT, name)
-            assert canvas[0] <= left < right <= canvas[2] and canvas[1] <= top < bottom <= canvas[3]
+
+    def goal_in_view():
+        extents = [found for found in (page.evaluate(EXTENT, f"/goal/{index}") for index in range(3)) if found]
+        return extents and all(
+            canvas[0] <= left < right <= canvas[2] and canvas[1] <= top < bottom <= canvas[3]
+            for left, top, right, bottom in extents
+        )
+
+    wait_for(page, goal_in_view, "the goal in the picture")
     x, y = page.evaluate(SEEN_AT, "/tool/0")
     assert canvas[0] <= x <= canvas[2] and canvas[1] <= y <= canvas[3]
     wait_for(page, lambda: all(all(axes) for axes in page.evaluate(AXES)), "axes of the plot")
@@ -181,15 +190,14 @@ def goal_pixels(page):
     box = {"x": left, "y": top, "width": right - left, "height": bottom - top}
     picture = np.asarray(Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB"), dtype=float)
     red, green, blue = np.moveaxis(picture, -1, 0)
-    # Green on a red organ, also where half of it shines through.
-    return int(((green > red + 8.0) & (green > blue - 20.0)).sum())
+    # The organ is rather red and the ground rather blue; also where it shines through, the goal is neither.
+    return int(((green > red + 4.0) & (green > blue + 6.0)).sum())
 
 
 @pytest.mark.parametrize("task", [TASKS[0], TASKS[1], TASKS[2]])
 def test_a_goal_inside_the_organ_shines_through(page, session, task):
     take(page, session, task)
-    page.get_by_text("View and speed").click()
-    page.get_by_text("Handles to drag by").click()
+    session.device._stage.set_gizmo(False)
     through = "() => Object.keys(window.__viserMutable.nodeRefFromName).filter((name) => name.startsWith('/through/'))"
     show = "([names, on]) => names.forEach((name) => { window.__viserMutable.nodeRefFromName[name].visible = on; })"
     deep = """() => Object.entries(window.__viserMutable.nodeRefFromName).some(([name, node]) => {
@@ -207,8 +215,7 @@ def test_a_goal_inside_the_organ_shines_through(page, session, task):
     page.wait_for_timeout(600)
     plain = goal_pixels(page)
     page.evaluate(show, [names, True])
-    page.get_by_text("Handles to drag by").click()
-    page.get_by_text("View and speed").click()
+    session.device._stage.set_gizmo(True)
     # More of it is seen by far than without: in a fold, nothing would be.
     assert shining > 60 and shining > 1.3 * plain
 
@@ -216,8 +223,9 @@ def test_a_goal_inside_the_organ_shines_through(page, session, task):
 def test_keys_work_after_a_click_on_buttons_and_sliders(page, session):
     take(page, session, TASKS[0])
     click(page, "New episode")
-    page.get_by_text("View and speed").click()
     slider = page.locator("[role=slider]").last
+    if not slider.is_visible():
+        page.get_by_text("View and speed").click()
     wait_for(page, slider.is_visible, "the slider")
     box = slider.bounding_box()
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
@@ -235,7 +243,6 @@ def test_keys_work_after_a_click_on_buttons_and_sliders(page, session):
     page.keyboard.down("KeyA")
     wait_for(page, lambda: session.device._grip[0] < place[0] - 0.001, "the tool goes to the left")
     page.keyboard.up("KeyA")
-    page.get_by_text("View and speed").click()
 
 
 def test_the_mouse_turns_the_blade(page, session):
