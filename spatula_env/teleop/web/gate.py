@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env.teleop.device import DeviceBusy, DeviceError
 from spatula_env.teleop.web.access import TOKEN, Doorkeeper
+from spatula_env.teleop.web.document import dressed
 from spatula_env.teleop.web.hands import Hands
 
 if TYPE_CHECKING:
@@ -248,10 +249,10 @@ def _with_script() -> bytes:
         document = files("viser").joinpath("client", "build", "index.html").read_bytes()
     except FileNotFoundError as error:
         raise DeviceError("this version of viser comes without its page; take viser 1.1.1") from error
-    head, found, rest = document.partition(b"<head>")
-    if not found:
-        raise DeviceError("the page of this version of viser has no head; take viser 1.1.1")
-    return b"".join([head, found, f'<script src="{SCRIPT}"></script>'.encode(), rest])
+    try:
+        return dressed(document, SCRIPT)
+    except ValueError as error:
+        raise DeviceError("the page of this version of viser has no head; take viser 1.1.1") from error
 
 
 def _unfolded(request: Request) -> dict[str, list[str]]:
