@@ -102,6 +102,13 @@ def test_a_page_that_vanishes_while_a_key_is_held_stops_the_tool(session):
     assert session.device.read().rate.tolist() == [0.0, 0.0, 0.0]
 
 
+def test_practice_has_no_limit_of_time(session):
+    with Script(session.url):
+        until(lambda: session.env is not None and session.env.unwrapped._episodes.info, "an episode")
+        limit = session.env.spec.max_episode_steps * session.env.unwrapped._episodes.period
+        until(lambda: session.env.unwrapped._episodes.info["time"][0] > limit + 0.5, "more than an episode's time")
+
+
 def test_an_episode_is_recorded(session):
     with Script(session.url) as script:
         start_recording(session, script)

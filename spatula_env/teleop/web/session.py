@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -249,7 +249,7 @@ class WebSession:
         try:
             if self.recording.options.exclusive and not self.recording.claimed:
                 claims.enter_context(self.recording.claim(self.env))
-            # Without recording, there is no limit of time.
+            # Without recording, there is no limit of time: neither Gymnasium's nor the environment's own.
             practice, timed = (
                 FalconTeleop(env, self._device, real_time=self._real_time) for env in (self.env.unwrapped, self.env)
             )
@@ -264,7 +264,7 @@ class WebSession:
                 if asked == TASK and self._take_choice():
                     break
                 self._say("Practice", self._said or PRACTICE)
-                with _Mishaps(self):
+                with _Mishaps(self), _no_limit(self.env.unwrapped):
                     ends = self.recording.options.end_on_success
                     practised = run_episode(practice, seed=seed, end_on_success=ends, after_step=self._after_practice)
                     self._progress("practice", practised)
@@ -441,6 +441,16 @@ class _Mishaps:
             self._session._tell("Something went wrong", str(error), "red")
             return True
         return False
+
+
+@contextmanager
+def _no_limit(made: Any) -> Iterator[None]:
+    """Have an environment's episodes go on for as long as somebody plays."""
+    limit, made._max_episode_steps = made._max_episode_steps, None
+    try:
+        yield
+    finally:
+        made._max_episode_steps = limit
 
 
 def task_ids() -> list[str]:

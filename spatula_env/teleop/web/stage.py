@@ -36,6 +36,8 @@ SEEN_THROUGH = 0.45
 """Opacity of an organ that is to be seen through."""
 GIZMO_SIZE, ARC_SIZE = 0.9, 1.6
 """Of the handles to drag the tool by, and of those to turn it by [u]."""
+UPSIDE_DOWN = (0.0, 1.0, 0.0, 0.0)
+"""No tool is: viser tells pages of an orientation that is not the last one, and they keep that of a tool before."""
 GROUND_SIZE = 400.0
 """Edge of the ground [u]."""
 GROUND: Color = (0.62, 0.66, 0.70)
@@ -180,7 +182,7 @@ class Stage:
 
     def _add_tool(self, index: int) -> Any:
         handle = self._server.scene.add_mesh_simple(
-            f"/tool/{index}", *_flat(*self._shapes[index]), color=_bytes(STEEL), flat_shading=True
+            f"/tool/{index}", *_flat(*self._shapes[index]), color=_bytes(STEEL), flat_shading=True, wxyz=UPSIDE_DOWN
         )
         handle.on_drag("left")(self._make_drag(level=False))
         handle.on_drag("left", modifier="shift")(self._make_drag(level=True))
@@ -271,6 +273,7 @@ class Stage:
             disable_sliders=True,
             depth_test=False,
             opacity=0.9,
+            wxyz=UPSIDE_DOWN,
         )
         arc.on_update(self._arc_moved)
         return arc
