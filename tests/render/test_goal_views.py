@@ -11,7 +11,7 @@ from spatula_env.render.viewpoints import fit_camera, viewpoint_of
 from spatula_env.tasks.exposure import visible_points
 from spatula_env.tasks.marks import Patch, Ring
 
-pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
+pytest.importorskip("viser", reason="the extra web is not installed")
 first_view = pytest.importorskip("spatula_env.teleop.web.stage").first_view
 
 gym.register_envs(spatula_env)

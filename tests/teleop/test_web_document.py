@@ -10,7 +10,7 @@ import pytest
 
 from spatula_env.teleop.web.document import ICON, dressed
 
-pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
+pytest.importorskip("viser", reason="the extra web is not installed")
 
 
 def test_the_page_of_viser_gets_a_name_an_icon_and_the_script():

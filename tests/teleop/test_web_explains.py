@@ -12,8 +12,8 @@ from spatula_env.teleop.web import WebSession
 from spatula_env.teleop.web.session import task_ids
 from spatula_env.teleop.web.stage import SHINING
 
-pytest.importorskip("viser", reason="pip install 'spatula-env[web]'")
-pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
+pytest.importorskip("viser", reason="the extra web is not installed")
+pytest.importorskip("minari", reason="the extra data is not installed")
 
 pytestmark = [pytest.mark.browser, pytest.mark.timeout(900)]
 
