@@ -141,22 +141,28 @@ def info(session):
 def test_it_says_what_is_asked_how_near_it_is_and_what_hands_can_do(page, session, task):
     take(page, session, task)
     made = session.env.unwrapped
-    assert made.task_description in page.locator(".sp-top .task").inner_text()
-    rows = page.locator(".sp-top tr").all_inner_texts()[1:]
+    names = made.control.names
     criteria = made.task.criteria(made._episodes.achieved[0], made.goal)
-    assert [criterion.name for criterion in criteria] == [row.split("\t")[1] for row in rows]
-    assert all(any(unit in row for unit in ("mm", "°", "%", "N")) for row in rows)
+
+    def rows():
+        return page.locator(".sp-top tr").all_inner_texts()[1:]
+
+    def codes():
+        return page.locator("#sp-foot kbd").evaluate_all("all => all.map((key) => key.dataset.code)")
+
+    wait_for(page, lambda: made.task_description in page.locator(".sp-top").inner_text(), "the sentence")
+    wait_for(page, lambda: [row.split("\t")[1] for row in rows()] == [each.name for each in criteria], "the goal")
+    assert all(any(unit in row for unit in ("mm", "°", "%", "N", "no grip")) for row in rows())
     assert f"for {made.task.hold_time:g} s" in page.locator(".sp-top .hold").inner_text()
     # Keys of this task only, in sight.
-    foot = page.locator("#sp-foot")
-    assert foot.is_visible()
-    codes = foot.locator("kbd").evaluate_all("all => all.map((key) => key.dataset.code)")
-    names = made.control.names
-    assert ("KeyU" in codes) == ("rotation_x" in names) and ("Period" in codes) == ("jaw_speed" in names)
-    assert "KeyI" not in codes and "KeyO" not in codes and {"KeyW", "KeyQ", "Enter"} <= set(codes)
+    assert page.locator("#sp-foot").is_visible()
+    wait_for(page, lambda: ("Period" in codes()) == ("jaw_speed" in names), "the keys of this task")
+    assert ("KeyU" in codes()) == ("rotation_x" in names)
+    assert not {"KeyI", "KeyO"} & set(codes()) and {"KeyW", "KeyQ", "Enter"} <= set(codes())
     # Handles to turn it by, and the jaws' slider, where there is something to turn or to open.
-    assert (mesh(page, "/turn/x") is not None) == ("rotation_x" in names)
-    assert (page.get_by_text("Jaws [mm]").count() > 0) == ("jaw_speed" in names)
+    wait_for(page, lambda: (mesh(page, "/turn/x") is not None) == ("rotation_x" in names), "handles to turn it by")
+    jaws = page.get_by_text("Jaws [mm]")
+    wait_for(page, lambda: (jaws.count() > 0) == ("jaw_speed" in names), "the slider of the jaws")
 
 
 @pytest.mark.parametrize("size", SIZES)
