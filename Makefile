@@ -18,6 +18,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_
 LOCKED_EXTRAS := data demo dev mesh teleop test train video viewer viz web window zoo
 RAY_EXTRAS := ray test
 LEROBOT_EXTRAS := lerobot test
+LIBRARIES_EXTRAS := test train
 CUDA := ^(cuda-|nvidia-|triton==)
 
 help:  ## Show this list
@@ -68,11 +69,12 @@ format: setup-test  ## Format the code and mend what ruff can
 	$(BIN)/ruff check --fix --exit-zero
 	$(BIN)/ruff format
 
-lock:  ## Renew requirements/lock.txt, lock-ray.txt and lock-lerobot.txt (needs uv)
+lock:  ## Renew the locks in requirements (needs uv)
 	@command -v $(UV) >/dev/null || { echo 'error: "make lock" needs uv: install it, or name it: UV=/path/to/uv' >&2; exit 1; }
 	$(call lock_file,lock.txt,$(LOCKED_EXTRAS),--python-version 3.10,$(CUDA))
 	$(call lock_file,lock-ray.txt,$(RAY_EXTRAS),--python-version 3.10,$(CUDA))
 	$(call lock_file,lock-lerobot.txt,$(LEROBOT_EXTRAS),--python-version 3.12 --no-config,^$$)
+	$(call lock_file,lock-libraries.txt,$(LIBRARIES_EXTRAS),--python-version 3.11 requirements/libraries.in,$(CUDA))
 	@echo 'The locks are renewed; "make check test test-ray" tells whether all goes well with them.'
 
 # A lock, all at once. $(1): its name, $(2): the extras in it, $(3): options of uv, $(4): what is left out. LeRobot's is

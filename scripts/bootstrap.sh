@@ -207,7 +207,7 @@ import hashlib, os, pathlib, sys
 digest = hashlib.sha256(repr((sys.version, sys.base_prefix, os.getcwd())).encode())
 for name in sys.argv[1:]:
     digest.update(pathlib.Path(name).read_bytes())
-print(digest.hexdigest())' "$LOCK" ${INPUT:+"$INPUT"} pyproject.toml scripts/bootstrap.sh
+print(digest.hexdigest())' "$LOCK" ${INPUT:+"$INPUT"} ${ALONE:+"$ALONE"} pyproject.toml scripts/bootstrap.sh
 }
 
 # Whether .venv belongs to this folder, was never left half made, and is of the interpreter that is asked for.
@@ -233,6 +233,7 @@ set_up() {
     else
         stage "spatula_env with $CONTENT" install ${INPUT:+--requirement "$INPUT"} --no-build-isolation --editable ".[$EXTRAS]"
     fi
+    [[ -z $ALONE ]] || stage "libraries without what they ask for" install --no-deps --requirement "$ALONE"
     if [[ $1 == test ]]; then
         stage "Chromium for the tests of the page (where it has to be installed, half a minute)" install_browser
         stage "Xvfb and OpenGL for the tests of the window (where they have to be installed, half a minute)" install_display
@@ -245,6 +246,7 @@ set_up() {
 VERSIONS="3.11 3.12 3.13 3.10" # the interpreters that are taken, best first: 3.11 has wheels of everything
 TORCH=yes
 INPUT="" # requirements beside those of pyproject.toml
+ALONE="" # packages that are installed without what they ask for
 TARGET=test-${1:-}
 case ${1:-} in
     demo)
@@ -264,8 +266,9 @@ case ${1:-} in
         LOCK=requirements/lock-lerobot.txt VENV=.venv-lerobot VERSIONS="3.12 3.13"
         ;;
     libraries)
-        FOR="tests with other libraries" CONTENT="other libraries for learning" STAGES=4 EXTRAS="test,train"
-        VENV=.venv-libraries INPUT=requirements/libraries.in
+        FOR="tests with other libraries" CONTENT="other libraries for learning (1 GB, some minutes)" STAGES=5
+        EXTRAS="test,train" LOCK=requirements/lock-libraries.txt VENV=.venv-libraries VERSIONS="3.11 3.12"
+        INPUT=requirements/libraries.in ALONE=requirements/libraries-alone.txt
         ;;
     matrix)
         FOR="tests with all interpreters" STAGES=3 EXTRAS="" TORCH="" VENV=.venv-matrix

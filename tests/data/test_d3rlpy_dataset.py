@@ -36,6 +36,7 @@ def test_without_the_library_the_error_says_what_to_install(tmp_path: Path, monk
         load_d3rlpy(ID, tmp_path)
 
 
+@pytest.mark.libraries
 @pytest.mark.filterwarnings("ignore")
 class TestWithTheLibrary:
     @pytest.fixture
