@@ -37,7 +37,7 @@ test-ray: setup-ray  ## Set up .venv-ray, then run the tests that need Ray
 	@$(call pytest,.venv-ray/bin) -m ray -n 0 $(or $(ARGS),tests/agents/test_rllib.py)
 
 test-lerobot: setup-lerobot  ## Set up .venv-lerobot with Python 3.12 (3 GB), then run the tests that need LeRobot
-	@$(call pytest,.venv-lerobot/bin) -m lerobot -n 0 $(or $(ARGS),tests/data)
+	@$(call pytest,.venv-lerobot/bin) -m lerobot -n 0 $(or $(ARGS),tests/data tests/envs/test_lerobot_adapter.py)
 
 test-libraries: setup-libraries  ## Set up .venv-libraries, then run the tests with other RL libraries
 	@$(call pytest,.venv-libraries/bin) -m libraries -n 0 $(ARGS)
