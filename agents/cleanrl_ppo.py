@@ -67,6 +67,8 @@ class Arguments:
     """Longer gradients are cut to this."""
     hidden: int = 64
     """Units in each of two layers."""
+    success_target: float | None = None
+    """Training ends when so many of the last 100 episodes have succeeded, as a share; None: not before total_steps."""
     eval_episodes: int = 100
     """Episodes with the mean action at the end, each in a world of its own."""
     device: str = "cpu"
@@ -239,6 +241,8 @@ def main(arguments: Arguments) -> dict[str, float]:
         steps = (rollout + 1) * arguments.rollout_steps * arguments.num_envs
         rate = np.mean(successes) if successes else 0.0
         print(f"{steps:8d} steps  {time.perf_counter() - began:6.0f} s  success {rate:.2f}", flush=True)
+        if arguments.success_target is not None and len(successes) == 100 and rate >= arguments.success_target:
+            break
     seconds = time.perf_counter() - began
     envs.close()
     success, episode_return = evaluate(arguments, agent, normalized)

@@ -62,6 +62,8 @@ class Arguments:
     """Of the policy; it is then tuned so that the entropy is minus the number of action's entries."""
     hidden: int = 128
     """Units in each of two layers."""
+    success_target: float | None = None
+    """Training ends when so many of the last 100 episodes have succeeded, as a share; None: not before total_steps."""
     eval_episodes: int = 100
     """Episodes with the mean action at the end, each in a world of its own."""
     device: str = "cpu"
@@ -289,6 +291,8 @@ def main(arguments: Arguments) -> dict[str, float]:
                 f"{steps:8d} steps  {time.perf_counter() - began:6.0f} s  success {rate:.2f}  {temperature=:.3f}",
                 flush=True,
             )
+            if arguments.success_target is not None and len(successes) == 100 and rate >= arguments.success_target:
+                break
     seconds = time.perf_counter() - began
     envs.close()
     success, episode_return = evaluate(arguments, actor, norm)

@@ -41,6 +41,13 @@ def test_ppo_runs_and_tells_what_it_came_to(tmp_path: Path, capsys: pytest.Captu
     assert saved["mean"].shape == saved["variance"].shape == (23,)
 
 
+def test_training_ends_when_enough_episodes_have_succeeded() -> None:
+    short = {**TINY, "num_envs": 50, "max_episode_steps": 2, "success_target": 0.0}
+    # Two rounds of 50 episodes, and one rollout.
+    assert cleanrl_sac.main(cleanrl_sac.Arguments(**short, learning_starts=10_000))["steps"] == 200
+    assert cleanrl_ppo.main(cleanrl_ppo.Arguments(**short, rollout_steps=8))["steps"] == 400
+
+
 @pytest.mark.parametrize("script", [cleanrl_sac, cleanrl_ppo])
 def test_a_part_that_is_not_there_is_named(script: object) -> None:
     with pytest.raises(ValueError, match=r"leave_out must be of .* got \['nose'\]"):
