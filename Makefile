@@ -36,7 +36,7 @@ test-without-bullet: setup-test  ## Set up, then run the tests as if PyBullet we
 test-ray: setup-ray  ## Set up .venv-ray, then run the tests that need Ray
 	@$(call pytest,.venv-ray/bin) -m ray -n 0 $(or $(ARGS),tests/agents/test_rllib.py)
 
-test-lerobot: setup-lerobot  ## Set up .venv-lerobot with Python 3.12 (3 GB), then run the tests that need LeRobot
+test-lerobot: setup-lerobot  ## Set up .venv-lerobot with Python 3.12 (6 GB), then run the tests that need LeRobot
 	@$(call pytest,.venv-lerobot/bin) -m lerobot -n 0 $(or $(ARGS),tests/data tests/envs/test_lerobot_adapter.py)
 
 test-libraries: setup-libraries  ## Set up .venv-libraries, then run the tests with other RL libraries

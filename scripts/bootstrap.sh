@@ -262,7 +262,7 @@ case ${1:-} in
         ;;
     lerobot)
         # LeRobot asks for a torch between bounds of its own, of which pip's sources have the build with CUDA alone.
-        FOR="tests with LeRobot" CONTENT="LeRobot (with CUDA: 3 GB, some minutes)" STAGES=3 EXTRAS="lerobot,test" TORCH=""
+        FOR="tests with LeRobot" CONTENT="LeRobot (with CUDA: 6 GB on the disk, some minutes)" STAGES=3 EXTRAS="lerobot,test" TORCH=""
         LOCK=requirements/lock-lerobot.txt VENV=.venv-lerobot VERSIONS="3.12 3.13"
         ;;
     libraries)
