@@ -171,7 +171,9 @@ def weigh(size: tuple[float, float, float], nodes_per_edge: int) -> tuple[float,
     """
     base = scenes.seed()
     tool = Tool.box(size, nodes_per_edge)
-    simulation = Simulation(dataclasses.replace(base, tools=(scenes.PlacedTool(tool, position=(0.0, 0.0, -2.0)),)))
+    simulation = Simulation(
+        dataclasses.replace(base, tools=(scenes.PlacedTool(tool, position=(0.0, 0.0, -2.0)),)), precision="double"
+    )
     masses = simulation.node_masses
     x, y, _ = (masses @ simulation.nodes / masses.sum()).tolist()
     simulation.place_tool((x, y, -0.5 * size[2] - 0.01))
@@ -227,7 +229,7 @@ def measure_releases(speeds: Sequence[float], depths: Sequence[float]) -> tuple[
     Returns:
         The check of the energy, and all books.
     """
-    simulation = Simulation(scenes.seed())
+    simulation = Simulation(scenes.seed(), precision="double")
     stored = settled_energy(simulation)
     ledgers: list[Ledger] = []
     by_speed: dict[str, dict[str, Any]] = {}
@@ -269,7 +271,7 @@ def force_curve(scene: Scene, depths: Sequence[float] = DEPTHS) -> Curve:
     Returns:
         The curve.
     """
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     ledger, touching = begin_press(simulation)
     forces, ripple = [], []
     for depth in depths:
@@ -384,7 +386,7 @@ def press_free_scene(position: FloatArray, orientation: FloatArray) -> tuple[Flo
     Returns:
         (s, 6) force and torque of each step, and the organ's nodes at the end (V, 3) [u].
     """
-    simulation = Simulation(free_scene(position, orientation))
+    simulation = Simulation(free_scene(position, orientation), precision="double")
     back = quaternion_conjugate(orientation)
     wrenches = []
     motions = [((0.0, 0.0, -5.0), (0.0, 0.0, 0.0))] * 45 + [((0.8, 0.4, 0.0), (0.3, -0.2, 1.0))] * 45

@@ -253,7 +253,7 @@ def run(
     with warnings.catch_warnings():
         # At other time steps than the seed's its sphere rolls on, which changes nothing here.
         warnings.simplefilter("ignore", SceneWarning)
-        simulation = Simulation(scene, contact=contact)
+        simulation = Simulation(scene, contact=contact, precision="double")
     inspector = Inspector(tool, simulation.triangles)
     tally = Tally(tool.opposite)
     direction, orientation = np.array(plunge.direction), np.array(plunge.orientation)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from textwrap import dedent
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -97,12 +98,16 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("filterwarnings", "ignore:PyBullet is not installed, so environments:UserWarning")
 
 
+def _names_bullet(value: Any) -> bool:
+    return value == "bullet" if isinstance(value, str) else isinstance(value, dict) and "bullet" in value.values()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark tests of which "bullet" is a parameter, an engine or a contact model, and skip all that are marked so."""
     for item in items:
         parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
-        if any(isinstance(value, str) and value == "bullet" for value in parameters.values()):
+        if any(_names_bullet(value) for value in parameters.values()):
             item.add_marker(pytest.mark.bullet)
         if NO_BULLET is not None and item.get_closest_marker("bullet"):
             item.add_marker(pytest.mark.skip(reason=f"needs PyBullet: {NO_BULLET}"))

@@ -129,9 +129,10 @@ def _add_export(inner: Parsers) -> None:
         "export-lerobot",
         "in the layout of LeRobot's datasets",
         "Write a dataset in the layout of LeRobot's datasets, version 3. LeRobot itself writes it, so it has to be\n"
-        "installed: it needs Python 3.12 or later and a torch of its own choice, so make an environment for it and\n"
-        f"{install_hint('lerobot')} there. What has no place in that layout (seeds, operators, devices) is in\n"
-        "meta/spatula_env.json.",
+        "installed: it needs Python 3.12 or later and a torch of its own choice, so make an environment for it and,\n"
+        "there,\n"
+        f"  {install_hint('lerobot')}\n"
+        "What has no place in that layout (seeds, operators, devices) is in meta/spatula_env.json.",
     )
     parser.add_argument("dataset", metavar="DATASET")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="must not exist yet")

@@ -34,7 +34,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     chosen = parser.parse_args(arguments)
     require_extra()
-    import_bullet("The figure of three contact models")
 
     from spatula_env.demo.pictures import figure, side_by_side
     from spatula_env.demo.report import markdown_table, write_bytes, write_text
@@ -43,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     text = chosen.document.read_text(encoding="utf-8")
     replace_table(text, "")
+    import_bullet("the figure of three contact models")
     prepare_folder(chosen.images)
     with start_workers() as pool:
         futures = submit_cases(pool, comparison_cases(), lambda case: None)

@@ -266,7 +266,7 @@ def test_a_run_is_reproducible_and_watched_in_every_step():
     assert outcome.final_residual == steps[-1][2].residual
     assert outcome.enclosed == sum(seen.centre_inside or seen.enclosed > 0 for _, _, seen in steps)
     # Its foremost point is then as deep under the undeformed surface as it was to get, on the line through the middle.
-    simulation = Simulation(scenes.seed(dt=plunge.dt))
+    simulation = Simulation(scenes.seed(dt=plunge.dt), precision="double")
     about_middle = simulation.nodes - simulation.nodes.mean(axis=0)
     position = steps[-1][1] - simulation.nodes.mean(axis=0)
     simulation.close()

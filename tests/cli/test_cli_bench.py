@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from spatula_env import cli
-from spatula_env.cli.bench import CORE, benchmarks
+from spatula_env.cli.bench import CORE, NEED_BULLET, benchmarks
+from spatula_env.engines import bullet_is_there
 
 
 @pytest.fixture
@@ -48,8 +49,20 @@ def test_options_are_passed_on(started: list[list[str]]) -> None:
 
 def test_the_core_ones(started: list[list[str]], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "--core", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {name: {"value": 1} for name in CORE}
-    assert [command[0] for command in started] == [f"benchmarks.{name}" for name in CORE]
+    names = [name for name in CORE if name not in NEED_BULLET or bullet_is_there()]
+    assert json.loads(capsys.readouterr().out) == {name: {"value": 1} for name in names}
+    assert [command[0] for command in started] == [f"benchmarks.{name}" for name in names]
+
+
+def test_without_pybullet_some_are_left_out_and_that_is_said(
+    started: list[list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    assert cli.main(["bench", "--core", "--json"]) == 0
+    told = capsys.readouterr()
+    assert set(json.loads(told.out)) == set(CORE) - set(NEED_BULLET)
+    for name in NEED_BULLET:
+        assert f"{name} is left out: PyBullet is not installed" in told.err
 
 
 def test_the_options_of_the_core_ones_exist(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,6 +19,7 @@ from recording_helpers import ID, do_episode, make_pictures
 
 import spatula_env
 from spatula_env.data import DatasetWriteError, DatasetWriter, EpisodeRecorder, dataset
+from spatula_env.installing import install_hint
 
 minari = pytest.importorskip("minari")
 
@@ -267,7 +268,7 @@ def test_an_episode_that_was_cut_is_truncated(env):
 
 def test_minari_is_named_if_it_is_missing(monkeypatch, env, tmp_path):
     monkeypatch.setitem(sys.modules, "minari", None)
-    with pytest.raises(ImportError, match=r"spatula-env\[data\]"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("data"))):
         DatasetWriter(ID, env, root=tmp_path)
 
 

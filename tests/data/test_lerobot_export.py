@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from importlib.util import find_spec
 from types import ModuleType, SimpleNamespace
@@ -17,6 +18,7 @@ from spatula_env.data.drawing import recorded_moments, recorded_scene
 from spatula_env.data.layout import Layout
 from spatula_env.data.lerobot_export import CAMERA, export_lerobot, make_columns
 from spatula_env.data.replaying import open_dataset
+from spatula_env.installing import install_hint
 
 pytest.importorskip("minari")
 
@@ -181,7 +183,7 @@ def test_what_lerobot_cannot_take(lerobot, tmp_path) -> None:
 
 def test_lerobot_is_named_if_it_is_missing(monkeypatch, root, tmp_path) -> None:
     monkeypatch.setitem(sys.modules, "lerobot", None)
-    with pytest.raises(ImportError, match=r"Python 3\.12.*spatula-env\[lerobot\]"):
+    with pytest.raises(ImportError, match=r"Python 3\.12.*" + re.escape(install_hint("lerobot"))):
         export_lerobot(ID, tmp_path / "out", root=root)
 
 

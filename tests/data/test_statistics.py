@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -14,6 +15,7 @@ from spatula_env.data import DatasetWriter
 from spatula_env.data.layout import Layout
 from spatula_env.data.plots import plot_statistics
 from spatula_env.data.statistics import CELLS, Curve, coverage, statistics, success_interval
+from spatula_env.installing import install_hint
 
 pytest.importorskip("minari")
 
@@ -136,7 +138,7 @@ def test_a_picture_of_an_unknown_kind(found, tmp_path) -> None:
 
 def test_matplotlib_is_named_if_it_is_missing(found, tmp_path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ImportError, match=r"spatula-env\[viz\]"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("viz"))):
         plot_statistics(found, tmp_path / "picture.png")
 
 

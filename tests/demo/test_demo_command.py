@@ -144,7 +144,7 @@ def test_an_interrupt_is_no_traceback(monkeypatch: pytest.MonkeyPatch, capsys: p
 
     monkeypatch.setattr(demo, "require_extra", interrupt)
     assert cli.main(["demo"]) == 130
-    assert capsys.readouterr().err == "spatula: interrupted\n"
+    assert capsys.readouterr().err == "spatula demo: interrupted\n"
 
 
 def test_envs_lists_ids_with_a_word_on_each(capsys: pytest.CaptureFixture[str]) -> None:

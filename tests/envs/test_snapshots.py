@@ -88,6 +88,7 @@ def test_so_it_is_with_other_options(options: dict[str, Any]) -> None:
         assert_alike(go_on(env, actions[6:]), first, 0.0)
 
 
+@pytest.mark.bullet
 def test_bullets_own_contact_is_restored_up_to_rounding() -> None:
     with PressEnv(engine="bullet", contact="bullet") as env:
         actions = actions_of(env, 10)
@@ -151,6 +152,7 @@ def test_success_and_holding_are_part_of_the_state() -> None:
         assert_alike([env.step(still)[4] for _ in range(4)], first, 0.0)
 
 
+@pytest.mark.bullet
 def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
     with PressEnv(engine="batch") as env:
         with pytest.raises(ResetNeeded, match=r"call reset\(\) before save\(\)"):

@@ -86,7 +86,8 @@ class Watch:
 def test_organs_from_coarse_to_fine(organ, speed):
     height = organ.vertices[:, 2].max()
     simulation = Simulation(
-        weightless([(organ, (0.0, 0.0, 0.0), 10.0)], [(PLATE, (0.1, 0.05, height + 0.1), (0, 0, 0, 1))])
+        weightless([(organ, (0.0, 0.0, 0.0), 10.0)], [(PLATE, (0.1, 0.05, height + 0.1), (0, 0, 0, 1))]),
+        precision="double",
     )
     watch, peak = Watch(simulation), 0.0
     steps = int(np.ceil(0.5 / (speed * simulation.dt)))
@@ -137,7 +138,7 @@ def ring():
     """A ring with its axis upwards, and a stick in its hole."""
     stick = Tool.box((0.4, 0.4, 1.6), node_spacing=0.2, faces="all")
     scene = weightless([(torus(2.0, 0.6, 32, 16), (0.0, 0.0, 0.0), 10.0)], [(stick, (0.0, 0.0, 0.0), (0, 0, 0, 1))])
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     yield simulation
     simulation.close()
 
@@ -172,7 +173,7 @@ def test_a_plate_pressed_onto_a_ring_from_above(ring, speed):
         [(torus(2.0, 0.6, 32, 16), (0.0, 0.0, 0.0), 10.0)],
         [(Tool.box((5.6, 0.6, 0.1), node_spacing=0.3), (0.0, 0.0, 0.75), (0, 0, 0, 1))],
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     watch = Watch(simulation)
     steps = int(np.ceil(0.4 / (speed * simulation.dt)))
     for _ in range(steps):
@@ -197,9 +198,9 @@ COUNT = len(BALL.vertices)
 
 
 def test_an_organ_that_is_not_touched_moves_as_if_no_tool_were_there():
-    both = Simulation(weightless(PAIR, [(PLATE, (0.0, 0.0, 0.0), SIDEWAYS)]))
-    alone = Simulation(weightless(PAIR[:1], [(PLATE, (0.0, 0.0, 0.0), SIDEWAYS)]))
-    far = Simulation(weightless(PAIR, [(PLATE, (0.0, 30.0, 0.0), SIDEWAYS)]))
+    both = Simulation(weightless(PAIR, [(PLATE, (0.0, 0.0, 0.0), SIDEWAYS)]), precision="double")
+    alone = Simulation(weightless(PAIR[:1], [(PLATE, (0.0, 0.0, 0.0), SIDEWAYS)]), precision="double")
+    far = Simulation(weightless(PAIR, [(PLATE, (0.0, 30.0, 0.0), SIDEWAYS)]), precision="double")
     touched = 0
     for _ in range(20):
         report, expected = both.step((-8.0, 0.0, 0.0)), alone.step((-8.0, 0.0, 0.0))
@@ -219,7 +220,7 @@ def test_an_organ_that_is_not_touched_moves_as_if_no_tool_were_there():
 
 def test_a_tool_between_two_organs_touches_both():
     # Wedged in: it turns about y until its rims meet the one and the other, which flee.
-    simulation = Simulation(weightless(PAIR, [(PLATE, (0.0, 0.0, 0.0), SIDEWAYS)]))
+    simulation = Simulation(weightless(PAIR, [(PLATE, (0.0, 0.0, 0.0), SIDEWAYS)]), precision="double")
     watch, together = Watch(simulation), 0
     for _ in range(20):
         report = watch.step((0.0, 0.0, 0.0), (0.0, 20.0, 0.0))
@@ -244,7 +245,7 @@ def test_a_tool_between_two_organs_touches_both():
 def test_organs_of_different_fineness_are_pressed_at_once(speed):
     organs = [(icosphere(1.0, 1), (-1.1, 0.0, 0.0), 3.0), (icosphere(1.0, 3), (1.1, 0.0, 0.0), 3.0)]
     plate = Tool.box((4.0, 1.0, 0.1), node_spacing=0.25)
-    simulation = Simulation(weightless(organs, [(plate, (0.0, 0.0, 1.1), (0, 0, 0, 1))]))
+    simulation = Simulation(weightless(organs, [(plate, (0.0, 0.0, 1.1), (0, 0, 0, 1))]), precision="double")
     watch, parts = Watch(simulation), None
     steps = int(np.ceil(0.4 / (speed * simulation.dt)))
     for _ in range(steps):
@@ -264,7 +265,7 @@ def test_a_blow_to_one_organ_does_not_calm_another():
     organs = [PAIR[0], (BALL, (5.0, 0.1, 0.0), 4.0)]
     runs = []
     for blow in (0.0, -300.0):
-        simulation = Simulation(weightless(organs, tools))
+        simulation = Simulation(weightless(organs, tools), precision="double")
         for _ in range(30):
             simulation.step([[0.0, 0.0, 0.0], [0.0, 0.0, -6.0]])
         for k in range(10):
@@ -291,7 +292,7 @@ def test_two_tools_squeeze_an_organ(speed, friction):
         ground=None,
         gravity=0.0,
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     watch, faces = Watch(simulation), [set(), set()]
     steps = int(np.ceil(0.5 / (speed * simulation.dt)))
     closing = 0.5 / steps / simulation.dt
@@ -328,7 +329,7 @@ def test_the_moments_of_two_tools_balance_with_the_organs():
         [(icosphere(1.5, 2), (0.0, 0.0, 0.0), 5.0)],
         [(PLATE, (-1.6, 0.3, 0.0), SIDEWAYS), (PLATE, (1.6, -0.3, 0.1), SIDEWAYS)],
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     for _ in range(20):
         report = simulation.step([[6.0, 0.0, 0.5], [-6.0, 0.0, 0.0]])
         moments = sum(
@@ -353,7 +354,8 @@ def test_an_organ_between_a_tool_and_the_ground(tilt):
         scenes.Scene(
             organs=(scenes.PlacedOrgan(block, position=(0.0, 0.0, 0.5), mass=5.0),),
             tools=(scenes.PlacedTool(PLATE, position=(0.0, 0.0, 3.0), orientation=tuple(orientation)),),
-        )
+        ),
+        precision="double",
     )
     top = simulation.nodes[:, 2].max()
     simulation.place_tool((0.0, 0.0, top - lowest + 0.02), orientation)

@@ -98,7 +98,7 @@ def simulations():
     def simulation(name):
         if name not in made:
             placed = scenes.PlacedTool(tool_named(name), position=(0.0, 0.0, 8.0))
-            made[name] = Simulation(dataclasses.replace(scenes.seed(), tools=(placed,)))
+            made[name] = Simulation(dataclasses.replace(scenes.seed(), tools=(placed,)), precision="double")
         return made[name]
 
     yield simulation

@@ -29,7 +29,7 @@ RESIDUAL = 0.03
 
 @pytest.fixture(scope="module")
 def simulation():
-    with_flags = Simulation(scenes.seed())
+    with_flags = Simulation(scenes.seed(), precision="double")
     yield with_flags
     with_flags.close()
 
@@ -123,7 +123,7 @@ def test_deeper_means_harder(simulation):
 @pytest.mark.parametrize("dt", [1.0 / 60.0, 1.0 / 480.0])
 @pytest.mark.parametrize("speed", [5.0, 200.0])
 def test_presses_at_other_time_steps(dt, speed):
-    simulation = Simulation(scenes.seed(dt=dt))
+    simulation = Simulation(scenes.seed(dt=dt), precision="double")
     driver = press(simulation, DEPTH, speed, 0.25)
     record, tool = driver.record, simulation.scene.tools[0].tool
     flags = np.array(record.flags)
@@ -139,7 +139,7 @@ def test_presses_at_other_time_steps(dt, speed):
 
 @pytest.mark.parametrize("tool_size", [(1.0, 1.0, 0.02), (0.3, 0.3, 0.125), (2.0, 0.5, 0.3)])
 def test_presses_with_other_tools(tool_size):
-    simulation = Simulation(scenes.seed(tool_size=tool_size))
+    simulation = Simulation(scenes.seed(tool_size=tool_size), precision="double")
     driver = press(simulation, 0.8, 60.0, 0.1)
     tool = simulation.scene.tools[0].tool
     flags = np.array(driver.record.flags)
@@ -153,7 +153,7 @@ def test_presses_with_other_tools(tool_size):
 
 @pytest.mark.parametrize("speed", [5.0, 60.0])
 def test_presses_with_nodes_on_all_faces(speed):
-    simulation = Simulation(scenes.seed(faces="all"))
+    simulation = Simulation(scenes.seed(faces="all"), precision="double")
     driver = press(simulation, 0.8, speed, 0.25)
     record, tool = driver.record, simulation.scene.tools[0].tool
     flags = np.array(record.flags)
@@ -174,7 +174,7 @@ def test_a_polyhedron_presses_with_all_its_faces(speed):
     wedge = Tool.convex([(x, y, z) for x in (-0.6, 0.6) for y, z in ((0.0, -0.4), (-0.4, 0.3), (0.4, 0.3))], 0.15)
     base = scenes.seed()
     scene = dataclasses.replace(base, tools=(scenes.PlacedTool(wedge, position=(0.0, 0.0, 7.0)),))
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     driver = Driver(simulation)
     driver.to_height(5.6, speed)
     driver.hold(0.25)
@@ -242,7 +242,7 @@ def small_organ_scene():
 def test_a_jump_clean_through_an_organ_is_seen(jump):
     # One step from well above the ball into its lower half, or to well beneath it, where a query sees nothing.
     scene = small_organ_scene()
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     tool = scene.tools[0].tool
     report = simulation.step((0.0, 0.0, -jump / simulation.dt))
     assert simulation.tool_position[2] == pytest.approx(0.8 - jump)
@@ -267,7 +267,7 @@ def test_a_jump_clean_through_an_organ_is_seen(jump):
 
 @pytest.mark.parametrize("speed", [5.0, 20.0, 384.0])
 def test_a_ball_smaller_than_the_plate_is_taken_along(speed):
-    simulation = Simulation(small_organ_scene())
+    simulation = Simulation(small_organ_scene(), precision="double")
     driver = Driver(simulation)
     driver.to_height(-0.8, speed)
     # The tool stops; the ball comes out of its dent on the side to which it was pushed.
@@ -337,7 +337,7 @@ def carrying(size, nodes_per_edge, friction):
     tool = Tool.box(size, nodes_per_edge)
     base = scenes.seed()
     scene = dataclasses.replace(base, tools=(scenes.PlacedTool(tool, position=(0.0, 0.0, -2.0), friction=friction),))
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     centre = simulation.node_masses @ simulation.nodes / simulation.node_masses.sum()
     # The tool goes through the ground, which is the organ's alone.
     simulation.place_tool((centre[0], centre[1], -0.5 * size[2] - 0.01))
@@ -393,7 +393,7 @@ def test_ground_and_tool_share_the_load(simulation):
 
 
 def test_second_step_alone_lets_both_faces_push():
-    simulation = Simulation(scenes.seed(), contact="second_step")
+    simulation = Simulation(scenes.seed(), contact="second_step", precision="double")
     driver = press(simulation, DEPTH, 20.0, 0.5)
     tool = simulation.scene.tools[0].tool
     flags = np.array(driver.record.flags)
@@ -438,7 +438,7 @@ def test_bullets_own_contact_feels_a_slow_touch():
 
 
 def test_first_step_can_be_chosen():
-    simulation = Simulation(scenes.seed(), first_step="any_hit")
+    simulation = Simulation(scenes.seed(), first_step="any_hit", precision="double")
     driver = press(simulation, 1.0, 60.0, 0.1)
     tool = simulation.scene.tools[0].tool
     flags = np.array(driver.record.flags)

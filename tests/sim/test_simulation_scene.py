@@ -15,7 +15,7 @@ from spatula_env.sim import Simulation
 
 @pytest.fixture(scope="module")
 def simulation():
-    with_seed = Simulation(scenes.seed())
+    with_seed = Simulation(scenes.seed(), precision="double")
     yield with_seed
     with_seed.close()
 
@@ -61,7 +61,7 @@ def test_masses_are_spread_by_area(fresh):
 
 def test_node_masses_are_those_that_move():
     # Free fall tells nothing of a mass, but a push does: it must change the momentum by just the impulse.
-    simulation = Simulation(scenes.seed(mass=3.0))
+    simulation = Simulation(scenes.seed(mass=3.0), precision="double")
     driver = press(simulation, 0.6, 5.0, 0.1)
     assert np.abs(driver.record.forces[-1]).max() > 10.0
     assert max(driver.record.momentum_errors) < 1e-6
@@ -88,7 +88,7 @@ ROLLS = pytest.mark.xfail(reason="at 60 Hz the sphere is soft enough to roll on 
 
 @pytest.mark.parametrize("dt", [pytest.param(1.0 / 60.0, marks=ROLLS), 1.0 / 480.0])
 def test_rest_stays_at_rest_at_other_time_steps(dt):
-    simulation = Simulation(scenes.seed(dt=dt))
+    simulation = Simulation(scenes.seed(dt=dt), precision="double")
     before, ground = simulation.nodes, []
     assert simulation.dt == dt
     for _ in range(round(1.0 / dt)):
@@ -105,7 +105,7 @@ def test_two_organs_and_two_tools():
         organs=tuple(scenes.PlacedOrgan(block, position=(x, 0.0, 0.5), mass=2.0) for x in (-2.0, 2.0)),
         tools=tuple(scenes.PlacedTool(plate, position=(x, 0.0, 2.0)) for x in (-2.0, 2.0)),
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     count = len(block.vertices)
     assert simulation.nodes.shape == (2 * count, 3)
     assert simulation.triangles.max() == 2 * count - 1
@@ -135,7 +135,7 @@ def test_fixed_nodes_stay_where_they_are():
         tools=(scenes.PlacedTool(Tool.box((0.5, 0.5, 0.1), 3), position=(0.0, 0.0, 2.0)),),
         ground=None,
     )
-    simulation = Simulation(scene)
+    simulation = Simulation(scene, precision="double")
     held = list(fixed)
     assert np.isinf(simulation.node_masses[held]).all()
     at = simulation.nodes[held]
@@ -228,7 +228,7 @@ def test_place_tool_refuses_a_tool_that_is_not_there(fresh):
 
 def test_turning_a_pressed_tool_is_resisted():
     # A plate whose rim stays clear of the organ, so that only its face pushes.
-    simulation = Simulation(scenes.seed(tool_size=(4.0, 4.0, 0.125), friction=0.0))
+    simulation = Simulation(scenes.seed(tool_size=(4.0, 4.0, 0.125), friction=0.0), precision="double")
     driver = press(simulation, 0.8, 5.0, 0.25)
     torques = []
     for _ in range(60):
@@ -249,7 +249,7 @@ def test_turning_a_pressed_tool_is_resisted():
 @pytest.mark.parametrize("friction", [0.0, 0.1])
 def test_dragging_a_pressed_tool(friction):
     # A plate whose rim stays clear of the organ: a rim ploughs, and is held back without friction too.
-    simulation = Simulation(scenes.seed(tool_size=(4.0, 4.0, 0.125), friction=friction))
+    simulation = Simulation(scenes.seed(tool_size=(4.0, 4.0, 0.125), friction=friction), precision="double")
     driver = press(simulation, 0.8, 5.0, 0.25)
     for _ in range(60):
         driver.step((2.0, 0.0, 0.0))
@@ -389,7 +389,7 @@ def test_a_report_in_newtons(fresh):
 
 
 def test_after_close_nothing_steps_and_closing_twice_is_allowed():
-    simulation = Simulation(scenes.seed())
+    simulation = Simulation(scenes.seed(), precision="double")
     state = simulation.save()
     simulation.close()
     simulation.close()
@@ -433,7 +433,7 @@ def test_closing_frees_the_engine():
 def test_the_scene_is_left_alone():
     scene = scenes.seed()
     before = scene.organs[0].vertices
-    with_scene = Simulation(scene)
+    with_scene = Simulation(scene, precision="double")
     with_scene.place_tool((1.0, 2.0, 9.0))
     with_scene.step((0.0, 0.0, -1.0))
     with_scene.close()

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import re
 import sys
 
 import numpy as np
 import pytest
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop import DeviceLost, DeviceNotFound
 from spatula_env.teleop.gamepad import Gamepad
 
@@ -107,5 +109,5 @@ def test_arguments():
 
 def test_pygame_is_named_if_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(ImportError, match=r"spatula-env\[teleop\]"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("teleop"))):
         Gamepad().open()

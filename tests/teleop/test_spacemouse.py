@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import re
 import sys
 import types
 
 import numpy as np
 import pytest
 
+from spatula_env.installing import install_hint
 from spatula_env.teleop import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from spatula_env.teleop.spacemouse import SpaceMouse
 
@@ -113,7 +115,7 @@ def test_the_systems_library_is_named_if_it_is_missing(module):
 
 def test_pyspacemouse_is_named_if_it_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyspacemouse", None)
-    with pytest.raises(ImportError, match=r"spatula-env\[teleop\]"):
+    with pytest.raises(ImportError, match=re.escape(install_hint("teleop"))):
         SpaceMouse().open()
 
 
