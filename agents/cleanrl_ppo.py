@@ -6,8 +6,8 @@
 The environment begins episodes anew in the step after the one that ends them (`autoreset_mode="next_step"`, which is
 Gymnasium's default and what its normalising wrappers ask for). So the observation after a truncation is what was seen
 last, from which its worth is estimated; and the step that begins an episode, which ignores its action, is no
-transition to learn from and is left out. The last line of the output is one JSON object. Needs
-`pip install 'spatula-env[train]'`.
+transition to learn from and is left out. The last line of the output is one JSON object. Needs the
+extra "train".
 
 Algorithm: J. Schulman et al., Proximal policy optimization algorithms, arXiv:1707.06347 (2017), with generalised
 advantages, arXiv:1506.02438 (2015).

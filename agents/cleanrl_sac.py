@@ -5,7 +5,7 @@
 
 The environment begins episodes anew in the step that ends them (`autoreset_mode="same_step"`), so every transition is
 a real one: what was seen last comes in `infos["final_obs"]`, and only a termination, not a truncation, makes what
-follows worth nothing. The last line of the output is one JSON object. Needs `pip install 'spatula-env[train]'`.
+follows worth nothing. The last line of the output is one JSON object. Needs the extra "train".
 
 Algorithm: T. Haarnoja et al., Soft actor-critic algorithms and applications, arXiv:1812.05905 (2018).
 """

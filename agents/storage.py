@@ -10,7 +10,7 @@ model is built from the configuration of the run, as it was when training began,
     buffer.npz      of a checkpoint: what has been seen
     state.json      of a checkpoint: the state of all random numbers, and how far training has come
 
-Needs `pip install 'spatula-env[train]'`.
+Needs the extra "train".
 """
 
 from __future__ import annotations
