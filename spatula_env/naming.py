@@ -186,7 +186,8 @@ def _import_module(module: str, text: str) -> None:
         # An installed command does not look where it is called, as `python -m` does.
         here = os.getcwd()
         if error.name != module.partition(".")[0] or here in sys.path or "" in sys.path:
-            raise ImportError(f"{text!r} names a module that cannot be imported: {error}", name=error.name) from error
+            # Without a name: this is no package of an extra that one could be told to install.
+            raise ImportError(f"{text!r} names a module that cannot be imported: {error}") from error
         sys.path.append(here)
         _import_module(module, text)
     except (TypeError, ValueError) as error:

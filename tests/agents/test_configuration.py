@@ -185,6 +185,17 @@ def test_broken_yaml_names_its_file_and_line(tmp_path):
         read_training(file)
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("algorithm: sac\nseeds: 3\nalgorithm: tqc\n", 3), ("environment: {id: press, id: clamp}\nalgorithm: sac\n", 1)],
+)
+def test_a_key_that_is_told_twice_names_its_file_and_line(text, line, tmp_path):
+    file = tmp_path / "twice.yaml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=rf"twice\.yaml, line {line}, .*the key '(algorithm|id)' is there twice"):
+        read_training(file)
+
+
 def test_only_parts_that_there_are_can_be_chosen():
     env = gymnasium.make_vec("Spatula/Press-v0", num_envs=2)
     observation, _ = env.reset(seed=0)

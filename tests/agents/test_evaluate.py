@@ -149,6 +149,12 @@ def test_what_is_wrong_is_said(arguments, message, capsys):
     assert message in capsys.readouterr().err
 
 
+def test_a_module_that_is_missing_is_no_extra_of_ours(capsys):
+    assert main(["--env", "no_such_module:Mine/Press-v0", "--policy", "random", "--episodes", "1"]) == 1
+    said = capsys.readouterr().err
+    assert "names a module that cannot be imported" in said and "pip install" not in said
+
+
 @pytest.mark.parametrize("arguments", [["--episodes", "0"], ["--seed", "-1"], ["--video", "film.txt"]])
 def test_impossible_numbers_are_refused(arguments, capsys):
     with pytest.raises(SystemExit):
