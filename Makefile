@@ -40,7 +40,7 @@ test-lerobot: setup-lerobot  ## Set up .venv-lerobot with Python 3.12 (6 GB), th
 	@$(call pytest,.venv-lerobot/bin) -m lerobot -n 0 $(or $(ARGS),tests/data tests/envs/test_lerobot_adapter.py)
 
 test-libraries: setup-libraries  ## Set up .venv-libraries, then run the tests with other RL libraries
-	@$(call pytest,.venv-libraries/bin) -m libraries -n 0 $(ARGS)
+	@$(call pytest,.venv-libraries/bin) -m libraries -n 0 $(or $(ARGS),tests/libraries tests/data/test_d3rlpy_dataset.py)
 
 test-matrix: setup-matrix  ## Install and test with each CPython from 3.10 on that is here, one after the other
 	@PATH="$$(scripts/bootstrap.sh interpreters | paste -sd:):$$PATH" $(THREADS) .venv-matrix/bin/nox \
