@@ -44,7 +44,7 @@ SMALLER = {
     '"total_steps": 12_800, "vector_env_nums": 64': '"total_steps": 80, "vector_env_nums": 4',
     '"steps_per_epoch": 6_400': '"steps_per_epoch": 40',
     "batch_size=256": "batch_size=16",
-    "n_steps=1000, n_steps_per_epoch=500": "n_steps=4, n_steps_per_epoch=2",
+    "n_steps=100, n_steps_per_epoch=50": "n_steps=4, n_steps_per_epoch=2",
 }
 
 
