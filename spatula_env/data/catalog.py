@@ -14,13 +14,12 @@ import numpy as np
 
 from spatula_env.data.dataset import DatasetWriter, check_dataset_id, dataset_folder, read_layout, register_namespaces
 from spatula_env.data.episode import Episode
-from spatula_env.data.files import check_can_write, recording_lock
+from spatula_env.data.files import DatasetDamaged, check_can_write, inside, recording_lock
 from spatula_env.data.index import (
     INDEX_FILE,
     MAIN_FILE,
     METADATA_FILE,
     OWN_ATTRIBUTES,
-    DatasetDamaged,
     EpisodeEntry,
     check_files,
     read_index,
@@ -141,6 +140,7 @@ def copy_episodes(
         FileNotFoundError: If there is no such source.
         FileExistsError: If the target exists.
         ValueError: If there is no source, or they are of different environments; nothing is then written.
+        DatasetDamaged: If a source cannot be read, shows what is no part of it, or a link is where the target is to be.
         DatasetBusy: If another program makes such a dataset.
         OSError: If it cannot be written.
     """
@@ -148,13 +148,15 @@ def copy_episodes(
         raise ValueError("sources must name a dataset at least")
     check_dataset_id(target)
     folder = dataset_folder(target, root)
-    if (folder / "data" / METADATA_FILE).exists():
+    if inside(folder, "data", METADATA_FILE).exists():
         raise FileExistsError(f"there is a dataset {target!r} already; take another name")
     opened = [open_dataset(source, root) for source in sources]
     # Before anything is written.
     _check_sources(sources, opened, root)
     check_can_write(folder)
-    new = folder.with_name(f".{folder.name}.new")
+    # Whoever has made the folders around it may have put a link there, and what is in it is removed below.
+    new = inside(folder.parent, f".{folder.name}.new")
+    inside(new, "data")
     with recording_lock(new, target):
         # Of a program that was killed.
         shutil.rmtree(new / "data", ignore_errors=True)

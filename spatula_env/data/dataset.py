@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from spatula_env import __version__
 from spatula_env.data.encoding import episode_image
 from spatula_env.data.episode import Episode
-from spatula_env.data.files import append_to_file, check_can_write, write_file, write_lock
+from spatula_env.data.files import append_to_file, check_can_write, inside, write_file, write_lock
 from spatula_env.data.index import (
     EPISODES,
     INDEX_FILE,
@@ -104,6 +104,7 @@ class DatasetWriter:
             ImportError: If Minari, h5py or filelock is missing.
             ValueError: If the id is malformed, there is such a dataset of another environment or with other options,
                 or `env` has a specification that cannot be kept.
+            DatasetDamaged: If there is a link in its folder, or its metadata cannot be read.
             DatasetWriteError: If it cannot be written.
         """
         minari, _ = require_minari()
@@ -117,6 +118,7 @@ class DatasetWriter:
         self._metadata_file, self._main_file = self._data / METADATA_FILE, self._data / MAIN_FILE
         origin = Origin.of(env, layout)
         self._spec = origin.spec.to_json()
+        _check_own(self.path)
         if self._metadata_file.exists():
             origin.check(read_metadata(self._data), dataset_id, self.path, several_settings=several_settings)
         try:
@@ -164,9 +166,11 @@ class DatasetWriter:
             Its number.
 
         Raises:
+            DatasetDamaged: If there is a link in its folder.
             DatasetWriteError: If it could not be written, because the disk is full, for example. The dataset is as
                 before, and can be added to later.
         """
+        _check_own(self.path)
         try:
             with write_lock(self.path):
                 # Somebody else may have added some.
@@ -276,6 +280,7 @@ def check_target(dataset_id: str, env: gymnasium.Env[Any, Any], root: str | Path
     check_dataset_id(dataset_id)
     origin = Origin.of(env)
     folder = dataset_folder(dataset_id, root)
+    _check_own(folder)
     if (folder / "data" / METADATA_FILE).exists():
         origin.check(read_metadata(folder / "data"), dataset_id, folder)
     check_can_write(folder / "data" / EPISODES)
@@ -352,6 +357,13 @@ def require_minari() -> tuple[ModuleType, ModuleType]:
     except ImportError as error:
         raise ImportError(f"datasets need Minari and h5py: {install_hint('data')}") from error
     return minari, h5py
+
+
+def _check_own(folder: Path) -> None:
+    """Check that what is written into a dataset comes into its folder, and nowhere else."""
+    inside(folder, "data", EPISODES)
+    for name in (METADATA_FILE, MAIN_FILE, INDEX_FILE):
+        inside(folder, "data", name)
 
 
 def _with(values: list[str], value: str) -> tuple[list[str], int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,15 +20,49 @@ PATIENCE = 60.0
 """How long a writer waits for another one [s]."""
 
 
+JUNCTION = 0xA0000003
+"""By which Windows marks a link of its own to a folder."""
+
+
+class DatasetDamaged(ValueError):
+    """Something of a dataset is missing or cannot be read; the message says what."""
+
+
 class DatasetBusy(OSError):
     """Another program is recording into a dataset."""
 
 
+def inside(folder: Path, *names: str) -> Path:
+    """The path of something in the folder of a dataset, which may come from anywhere: no links are followed there.
+
+    Args:
+        folder: Of the dataset; itself not looked at.
+        *names: Of the folders below it, and at last of what is meant, whether it is there or not.
+
+    Raises:
+        DatasetDamaged: If one of them is a link, or neither a file nor a folder.
+    """
+    path = folder
+    for name in names:
+        path = path / name
+        try:
+            found = path.lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        if stat.S_ISLNK(found.st_mode) or getattr(found, "st_reparse_tag", 0) == JUNCTION:
+            raise DatasetDamaged(f"{path} is a link; all of a dataset must be in its own folder")
+        if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+            raise DatasetDamaged(f"{path} is neither a file nor a folder")
+    return path
+
+
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file: it has its old content or the new one, whatever happens."""
-    new = path.with_name(f".{path.name}.new")
+    """Write a file: it has its old content or the new one, whatever happens. A link of that name is replaced."""
+    new = path.with_name(f".{path.name}.{os.getpid()}.new")
+    # Whatever somebody has put there, a link for instance, is not written through.
+    new.unlink(missing_ok=True)
     try:
-        with new.open("wb") as file:
+        with new.open("xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -45,8 +80,14 @@ def append_to_file(path: Path, start: int, content: bytes) -> None:
         path: Of the file; made if it is not there.
         start: Where [bytes].
         content: What to write.
+
+    Raises:
+        DatasetDamaged: If it is a link.
+        OSError: If it cannot be written.
     """
-    with path.open("r+b" if path.exists() else "w+b") as file:
+    inside(path.parent, path.name)
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+    with os.fdopen(os.open(path, flags, 0o666), "r+b") as file:
         file.truncate(start)
         file.seek(start)
         file.write(content)

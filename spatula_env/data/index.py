@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from spatula_env.data.contained import check_contained, check_no_links
 from spatula_env.data.episode import Episode
+from spatula_env.data.files import DatasetDamaged, inside
 from spatula_env.data.layout import KEY
 
 INDEX_FILE = "index.jsonl"
@@ -27,10 +29,6 @@ LENGTH = "index_bytes"
 OWN_ATTRIBUTES = ("id", "seed", "total_steps", "options", "spec")
 """Of an episode's attributes, those that follow from where it is."""
 PEAK_FORCE = "episode_peak_force"
-
-
-class DatasetDamaged(ValueError):
-    """Something of a dataset is missing or cannot be read; the message says what."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def read_metadata(data: Path) -> dict[str, Any]:
         FileNotFoundError: If there is no dataset.
         DatasetDamaged: If they cannot be read.
     """
-    file = data / METADATA_FILE
+    file = inside(data.parent, data.name, METADATA_FILE)
     try:
         found = json.loads(file.read_bytes())
     except FileNotFoundError:
@@ -111,24 +109,15 @@ def check_harmless(data: Path) -> None:
         FileNotFoundError: If there is no dataset.
         DatasetDamaged: If not.
     """
-    import h5py
-
     metadata = read_metadata(data)
     for name in ("observation_space", "action_space"):
         # Else Minari makes the environment to ask it, and imports what the dataset says that it is made by.
         if not isinstance(metadata.get(name), str):
             raise DatasetDamaged(f"{data / METADATA_FILE} has no {name}")
-    if metadata.get("data_format", "hdf5") != "hdf5" or not (data / MAIN_FILE).is_file():
-        return
-    try:
-        with h5py.File(data / MAIN_FILE, "r") as main:
-            links = [main.get(name, getlink=True) for name in main]
-    except OSError as error:
-        raise DatasetDamaged(f"{data / MAIN_FILE} cannot be read: {error}") from error
-    inside = data.resolve()
-    for target in {Path(link.filename) for link in links if isinstance(link, h5py.ExternalLink)}:
-        if not (data / target).resolve().is_relative_to(inside):
-            raise DatasetDamaged(f"{data / MAIN_FILE} has an episode that is no part of the dataset: {target}")
+    if metadata.get("data_format", "hdf5") == "hdf5" and (data / MAIN_FILE).is_file():
+        check_contained(data, MAIN_FILE, metadata["total_episodes"])
+    else:
+        check_no_links(data)
 
 
 def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[EpisodeEntry]:
@@ -146,7 +135,7 @@ def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[Ep
     length = (told.get(KEY) or {}).get(LENGTH)
     if length is None:
         return build_index(data, told["total_episodes"])
-    file = data / INDEX_FILE
+    file = inside(data.parent, data.name, INDEX_FILE)
     try:
         lines = file.read_bytes()[:length].decode().splitlines()
         entries = [EpisodeEntry.from_line(line) for line in lines]
@@ -167,12 +156,13 @@ def check_files(data: Path, entries: Sequence[EpisodeEntry]) -> None:
     Raises:
         DatasetDamaged: If one is missing or shorter.
     """
-    if not (data / MAIN_FILE).is_file():
+    if not inside(data.parent, data.name, MAIN_FILE).is_file():
         raise DatasetDamaged(f"{data / MAIN_FILE} is missing")
+    inside(data, EPISODES)
     for number, entry in enumerate(entries):
         file = episode_file(data, number)
         try:
-            size = file.stat().st_size
+            size = inside(file.parent, file.name).stat().st_size
         except OSError:
             if not (data / EPISODES).exists():
                 # Minari's own: all episodes are in the main file.
@@ -194,6 +184,9 @@ def build_index(data: Path, count: int) -> list[EpisodeEntry]:
     """
     import h5py
 
+    if not (data / MAIN_FILE).is_file():
+        raise DatasetDamaged(f"{data / MAIN_FILE} is missing")
+    check_contained(data, MAIN_FILE, count)
     entries = []
     try:
         with h5py.File(data / MAIN_FILE, "r") as main:

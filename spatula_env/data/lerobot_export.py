@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 import spatula_env
 from spatula_env.data.dataset import read_layout
 from spatula_env.data.drawing import StatePainter, recorded_moments
+from spatula_env.data.files import inside
 from spatula_env.data.layout import VECTOR, Layout
 from spatula_env.data.replaying import open_dataset
 from spatula_env.installing import install_hint
@@ -121,7 +122,7 @@ def export_lerobot(
         columns.features[CAMERA] = _picture_feature((*painter.size, 3), videos)
     name = repo_id if repo_id is not None else _repository(dataset_id)
     # Made beside its place: LeRobot writes file after file, and half of them are no dataset.
-    unfinished = folder.with_name(f".{folder.name}.new")
+    unfinished = inside(folder.parent, f".{folder.name}.new")
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.parent.mkdir(parents=True, exist_ok=True)
     try:
