@@ -13,6 +13,7 @@ import yaml
 
 from agents.configuration import find_config
 from spatula_env.installing import install_hint
+from spatula_env.printing import printable
 
 Config = TypeVar("Config")
 
@@ -57,7 +58,7 @@ def fail(program: str, message: str, status: int = 1) -> int:
     Returns:
         The exit status.
     """
-    print(f"{program}: {message}", file=sys.stderr)
+    print(printable(f"{program}: {message}".replace("\n", "\n  "), lines=True), file=sys.stderr)
     return status
 
 

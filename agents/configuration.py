@@ -613,6 +613,8 @@ def load_yaml(file: Path) -> Any:
         where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
         said = getattr(error, "problem", None) or str(error)
         raise ValueError(f"{file}{where}: this is not YAML: {said}") from error
+    except RecursionError as error:
+        raise ValueError(f"{file}: this is not YAML of a configuration: it is nested too deeply") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: this is not YAML: it is no text in UTF-8") from error
 

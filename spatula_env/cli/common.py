@@ -15,12 +15,15 @@ import gymnasium
 
 from spatula_env import engines
 from spatula_env.naming import find_environment
+from spatula_env.printing import printable
 
 if TYPE_CHECKING:
     Parsers = argparse._SubParsersAction[argparse.ArgumentParser]
 
 FAILURE = 1
 INTERRUPTED = 130
+LARGEST_SEED = 2**63 - 1
+"""That a dataset can keep."""
 
 
 class CommandError(Exception):
@@ -42,7 +45,8 @@ def fail(message: str, status: int = FAILURE, command: str = "spatula") -> int:
     Returns:
         The exit status.
     """
-    note(f"{command}: {message}")
+    # Text from a file does not look like another message.
+    note(f"{command}: {message}".replace("\n", "\n  "))
     return status
 
 
@@ -50,7 +54,12 @@ def note(message: str) -> None:
     """Tell something that is no result, on standard error, so that results can be piped."""
     # Nobody may be left to hear it: the terminal was closed, and what was done has to be saved all the same.
     with suppress(OSError):
-        print(message, file=sys.stderr, flush=True)
+        print(printable(message, lines=True), file=sys.stderr, flush=True)
+
+
+def say(line: str, *, flush: bool = False) -> None:
+    """Print a line of a result, in which there may be text from a file; at once if `flush`."""
+    print(printable(line), flush=flush)
 
 
 def new_parser(commands: Parsers, name: str, help_text: str, description: str) -> argparse.ArgumentParser:
@@ -103,7 +112,11 @@ def add_environment_options(parser: argparse.ArgumentParser) -> None:
         help="an option of the environment, such as randomization=default or max_episode_steps=100; values are YAML",
     )
     parser.add_argument(
-        "--seed", metavar="N", type=at_least(0), default=0, help="of the first episode (default: %(default)s)"
+        "--seed",
+        metavar="N",
+        type=at_least(0, LARGEST_SEED),
+        default=0,
+        help="of the first episode (default: %(default)s)",
     )
 
 
@@ -215,6 +228,7 @@ def print_table(rows: Sequence[Sequence[str]], right: Iterable[int] = ()) -> Non
         rows: The first is the heading.
         right: Columns that are aligned to the right.
     """
+    rows = [[printable(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     aligned = set(right)
     for row in rows:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from spatula_env import engines
 from spatula_env.cli.common import (
     FAILURE,
+    LARGEST_SEED,
     CommandError,
     Stopped,
     add_json_option,
@@ -26,6 +27,7 @@ from spatula_env.cli.common import (
     print_json,
     print_table,
     resolve_env,
+    say,
 )
 from spatula_env.installing import install_hint
 
@@ -115,7 +117,11 @@ def _add_make(inner: Parsers) -> None:
         "--episodes", metavar="N", type=at_least(1), default=50, help="of each dataset (default: %(default)s)"
     )
     parser.add_argument(
-        "--seed", metavar="N", type=at_least(0), default=0, help="of the first episode (default: %(default)s)"
+        "--seed",
+        metavar="N",
+        type=at_least(0, LARGEST_SEED),
+        default=0,
+        help="of the first episode (default: %(default)s)",
     )
     parser.add_argument("--engine", choices=engines.ENGINES, help=f"(default: {engines.DEFAULT})")
     parser.add_argument("--no-states", action="store_true", help="leave out the organ's nodes")
@@ -177,7 +183,7 @@ def _list(chosen: argparse.Namespace) -> int:
     elif summaries:
         _print_list(summaries)
     else:
-        print(f"no {'whole ' if damaged else ''}datasets in {dataset_folder('', chosen.root)}")
+        say(f"no {'whole ' if damaged else ''}datasets in {dataset_folder('', chosen.root)}")
     for name, why in damaged.items():
         fail(f"{name} is damaged: {why}", command=chosen.command)
     return FAILURE if damaged else 0
@@ -236,15 +242,15 @@ def _inspect(chosen: argparse.Namespace) -> int:
         )
         return 0
     _tell(summary, str(metadata.get("description", "")))
-    print(f"  observations  {_describe_space(dataset.observation_space)}")
+    say(f"  observations  {_describe_space(dataset.observation_space)}")
     acted = f": {', '.join(layout.action_names)}" if layout.action_names else ""
-    print(f"  actions       {_describe_space(dataset.action_space)}{acted}")
+    say(f"  actions       {_describe_space(dataset.action_space)}{acted}")
     if episodes:
         print()
         names = list(dict.fromkeys(name for each in episodes for name in each))
         print_table([names, *([_cell(each.get(name)) for name in names] for each in episodes)], right=(0, 1, 2))
         for number, spec in enumerate(specs[1:], start=1):
-            print(
+            say(
                 f"spec {number} differs from spec 0 in {'; '.join(differences(spec, specs[0], ('there', 'in spec 0')))}"
             )
     return 0
@@ -285,7 +291,7 @@ def _copied(chosen: argparse.Namespace, summary: DatasetSummary) -> int:
     if chosen.json:
         print_json(asdict(summary))
     else:
-        print(f"{summary.dataset_id} has {summary.episodes} episodes, {summary.steps} steps, in {summary.path}")
+        say(f"{summary.dataset_id} has {summary.episodes} episodes, {summary.steps} steps, in {summary.path}")
     return 0
 
 
@@ -308,11 +314,11 @@ def _statistics(chosen: argparse.Namespace) -> int:
 def _tell_statistics(found: DatasetStatistics) -> None:
     record = found.as_record()
     if not record["episodes"]:
-        print(f"{record['dataset']} has no episodes")
+        say(f"{record['dataset']} has no episodes")
         return
     low, high = record["success_interval"]
-    print(f"{record['dataset']}: {record['episodes']} episodes in {record['env']} ({_counts(record['operators'])})")
-    print(f"  success        {100 * record['success_rate']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})")
+    say(f"{record['dataset']}: {record['episodes']} episodes in {record['env']} ({_counts(record['operators'])})")
+    say(f"  success        {100 * record['success_rate']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})")
     for name, label, factor, unit in (
         ("return", "return", 1.0, ""),
         ("length", "length", 1.0, "steps"),
@@ -323,14 +329,14 @@ def _tell_statistics(found: DatasetStatistics) -> None:
         spread = record[name]
         if spread is not None:
             numbers = {key: f"{factor * value:.4g}" for key, value in spread.items()}
-            print(
+            say(
                 f"  {label:14} {numbers['mean']} {unit}".rstrip()
                 + f" (mean), {numbers['least']} to {numbers['greatest']}, median {numbers['median']}"
             )
     if record["violation_rate"] is not None:
-        print(f"  violations     in {100 * record['violation_rate']:.0f} % of the episodes")
+        say(f"  violations     in {100 * record['violation_rate']:.0f} % of the episodes")
     if record["coverage"] is not None:
-        print(f"  coverage       {100 * record['coverage']:.1f} % of the workspace's cells of a tenth of its edges")
+        say(f"  coverage       {100 * record['coverage']:.1f} % of the workspace's cells of a tenth of its edges")
 
 
 def _make(chosen: argparse.Namespace) -> int:
@@ -379,7 +385,7 @@ def _make(chosen: argparse.Namespace) -> int:
         }
         if not chosen.json:
             took = f", {sum(seconds) / len(seconds):.1f} s each" if seconds else ""
-            print(
+            say(
                 f"{name}: {recording.total_episodes} episodes, {recording.recorded} of them new "
                 f"({recording.successes} with success{took})",
                 flush=True,
@@ -405,15 +411,15 @@ def _export(chosen: argparse.Namespace) -> int:
     if chosen.json:
         print_json(asdict(made))
     else:
-        print(f"{made.repo_id}: {made.episodes} episodes, {made.frames} frames, in {made.path}")
-        print(f"  {', '.join(made.features)}")
+        say(f"{made.repo_id}: {made.episodes} episodes, {made.frames} frames, in {made.path}")
+        say(f"  {', '.join(made.features)}")
     return 0
 
 
 def _tell(summary: DatasetSummary, description: str) -> None:
     print(summary.dataset_id)
     if description:
-        print(f"  {description}")
+        say(f"  {description}")
     share = f"{100 * summary.successes / summary.episodes:.0f} %" if summary.episodes else "none"
     for name, value in (
         ("environment", summary.env_id),
@@ -426,7 +432,7 @@ def _tell(summary: DatasetSummary, description: str) -> None:
         ("peak force", f"{summary.mean_peak_force:.2f} N, mean of the episodes' greatest"),
         ("size", f"{summary.megabytes:.1f} MB in {summary.path}"),
     ):
-        print(f"  {name:13} {value}")
+        say(f"  {name:13} {value}")
 
 
 def _counts(counts: Mapping[str, int]) -> str:

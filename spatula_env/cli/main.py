@@ -14,6 +14,7 @@ from spatula_env.cli import bench, datasets, demo, envs, falcon, forward, play, 
 from spatula_env.cli import compile as compile_command
 from spatula_env.cli.common import FAILURE, INTERRUPTED, CommandError, Stopped, fail
 from spatula_env.cli.interrupting import endings_like_ctrl_c
+from spatula_env.printing import printable
 
 COMMANDS = (demo, envs, play, record, replay, datasets, falcon, view, forward, bench, compile_command)
 """In the order in which help lists them."""
@@ -59,7 +60,7 @@ def _run(run: Callable[[], int], command: str = "spatula") -> int:
 
     usual = warnings.formatwarning
     # People who type a command are not helped by the line of code that warns.
-    warnings.formatwarning = lambda message, *_: f"spatula: {message}\n"
+    warnings.formatwarning = lambda message, *_: f"spatula: {printable(str(message), lines=True)}\n"
     try:
         return run()
     except Stopped as stopped:

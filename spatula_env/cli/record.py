@@ -18,6 +18,7 @@ from spatula_env.cli.common import (
     new_parser,
     note,
     print_json,
+    say,
 )
 from spatula_env.cli.devices import (
     SCRIPTED,
@@ -195,7 +196,7 @@ def _report(chosen: argparse.Namespace, summary: RecordingSummary) -> int:
         result = asdict(summary)
         print_json({"dataset": result.pop("dataset_id"), **result})
     else:
-        print(
+        say(
             f"{count_of(summary.recorded, 'episode')} added to {summary.dataset_id}, {summary.successes} of them with "
             f"success; it has {summary.total_episodes} now, in {summary.path}"
         )

@@ -22,6 +22,7 @@ from spatula_env.cli.common import (
     note,
     print_json,
     print_table,
+    say,
 )
 from spatula_env.cli.play import add_view_options, render_mode
 from spatula_env.cli.showing import Film
@@ -61,6 +62,13 @@ def add_parser(commands: Parsers) -> None:
         metavar="MODULE:ID",
         help="the environment, if it is one of your own, with the module that registers it",
     )
+    parser.add_argument(
+        "--wrapper",
+        action="append",
+        default=[],
+        metavar="MODULE:CLASS",
+        help="a wrapper that the dataset may use with whatever arguments it gives; Gymnasium's are known",
+    )
     add_root_option(parser)
     add_view_options(parser)
     add_json_option(parser)
@@ -87,6 +95,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
     from spatula_env.data.replaying import TOLERANCE, replay
+    from spatula_env.data.wrappers import import_wrapper
 
     tolerance = TOLERANCE if chosen.tolerance is None else chosen.tolerance
     film: Film | None = None
@@ -108,6 +117,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             tolerance=tolerance,
             render_mode=render_mode(chosen),
             env_id=chosen.env,
+            wrappers=[import_wrapper(name) for name in chosen.wrapper],
             after_step=after_step,
             progress=told.append,
         )
@@ -150,7 +160,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             )
         print_table(rows, right=(0, 1, 2, 3))
         found = "no states were recorded" if not differences else f"greatest difference {greatest:.3g} u"
-        print(f"{found}; {len(results)} episodes, tolerance {tolerance:g} u")
+        say(f"{found}; {len(results)} episodes, tolerance {tolerance:g} u")
     if not good:
         differing = sum(not each.matches for each in results)
         return fail(f"{differing} of {len(results)} episodes differ", FAILURE, chosen.command)
@@ -184,7 +194,7 @@ def _by_states(chosen: argparse.Namespace, dataset: Any, numbers: list[int]) -> 
             states += 1
         told.append({"episode": number, "states": states})
         if not chosen.json:
-            print(f"episode {number}: {states} states, as they were recorded", flush=True)
+            say(f"episode {number}: {states} states, as they were recorded", flush=True)
     if window is not None:
         window.close()
     if film is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 
 from spatula_env.data.dataset import DatasetWriter, check_dataset_id, dataset_folder, read_layout, register_namespaces
 from spatula_env.data.episode import Episode
-from spatula_env.data.files import DatasetDamaged, check_can_write, inside, recording_lock
+from spatula_env.data.files import check_can_write, inside, recording_lock
 from spatula_env.data.index import (
     INDEX_FILE,
     MAIN_FILE,
@@ -27,6 +26,7 @@ from spatula_env.data.index import (
 )
 from spatula_env.data.origin import MEANING
 from spatula_env.data.replaying import data_folder, open_dataset, read_entries, recorded_specs
+from spatula_env.data.specs import spec_from_json
 
 Keep = Callable[[Mapping[str, Any]], bool]
 """Takes an episode's attributes, and says whether it is wanted."""
@@ -94,10 +94,7 @@ def summarize(dataset_id: str, root: str | Path | None = None) -> DatasetSummary
     metadata = read_metadata(data)
     entries = read_index(data, metadata)
     check_files(data, entries)
-    try:
-        env_id = json.loads(metadata["env_spec"])["id"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetDamaged(f"{data / METADATA_FILE} does not say what environment the episodes are of") from error
+    env_id = spec_from_json(metadata.get("env_spec")).id
     own = [data / name for name in (MAIN_FILE, INDEX_FILE, METADATA_FILE)]
     peaks = [entry.peak_force for entry in entries if entry.peak_force is not None]
     steps = sum(entry.steps for entry in entries)

@@ -39,6 +39,8 @@ def check_contained(data: Path, main_file: str, count: int) -> None:
             _check_file(target)
     for number in range(count):
         link = links.get(f"episode_{number}")
+        if link is None:
+            raise DatasetDamaged(f"episode {number} is missing: it is not in {file}")
         # HDF5 would look for it in the current folder, too.
         if isinstance(link, h5py.ExternalLink) and not (data / link.filename).is_file():
             raise DatasetDamaged(f"episode {number} is missing: there is no {data / link.filename}")

@@ -32,13 +32,14 @@ from spatula_env.data.index import (
     LENGTH,
     MAIN_FILE,
     METADATA_FILE,
+    SPECS,
     EpisodeEntry,
     build_index,
     episode_file,
     read_metadata,
 )
 from spatula_env.data.layout import KEY, Layout
-from spatula_env.data.origin import SPECS, Origin
+from spatula_env.data.origin import Origin
 from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
@@ -202,7 +203,7 @@ class DatasetWriter:
                 "total_episodes": number + 1,
                 "total_steps": self.total_steps + len(episode),
                 "last_seed": max(seeds, default=None),
-                "dataset_size": round(metadata["dataset_size"] + len(content) / 1e6, 6),
+                "dataset_size": round((metadata.get("dataset_size") or 0.0) + len(content) / 1e6, 6),
                 KEY: own,
             }
         )
@@ -217,7 +218,7 @@ class DatasetWriter:
         """Know what there is."""
         self._metadata = metadata
         self.total_episodes = int(metadata["total_episodes"])
-        self.total_steps = int(metadata["total_steps"])
+        self.total_steps = int(metadata.get("total_steps", 0))
         self.last_seed = metadata.get("last_seed")
 
     def _with_index(self, metadata: dict[str, Any]) -> dict[str, Any]:
@@ -296,15 +297,16 @@ def check_dataset_id(dataset_id: str) -> None:
     # Minari takes no namespace of one letter.
     if found is not None and len(found["namespace"] or "...") > 2:
         return
-    words, version = re.fullmatch(r"(.*?)(-v\d+)?", dataset_id, re.DOTALL).groups()  # type: ignore[union-attr]
+    words, version = re.fullmatch(r"(.*?)(-v\d+)?", dataset_id.strip("/ "), re.DOTALL).groups()  # type: ignore[union-attr]
     parts = [re.sub(r"[^-\w]+", "_", part).strip("_") for part in words.split("/")]
     *spaces, name = [part for part in parts if part] or ["my_data"]
-    if len("/".join(spaces)) < 2:
-        spaces = []
+    reason = ""
+    if len("/".join(spaces)) == 1:
+        reason, spaces = "; a NAMESPACE of one letter is none to Minari", []
     better = "/".join([*spaces, name]) + (version or "-v0")
     raise ValueError(
-        f"dataset must be named as NAME-v0 or NAMESPACE/NAME-v0, of letters, digits, - and _, got {dataset_id!r}: "
-        f"say {better!r}"
+        f"dataset must be named as NAME-v0 or NAMESPACE/NAME-v0, of letters, digits, - and _{reason}, "
+        f"got {dataset_id!r}: say {better!r}"
     )
 
 

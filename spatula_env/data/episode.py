@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.data.checking import check_seed
+
 if TYPE_CHECKING:
     import gymnasium
 
@@ -104,7 +106,11 @@ class EpisodeRecorder:
             info: Of the reset.
             seed: Given to it.
             options: Given to it.
+
+        Raises:
+            ValueError: If no dataset can keep the seed.
         """
+        check_seed(seed)
         self._observations, self._infos = [_copy(observation)], [self._kept(info)]
         self._actions, self._outcomes = [], []
         self._seed, self._options = seed, options

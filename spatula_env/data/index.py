@@ -14,16 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from spatula_env.data.checking import check_line, check_metadata, read_json
 from spatula_env.data.contained import check_contained, check_no_links
 from spatula_env.data.episode import Episode
 from spatula_env.data.files import DatasetDamaged, inside
 from spatula_env.data.layout import KEY
+from spatula_env.data.specs import spec_from_json
 
 INDEX_FILE = "index.jsonl"
 METADATA_FILE = "metadata.json"
 MAIN_FILE = "main_data.hdf5"
 EPISODES = "episodes"
 """Folder with the episodes' files, beside the main file."""
+SPECS = "env_specs"
+"""Under which the metadata keep the specifications of the episodes' environments."""
 LENGTH = "index_bytes"
 """Under which the metadata keep how long the index is."""
 OWN_ATTRIBUTES = ("id", "seed", "total_steps", "options", "spec")
@@ -67,11 +71,6 @@ class EpisodeEntry:
             attributes={name: plain(each) for name, each in episode.attributes.items() if name not in OWN_ATTRIBUTES},
         )
 
-    @classmethod
-    def from_line(cls, line: str) -> EpisodeEntry:
-        """From what `as_line` made."""
-        return cls(**json.loads(line))
-
     def as_line(self) -> bytes:
         """A line of the index."""
         return json.dumps(vars(self), default=repr).encode() + b"\n"
@@ -89,14 +88,12 @@ def read_metadata(data: Path) -> dict[str, Any]:
     """
     file = inside(data.parent, data.name, METADATA_FILE)
     try:
-        found = json.loads(file.read_bytes())
+        content = file.read_bytes()
     except FileNotFoundError:
         raise
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise DatasetDamaged(f"{file} cannot be read: {error}") from error
-    if not isinstance(found, dict) or not isinstance(found.get("total_episodes"), int):
-        raise DatasetDamaged(f"{file} has no metadata of a dataset")
-    return found
+    return check_metadata(read_json(content, str(file)), file)
 
 
 def check_harmless(data: Path) -> None:
@@ -109,11 +106,20 @@ def check_harmless(data: Path) -> None:
         FileNotFoundError: If there is no dataset.
         DatasetDamaged: If not.
     """
+    from minari.serialization import deserialize_space
+
     metadata = read_metadata(data)
     for name in ("observation_space", "action_space"):
         # Else Minari makes the environment to ask it, and imports what the dataset says that it is made by.
         if not isinstance(metadata.get(name), str):
             raise DatasetDamaged(f"{data / METADATA_FILE} has no {name}")
+        try:
+            deserialize_space(metadata[name])
+        # Gymnasium and Minari raise whatever they meet.
+        except Exception as error:
+            raise DatasetDamaged(f"{data / METADATA_FILE} has an {name} that is none: {error}") from error
+    for text in {metadata.get("env_spec"), *(metadata.get(KEY) or {}).get(SPECS, [])} - {None}:
+        spec_from_json(text)
     if metadata.get("data_format", "hdf5") == "hdf5" and (data / MAIN_FILE).is_file():
         check_contained(data, MAIN_FILE, metadata["total_episodes"])
     else:
@@ -134,16 +140,29 @@ def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[Ep
     told = read_metadata(data) if metadata is None else metadata
     length = (told.get(KEY) or {}).get(LENGTH)
     if length is None:
-        return build_index(data, told["total_episodes"])
+        return build_index(data, told["total_episodes"], count_specs(told))
     file = inside(data.parent, data.name, INDEX_FILE)
     try:
-        lines = file.read_bytes()[:length].decode().splitlines()
-        entries = [EpisodeEntry.from_line(line) for line in lines]
-    except (OSError, TypeError, ValueError) as error:
+        lines = file.read_bytes()[:length].splitlines()
+    except OSError as error:
         raise DatasetDamaged(f"{file} cannot be read: {error}") from error
+    specs = count_specs(told)
+    entries = [
+        EpisodeEntry(**check_line(read_json(line, f"{file}, line {number}"), f"{file}, line {number}", specs))
+        for number, line in enumerate(lines, start=1)
+    ]
     if len(entries) != told["total_episodes"]:
         raise DatasetDamaged(f"{file} has {len(entries)} episodes, there are to be {told['total_episodes']}")
     return entries
+
+
+def count_specs(metadata: Mapping[str, Any]) -> int:
+    """How many specifications of environments a dataset has.
+
+    Args:
+        metadata: Of the dataset.
+    """
+    return len((metadata.get(KEY) or {}).get(SPECS, [None]))
 
 
 def check_files(data: Path, entries: Sequence[EpisodeEntry]) -> None:
@@ -172,12 +191,13 @@ def check_files(data: Path, entries: Sequence[EpisodeEntry]) -> None:
             raise DatasetDamaged(f"episode {number} is damaged: {file} has {size} bytes instead of {entry.size}")
 
 
-def build_index(data: Path, count: int) -> list[EpisodeEntry]:
+def build_index(data: Path, count: int, specs: int = 1) -> list[EpisodeEntry]:
     """Make the index of a dataset that has none, by going through its episodes.
 
     Args:
         data: The folder "data" in that of the dataset.
         count: How many episodes it has.
+        specs: How many specifications of environments.
 
     Raises:
         DatasetDamaged: If an episode cannot be read.
@@ -195,22 +215,24 @@ def build_index(data: Path, count: int) -> list[EpisodeEntry]:
                 attributes = dict(group.attrs)
                 seed, peaks = attributes.get("seed"), group.get(f"infos/{PEAK_FORCE}")
                 file = episode_file(data, number)
-                entries.append(
-                    EpisodeEntry(
-                        steps=len(group["rewards"]),
-                        total_reward=float(group["rewards"][()].sum()),
-                        peak_force=None if peaks is None else _finite(peaks[-1]),
-                        seed=None if seed is None else int(seed),
-                        spec=int(attributes.get("spec", 0)),
-                        size=file.stat().st_size if file.exists() else 0,
-                        attributes={
-                            name: plain(value)
-                            for name, value in attributes.items()
-                            if name.partition("/")[0] not in OWN_ATTRIBUTES
-                        },
-                    )
+                entry = EpisodeEntry(
+                    steps=len(group["rewards"]),
+                    total_reward=float(group["rewards"][()].sum()),
+                    peak_force=None if peaks is None else _finite(peaks[-1]),
+                    seed=None if seed is None else int(seed),
+                    spec=int(attributes.get("spec", 0)),
+                    size=file.stat().st_size if file.exists() else 0,
+                    attributes={
+                        name: plain(value)
+                        for name, value in attributes.items()
+                        if name.partition("/")[0] not in OWN_ATTRIBUTES
+                    },
                 )
-    except (OSError, KeyError, RuntimeError) as error:
+                check_line(vars(entry), f"episode {number} in {data}", specs)
+                entries.append(entry)
+    except DatasetDamaged:
+        raise
+    except (AttributeError, IndexError, KeyError, OSError, OverflowError, RuntimeError, TypeError, ValueError) as error:
         raise DatasetDamaged(f"episode {len(entries)} in {data} cannot be read: {error}") from error
     return entries
 

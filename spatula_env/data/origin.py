@@ -16,8 +16,6 @@ from spatula_env.data.specs import differences, spec_from_json, storable_spec
 if TYPE_CHECKING:
     import gymnasium
 
-SPECS = "env_specs"
-"""Under which a dataset's metadata keep the specifications of the episodes' environments."""
 MEANING = ("observation_names", "action_names", "control_frequency", "workspace_low", "workspace_high")
 """What of a layout the numbers of an episode depend on."""
 
@@ -74,12 +72,12 @@ class Origin:
             ValueError: If not; names what differs.
         """
         elsewhere = f"take another name or delete {folder}"
-        stored = spec_from_json(metadata["env_spec"])
+        stored = spec_from_json(metadata.get("env_spec"))
         apart = differences(self.spec, stored)
         if stored.id != self.spec.id:
             raise ValueError(f"dataset {dataset_id!r} has episodes of {stored.id}, not of {self.spec.id}; {elsewhere}")
         for name, value in self.spaces.items():
-            if metadata[name] != value:
+            if metadata.get(name) != value:
                 told = f", as the options differ in {'; '.join(apart)}" if apart else ""
                 raise ValueError(
                     f"dataset {dataset_id!r} has episodes with another {name.replace('_', ' ')}{told}; {elsewhere}"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env import __version__
+from spatula_env.data.checking import check_seed
 from spatula_env.data.dataset import AUTHOR, DatasetWriter, check_target, dataset_folder
 from spatula_env.data.episode import EpisodeRecorder, StateType
 from spatula_env.data.files import recording_lock
@@ -104,6 +105,7 @@ def record(
     for name, value in (("episodes", episodes), ("total", total), ("attempts", attempts)):
         if value is not None and value < 1:
             raise ValueError(f"{name} must be 1 or more, got {value!r}")
+    check_seed(seed)
     operator = str(getattr(device, "operator", "human"))
     wrapped = FalconTeleop(env, device, **teleop)
     # Before anything is made.

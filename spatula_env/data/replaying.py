@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from spatula_env.data.dataset import dataset_folder, require_minari
 from spatula_env.data.episode import STATE, physics_state
-from spatula_env.data.index import EpisodeEntry, check_harmless, read_index, read_metadata
+from spatula_env.data.files import DatasetDamaged
+from spatula_env.data.index import SPECS, EpisodeEntry, check_harmless, read_index, read_metadata
 from spatula_env.data.layout import KEY
-from spatula_env.data.origin import SPECS
 from spatula_env.data.specs import make_recorded, spec_from_json
 
 if TYPE_CHECKING:
@@ -68,7 +68,11 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     minari, _ = require_minari()
     data = data_folder(dataset_id, root)
     check_harmless(data)
-    return minari.MinariDataset(data)
+    try:
+        return minari.MinariDataset(data)
+    # It raises whatever it meets.
+    except Exception as error:
+        raise DatasetDamaged(f"{data} cannot be read: {error}") from error
 
 
 def read_entries(dataset_id: str, root: str | Path | None = None) -> list[EpisodeEntry]:
@@ -97,7 +101,7 @@ def recorded_specs(dataset_id: str, root: str | Path | None = None) -> list[EnvS
         DatasetDamaged: If its metadata cannot be read.
     """
     metadata = read_metadata(data_folder(dataset_id, root))
-    return [spec_from_json(text) for text in (metadata.get(KEY) or {}).get(SPECS, [metadata["env_spec"]])]
+    return [spec_from_json(text) for text in (metadata.get(KEY) or {}).get(SPECS, [metadata.get("env_spec")])]
 
 
 def replay(
@@ -108,6 +112,7 @@ def replay(
     tolerance: float = TOLERANCE,
     render_mode: str | None = None,
     env_id: str | None = None,
+    wrappers: Sequence[type[gymnasium.Wrapper[Any, Any, Any, Any]]] = (),
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None = None,
     progress: Callable[[EpisodeReplay], None] | None = None,
 ) -> list[EpisodeReplay]:
@@ -123,6 +128,8 @@ def replay(
         tolerance: Greatest difference that counts as the same [u].
         render_mode: Of the environment; None: as it was recorded, if its wrappers need pictures.
         env_id: The environment as "module:id", if it is one of your own that is not registered yet.
+        wrappers: Wrappers in which it may be put with whatever arguments the dataset gives, beside those of Gymnasium
+            and of this package that write nothing.
         after_step: Called with the environment and the step's number after the reset (0) and every step.
         progress: Called after each episode with how it compares.
 
@@ -132,7 +139,8 @@ def replay(
     Raises:
         ImportError: If Minari is missing, or PyBullet is and the episodes were recorded with it.
         FileNotFoundError: If there is no such dataset.
-        ValueError: If an episode has no seed, or its environment or a wrapper is not known here.
+        DatasetDamaged: If the dataset cannot be read, or shows what is no part of it.
+        ValueError: If an episode has no seed, its environment is not known here, or a wrapper is not allowed.
     """
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
@@ -146,10 +154,15 @@ def replay(
             if env is None or spec != made:
                 if env is not None:
                     env.close()
-                env, made = make_recorded(spec, render_mode, env_id), spec
+                env, made = make_recorded(spec, render_mode, env_id, wrappers), spec
+                if env.action_space != dataset.action_space:
+                    raise ValueError(f"the episodes of {dataset_id!r} have other actions than those of {spec.id}")
             (metadata,) = dataset.storage.get_episode_metadata([number])
             (recorded,) = dataset.iterate_episodes([number])
-            results.append(_repeat(env, number, recorded, metadata, tolerance, after_step))
+            _check_states(recorded, number)
+            results.append(
+                _repeat(env, number, recorded, {**metadata, "seed": entries[number].seed}, tolerance, after_step)
+            )
             if progress is not None:
                 progress(results[-1])
     finally:
@@ -193,6 +206,18 @@ def _spec_of(entry: EpisodeEntry, specs: Sequence[EnvSpec]) -> EnvSpec:
     return named
 
 
+def _check_states(recorded: Any, number: int) -> None:
+    """Check that there are states of all steps of an episode, if of any."""
+    states = (recorded.infos or {}).get(STATE)
+    if states is None:
+        return
+    rows = len(recorded.rewards) + 1
+    kept: dict[str, Any] = states if isinstance(states, dict) else {}
+    shapes = [getattr(kept.get(name), "shape", ()) for name in ("nodes", "tools")]
+    if len(recorded.actions) != rows - 1 or any(shape[:1] != (rows,) for shape in shapes):
+        raise DatasetDamaged(f"episode {number} is damaged: it has {rows - 1} steps, and states of another number")
+
+
 def _repeat(
     env: gymnasium.Env[Any, Any],
     number: int,
@@ -204,7 +229,7 @@ def _repeat(
     if metadata.get("seed") is None:
         raise ValueError(f"episode {number} has no seed, it cannot be repeated")
     simulation: Any = getattr(env.unwrapped, "simulation", None)
-    states = recorded.infos.get(STATE) if recorded.infos else None
+    states = recorded.infos.get(STATE) if recorded.infos and simulation is not None else None
     _, info = env.reset(seed=int(metadata["seed"]), options=metadata.get("options"))
     difference = _difference(simulation, states, 0)
     rewards = []
@@ -223,7 +248,7 @@ def _repeat(
         difference=difference if states is not None else float("nan"),
         reward_difference=apart,
         matches=difference <= tolerance and apart <= tolerance,
-        success=bool(info["is_success"]),
+        success=bool(info.get("is_success", False)),
     )
 
 

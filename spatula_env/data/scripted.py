@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 
 import spatula_env
+from spatula_env.data.checking import check_seed
 from spatula_env.data.dataset import DatasetWriter, check_dataset_id, check_target, dataset_folder
 from spatula_env.data.episode import EpisodeRecorder, StateType
 from spatula_env.data.files import recording_lock
@@ -137,6 +138,7 @@ def make_scripted(
     """
     if episodes < 1:
         raise ValueError(f"episodes must be 1 or more, got {episodes!r}")
+    check_seed(seed)
     name = dataset_id if dataset_id is not None else scripted_id(env_id)
     check_dataset_id(name)
     folder = dataset_folder(name, root)
@@ -198,7 +200,7 @@ def _count(dataset_id: str, env_id: str, root: str | Path | None) -> int:
     if not (data / METADATA_FILE).exists():
         return 0
     metadata = read_metadata(data)
-    found = spec_from_json(metadata["env_spec"]).id
+    found = spec_from_json(metadata.get("env_spec")).id
     if found != env_id:
         raise ValueError(f"dataset {dataset_id!r} is one of {found}, not of {env_id}; take another name")
     entries = read_index(data, metadata)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import copy
-import importlib
 import inspect
 import json
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
@@ -15,6 +13,9 @@ import gymnasium
 import numpy as np
 from gymnasium.envs.registration import EnvSpec, WrapperSpec, load_env_creator
 
+from spatula_env.data.checking import check_spec, read_json
+from spatula_env.data.files import DatasetDamaged
+from spatula_env.data.wrappers import allowed_wrapper
 from spatula_env.naming import bare_id, registered_id
 
 UNSEEN = ("render_mode",)
@@ -24,8 +25,6 @@ UNSEEN_WITHOUT_PICTURES = ("width", "height")
 ONLOOKERS = ("HumanRendering", "RecordVideo")
 """Gymnasium's wrappers that show or film what happens and change nothing of it. They are not kept: whoever makes the
 environment again wants neither windows nor films."""
-TRUSTED = ("gymnasium", "spatula_env")
-"""Packages whose wrappers a dataset may name."""
 MAKERS = ("GymV21Environment-v0", "GymV26Environment-v0")
 """Gymnasium's environments that make another one, of Gym, by an id that is an option of theirs."""
 UNTOLD = "unspecified"
@@ -72,16 +71,23 @@ def storable_spec(env: gymnasium.Env[Any, Any]) -> EnvSpec:
     return kept
 
 
-def spec_from_json(text: str) -> EnvSpec:
-    """A specification as a dataset keeps it; nothing is imported or made.
+def spec_from_json(text: Any) -> EnvSpec:
+    """A specification as a dataset keeps it; nothing is imported or made. Nobody needs its windows.
 
     Raises:
-        ValueError: If it is none.
+        DatasetDamaged: If it is none.
     """
+    what = "the specification of the environment"
+    if not isinstance(text, str):
+        raise DatasetDamaged(f"{what} must be text, got {text!r}")
+    told = check_spec(read_json(text, what), what)
+    kwargs = told.get("kwargs", {})
+    if kwargs.get("render_mode") == "human":
+        kwargs = {name: value for name, value in kwargs.items() if name != "render_mode"}
     try:
-        return EnvSpec.from_json(text)
-    except (TypeError, KeyError) as error:
-        raise ValueError(f"this is no specification of an environment: {text[:200]!r}") from error
+        return EnvSpec.from_json(json.dumps({**told, "kwargs": kwargs}))
+    except (AttributeError, TypeError, KeyError, ValueError) as error:
+        raise DatasetDamaged(f"{what} is none: {text[:200]!r}") from error
 
 
 def differences(first: EnvSpec, second: EnvSpec, names: tuple[str, str] = ("here", "there")) -> list[str]:
@@ -106,20 +112,27 @@ def differences(first: EnvSpec, second: EnvSpec, names: tuple[str, str] = ("here
     return found
 
 
-def make_recorded(spec: EnvSpec, render_mode: str | None = None, env_id: str | None = None) -> gymnasium.Env[Any, Any]:
+def make_recorded(
+    spec: EnvSpec,
+    render_mode: str | None = None,
+    env_id: str | None = None,
+    wrappers: Sequence[type[gymnasium.Wrapper[Any, Any, Any, Any]]] = (),
+) -> gymnasium.Env[Any, Any]:
     """Make the environment of a dataset again.
 
     A dataset may come from anywhere, so nothing is imported for its sake: the environment is the one that is registered
-    here under its id, and wrappers are Gymnasium's, this package's, or of modules that are imported already.
+    here under its id. Wrappers get the arguments that the dataset gives, and with those some write files; so they are
+    those of Gymnasium and of this package that do not, and those that the caller names.
 
     Args:
         spec: As the dataset keeps it.
         render_mode: How to look at it; None: as it was recorded, if that was needed.
         env_id: The same environment as "module:id", if nobody has registered it yet.
+        wrappers: More wrappers that are allowed, whatever their arguments.
 
     Raises:
-        ImportError: If the module of `env_id` cannot be imported.
-        ValueError: If there is no such environment or wrapper here.
+        ImportError: If the module of `env_id` cannot be imported, or the engine is missing.
+        ValueError: If there is no such environment here, a wrapper is not allowed, or it cannot be made so.
     """
     found = copy.copy(spec)
     found.id = bare_id(registered_id(spec.id, env_id))
@@ -127,29 +140,25 @@ def make_recorded(spec: EnvSpec, render_mode: str | None = None, env_id: str | N
     if found.id in MAKERS:
         raise ValueError(f"the dataset was recorded in {found.id}, which makes whatever environment it is told to")
     found.entry_point, found.vector_entry_point = registered.entry_point, registered.vector_entry_point
-    found.additional_wrappers = tuple(each for each in spec.additional_wrappers if not _only_looks_on(each))
-    for each in found.additional_wrappers:
-        _check_wrapper(each)
-    return gymnasium.make(found) if render_mode is None else gymnasium.make(found, render_mode=render_mode)
+    found.additional_wrappers = tuple(
+        WrapperSpec(each.name, allowed_wrapper(each.entry_point, wrappers), each.kwargs)
+        for each in spec.additional_wrappers
+        if not _only_looks_on(each)
+    )
+    try:
+        return gymnasium.make(found) if render_mode is None else gymnasium.make(found, render_mode=render_mode)
+    except ImportError:
+        raise
+    # What a wrapper or an environment does with arguments that make no sense.
+    except (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
+        reason = str(error).partition(" was raised from the environment creator")[0]
+        raise ValueError(f"{found.id} cannot be made as the dataset says: {reason}") from error
 
 
 def _only_looks_on(wrapper: WrapperSpec) -> bool:
     # By what it is made by: its name is only said.
     module, _, name = wrapper.entry_point.partition(":")
     return name in ONLOOKERS and module.partition(".")[0] == "gymnasium"
-
-
-def _check_wrapper(wrapper: WrapperSpec) -> None:
-    """Check that a wrapper that a dataset names is one, and that its module is known here."""
-    module, _, name = wrapper.entry_point.partition(":")
-    found: Any = None
-    if module.partition(".")[0] in TRUSTED or module in sys.modules:
-        found = getattr(importlib.import_module(module), name, None)
-    if not (isinstance(found, type) and issubclass(found, gymnasium.Wrapper)):
-        raise ValueError(
-            f"the dataset was recorded in the wrapper {wrapper.entry_point!r}, which is not known here, and no "
-            "module is imported because a dataset names it: import it first"
-        )
 
 
 def _options(spec: EnvSpec) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -166,10 +168,8 @@ class ExportedPolicy:
         """
         try:
             with np.load(path, allow_pickle=False) as arrays:
-                header = json.loads(str(arrays["header"]))
-                if header["format"] != FORMAT:
-                    raise ValueError(f"{path} has the format {header['format']}, this version reads {FORMAT}")
-                return cls(
+                header = _checked_header(json.loads(str(arrays["header"])))
+                policy = cls(
                     entries=tuple(
                         Entry(name, arrays[f"mean_{index}"], arrays[f"scale_{index}"])
                         for index, name in enumerate(header["entries"])
@@ -179,12 +179,84 @@ class ExportedPolicy:
                         (arrays[f"weights_{index}"], arrays[f"biases_{index}"]) for index in range(header["layers"])
                     ),
                     activation=header["activation"],
-                    squash=bool(header["squash"]),
+                    squash=header["squash"],
                     low=arrays["low"],
                     high=arrays["high"],
                     metadata=header["metadata"],
                 )
-        except (KeyError, OSError, json.JSONDecodeError) as error:
-            if isinstance(error, FileNotFoundError):
-                raise
+            policy._check_shapes()
+        except FileNotFoundError:
+            raise
+        except (
+            AttributeError,
+            EOFError,
+            KeyError,
+            MemoryError,
+            OSError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
             raise ValueError(f"{path} holds no exported policy: {error}") from error
+        return policy
+
+    def _check_shapes(self) -> None:
+        """Check that the arrays fit each other."""
+        size = 0
+        for entry in self.entries:
+            _check_array(f"mean of {entry.name!r}", entry.mean, (len(np.atleast_1d(entry.mean)),))
+            _check_array(f"scale of {entry.name!r}", entry.scale, entry.mean.shape)
+            size += len(entry.mean)
+        for number, (weights, biases) in enumerate(self.layers):
+            _check_array(f"biases of layer {number}", biases, (len(np.atleast_1d(biases)),))
+            _check_array(f"weights of layer {number}", weights, (len(biases), size))
+            size = len(biases)
+        _check_array("low", self.low, (size,))
+        _check_array("high", self.high, (size,))
+
+
+def _check_array(name: str, values: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if values.dtype.kind != "f" or values.shape != shape:
+        raise ValueError(f"{name} must be numbers {shape}, got {values.dtype} {values.shape}")
+
+
+def _checked_header(header: Any) -> dict[str, Any]:
+    """What a file tells of its policy.
+
+    Raises:
+        ValueError: If it is something else; says what.
+    """
+    if not isinstance(header, dict):
+        raise ValueError(f"its header must be a mapping, got {_shown(header)}")
+    if header.get("format") != FORMAT:
+        raise ValueError(f"it has the format {_shown(header.get('format'))}, this version reads {FORMAT}")
+
+    def is_texts(value: Any) -> bool:
+        return isinstance(value, list) and all(isinstance(each, str) for each in value)
+
+    def is_count(value: Any) -> bool:
+        return isinstance(value, int) and not isinstance(value, bool) and value > 0
+
+    metadata = header.get("metadata")
+    told = metadata if isinstance(metadata, dict) else {}
+    for name, fits, allowed in (
+        ("entries", is_texts(header.get("entries")), "a list of names"),
+        ("clip", isinstance(header.get("clip"), int | float), "a number"),
+        ("layers", is_count(header.get("layers")), "a positive integer"),
+        ("activation", header.get("activation") in list(ACTIVATIONS), f"one of {list(ACTIVATIONS)}"),
+        ("squash", isinstance(header.get("squash"), bool), "true or false"),
+        ("metadata", isinstance(metadata, dict), "a mapping"),
+        ("metadata's env_id", isinstance(told.get("env_id", ""), str), "text"),
+        ("metadata's env_kwargs", isinstance(told.get("env_kwargs", {}), dict), "a mapping"),
+        ("metadata's parts", told.get("parts") is None or is_texts(told["parts"]), "null or a list of names"),
+    ):
+        if not fits:
+            raise ValueError(f"its {name} must be {allowed}, got {_shown(header.get(name, metadata))}")
+    return header
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:100]} …"

@@ -63,9 +63,20 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
     Args:
         path: Of the weights, .npz.
+
+    Raises:
+        ValueError: If the file says something else.
     """
     file = path.with_suffix(".json")
-    return dict(json.loads(file.read_text(encoding="utf-8"))) if file.exists() else {}
+    if not file.exists():
+        return {}
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (RecursionError, ValueError) as error:
+        raise ValueError(f"{file} cannot be read: {error}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"{file} must hold a mapping, got {str(found)[:100]!r}")
+    return found
 
 
 def describe_provenance(provenance: Mapping[str, Any]) -> str:

@@ -50,7 +50,9 @@ def test_a_copy_touches_nothing_behind_a_link(root, tmp_path, command, name, cap
     assert not (root / OTHER / "data" / "metadata.json").exists()
 
 
-@pytest.mark.parametrize("name", ["data", "data/episodes", "data/index.jsonl", "data/metadata.json", "data/main_data.hdf5"])
+@pytest.mark.parametrize(
+    "name", ["data", "data/episodes", "data/index.jsonl", "data/metadata.json", "data/main_data.hdf5"]
+)
 @pytest.mark.parametrize("dangling", [False, True])
 def test_a_link_in_the_folder_is_neither_read_nor_written_through(root, tmp_path, name, dangling):
     place, moved = root / ID / name, tmp_path / "moved"

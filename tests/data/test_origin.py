@@ -207,7 +207,7 @@ def test_nothing_is_imported_for_a_datasets_sake(tmp_path, monkeypatch) -> None:
         ("spatula_env.data.files:check_can_write", {"folder": "x"}),
     ):
         spec.additional_wrappers = (gym.envs.registration.WrapperSpec("Wrapper", point, kwargs),)
-        with pytest.raises(ValueError, match="import it first"):
+        with pytest.raises(ValueError, match="allow it: replay"):
             make_recorded(spec)
     spec.id = "Spatula/Poison-v0"
     with pytest.raises(ValueError, match="is not registered"):

@@ -16,7 +16,7 @@ from spatula_env.cli.main import main
 from spatula_env.data import catalog
 from spatula_env.data.dataset import dataset_folder, read_layout
 from spatula_env.data.index import DatasetDamaged
-from spatula_env.data.replaying import open_dataset, recorded_states, replay
+from spatula_env.data.replaying import open_dataset, recorded_specs, recorded_states, replay
 from spatula_env.data.statistics import statistics
 
 gym.register_envs(spatula_env)
@@ -159,9 +159,98 @@ def test_a_wrapper_that_films_is_left_out_by_whatever_name(root, tmp_path):
     assert not films.exists()
 
 
+class Notes(gym.Wrapper, gym.utils.RecordConstructorArgs):
+    """Writes a file, as Stable-Baselines3's Monitor does."""
+
+    def __init__(self, env, file):
+        gym.utils.RecordConstructorArgs.__init__(self, file=file)
+        super().__init__(env)
+        with open(file, "w"):
+            pass
+
+
+def test_a_wrapper_that_writes_is_made_only_if_the_caller_says_so(root, tmp_path, capsys):
+    precious = tmp_path / "precious"
+    precious.write_text("years of work")
+    point = f"{__name__}:Notes"
+    change(root, additional_wrappers=wrapper(point, file=str(precious)))
+    with pytest.raises(ValueError, match=r"allow it: replay\(\.\.\., wrappers=\[THE_CLASS\]\), or --wrapper"):
+        replay(ID)
+    assert main(["replay", ID]) == 1
+    assert f"--wrapper {point}" in capsys.readouterr().err
+    assert precious.read_text() == "years of work"
+    (episode,) = replay(ID, wrappers=[Notes])
+    assert episode.matches
+    assert precious.read_text() == ""
+    precious.write_text("others")
+    assert main(["replay", ID, "--wrapper", point]) == 0
+    assert main(["replay", ID, "--wrapper", "json:loads"]) == 1
+    assert main(["replay", ID, "--wrapper", "Notes"]) == 1
+
+
+@pytest.mark.parametrize(
+    "point",
+    [
+        "gymnasium.wrappers:TransformAction",
+        "gymnasium.wrappers.transform_action:TransformAction",
+        "gymnasium.utils.save_video:save_video",
+        "spatula_env.cli.__main__:Anything",
+        "spatula_env.teleop.wrapper:FalconTeleop",
+        "gymnasium.wrappers:TimeLimit.env",
+        "json:loads",
+        "",
+    ],
+)
+def test_other_wrappers_are_refused(root, point):
+    change(root, additional_wrappers=wrapper(point, func="os.system"))
+    with pytest.raises(ValueError, match="If you trust the dataset"):
+        replay(ID)
+
+
+def test_wrappers_that_write_nothing_are_made(root):
+    change(root, additional_wrappers=wrapper("gymnasium.wrappers:RecordEpisodeStatistics"))
+    (episode,) = replay(ID)
+    assert episode.matches
+    change(root, additional_wrappers=wrapper("spatula_env.envs.adapters.masa:LabelsWrapper"))
+    (episode,) = replay(ID)
+    assert episode.matches
+
+
+NONSENSE = {
+    "wrapper's entry point a number": {"additional_wrappers": wrapper(5)},
+    "wrapper without an entry point": {"additional_wrappers": wrapper(None)},
+    "wrapper with unknown arguments": {"additional_wrappers": wrapper("gymnasium.wrappers:TimeLimit", sense=1)},
+    "wrappers a number": {"additional_wrappers": 5},
+    "wrapper without a name": {"additional_wrappers": [{}]},
+    "arguments a text": {"kwargs": "zzz"},
+    "unknown arguments": {"kwargs": {"zzz": 1}},
+    "another environment": {"id": "CartPole-v1"},
+    "no id": {"id": 5},
+    "a number of steps that is none": {"max_episode_steps": "many"},
+    "an entry point that is none": {"entry_point": 5},
+}
+
+
+@pytest.mark.parametrize("name", list(NONSENSE))
+def test_nonsense_of_the_environment_is_said_in_words(root, name, capsys):
+    change(root, **NONSENSE[name])
+    with pytest.raises(ValueError, match=r"dataset|specification|actions"):
+        replay(ID)
+    assert main(["replay", ID]) == 1
+    assert capsys.readouterr().err.startswith("spatula replay: ")
+
+
+def test_nobody_needs_the_windows_of_a_dataset(root):
+    metadata = json.loads((root / ID / "data" / "metadata.json").read_text())
+    change(root, kwargs={**json.loads(metadata["env_spec"])["kwargs"], "render_mode": "human"})
+    (episode,) = replay(ID)
+    assert episode.matches
+    assert "render_mode" not in recorded_specs(ID)[0].kwargs
+
+
 def test_the_reason_is_told(root):
     change(root, **POISONS["wrapper"])
-    with pytest.raises(ValueError, match=r"poison_wrapper:Wrapper.*import it first"):
+    with pytest.raises(ValueError, match=r"poison_wrapper:Wrapper.*If you trust the dataset, allow it: replay"):
         replay(ID)
     change(root, additional_wrappers=[], **POISONS["id"])
     with pytest.raises(ValueError, match="no module is imported because a file names it"):
