@@ -346,7 +346,7 @@ def _read_archive(file: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str,
 
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(file, allow_pickle=False) as arrays:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
     except FileNotFoundError:
         raise

@@ -167,7 +167,8 @@ class ExportedPolicy:
             ValueError: If it holds something else.
         """
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            # Opened here: NumPy does not close what is no archive.
+            with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
                 header = _checked_header(json.loads(str(arrays["header"])))
                 policy = cls(
                     entries=tuple(
