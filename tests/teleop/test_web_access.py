@@ -66,6 +66,12 @@ def test_on_loopback_everybody_of_this_machine_comes_in(name):
         head(Origin="http://evil.example"),
         head(Origin="http://127.0.0.1:8081"),
         head(Origin="null"),
+        # The right host, and not by what it is served by.
+        head(Origin="https://127.0.0.1:8080"),
+        head(Origin="chrome-extension://127.0.0.1:8080"),
+        head(Origin="ws://127.0.0.1:8080"),
+        head(Origin="http://127.0.0.1:8080", **{"X-Forwarded-Proto": "https"}),
+        head(Origin="ftp://127.0.0.1:8080", **{"X-Forwarded-Proto": "ftp"}),
         # A name that somebody else owns, and points here.
         head(Host="evil.example:8080", Origin="http://evil.example:8080"),
         head(Host="evil.example"),
@@ -77,6 +83,17 @@ def test_on_loopback_everybody_of_this_machine_comes_in(name):
 )
 def test_no_page_of_another_site_comes_in(headers):
     assert Doorkeeper("127.0.0.1").judge("/", headers).status is HTTPStatus.FORBIDDEN
+
+
+def test_a_server_with_tls_in_front_says_so():
+    headers = head(Host="tools.example", Origin="https://tools.example", **{"X-Forwarded-Proto": "https"})
+    assert Doorkeeper("tools.example", TOKEN).judge("/", headers).status is HTTPStatus.UNAUTHORIZED
+    assert (
+        Doorkeeper("127.0.0.1")
+        .judge("/", head(Origin="https://127.0.0.1:8080", **{"X-Forwarded-Proto": "https"}))
+        .status
+        is HTTPStatus.OK
+    )
 
 
 def test_a_link_from_another_page_may_be_followed():
@@ -99,6 +116,11 @@ def test_a_link_from_another_page_may_be_followed():
         head(Host="a@127.0.0.1:8080"),
         head(Host="127.0.0.1:8080\udcff"),
         head(Origin=""),
+        head(Origin="https://"),
+        head(Origin="http://"),
+        head(Origin="chrome-extension://"),
+        head(Origin="http://:8080"),
+        head(Host=":8080"),
         head(Origin="http://["),
         head(Origin="127.0.0.1:8080"),
         head(Origin="http://127.0.0.1:8080/path"),

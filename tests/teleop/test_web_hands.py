@@ -120,6 +120,8 @@ def test_only_known_keys_are_heard(said, hidden):
 
 def test_pages_tell_how_much_they_have_drawn(hands, clock):
     assert read_word('{"keys": [], "frames": 7}', KNOWN) == (frozenset(), False, 7)
+    for wrong in ("-1", "true", "1.5", "1e999", "9" * 400, '"7"'):
+        assert read_word(f'{{"keys": [], "frames": {wrong}}}', KNOWN) == (frozenset(), False, None)
     assert read_word('{"keys": [], "frames": "7"}', KNOWN) == (frozenset(), False, None)
     hands.hear(1, [], frames=7)
     hands.hear(2, [])

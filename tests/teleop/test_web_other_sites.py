@@ -197,6 +197,19 @@ def test_a_malformed_header_is_a_bad_request(request, name, lines):
         assert answer.startswith(b"HTTP/1.1 400 ")
 
 
+@pytest.mark.parametrize("path", [b"/", b"/spatula/hand"])
+@pytest.mark.parametrize("scheme", [b"https", b"chrome-extension", b"file", b"ws", b""])
+def test_an_origin_of_another_scheme_gets_no_line(device, path, scheme):
+    host = b"127.0.0.1:%d" % port_of(device)
+    lines = [
+        b"GET " + path + b" HTTP/1.1", b"Host: " + host, b"Upgrade: websocket", b"Connection: Upgrade",
+        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", b"Sec-WebSocket-Version: 13",
+    ]  # fmt: skip
+    for origin, statuses in ((b"http://" + host, (b"101",)), (scheme + b"://" + host, (b"400", b"403"))):
+        assert ask(port_of(device), b"\r\n".join([*lines, b"Origin: " + origin, b"", b""]))[9:12] in statuses
+    assert ask(port_of(device), b"\r\n".join([*lines, b"Origin: " + scheme + b"://", b"", b""]))[9:12] == b"400"
+
+
 NAMES = st.sampled_from(
     b"Host Origin Cookie Upgrade Connection Sec-WebSocket-Key Sec-WebSocket-Version Sec-WebSocket-Protocol "
     b"Sec-WebSocket-Extensions Sec-Fetch-Site Sec-Fetch-Mode X".split()

@@ -34,7 +34,7 @@ def session(tmp_path_factory):
 def page(browser, session):
     opened = browser.new_page(viewport=SIZE)
     opened.set_default_timeout(1000.0 * PATIENCE)
-    errors = []
+    errors, dropped = [], session.device.page.messages.dropped
     opened.on("pageerror", lambda error: errors.append(str(error)))
     opened.goto(session.url)
     wait_for(opened, lambda: mesh(opened, "/organ"), "the organ in the page")
@@ -44,6 +44,8 @@ def page(browser, session):
     yield opened
     opened.close()
     assert errors == []
+    # All that the page itself says may be said.
+    assert session.device.page.messages.dropped == dropped
 
 
 def nodes(session):
@@ -90,7 +92,7 @@ def test_a_key_presses_the_organ_and_the_page_shows_it(page, session):
     assert np.median(moved) < 0.5 * moved.max()
     # What is pressed has colours of pressure, and the panel says how much.
     wait_for(page, lambda: any((mesh(page, f"/pressure/{band}") or {}).get("visible") for band in range(10)), "colours")
-    wait_for(page, lambda: "kPa" in page.get_by_text("Peak pressure").locator("..").inner_text(), "the panel")
+    wait_for(page, lambda: "kPa" in page.get_by_text("Peak pressure", exact=True).locator("..").inner_text(), "the panel")
     for label in ("Contact force", "2.67", "4.0"):
         assert page.get_by_text(label, exact=True).first.is_visible()
     assert session.device._grip == pytest.approx(grip, abs=1e-9)
@@ -151,7 +153,7 @@ def test_an_episode_is_recorded_from_the_page(page, session):
     click(page, "Success")
     wait_for(page, lambda: session.saved == saved + 1, "saving")
     page.get_by_text("Saved").first.wait_for()
-    dataset = minari.MinariDataset(session._root / "spatula/press/web-v0/data")
+    dataset = minari.MinariDataset(session.recording._root / "spatula/press/web-v0/data")
     number = dataset.total_episodes - 1
     (about,) = dataset.storage.get_episode_metadata([number])
     assert (about["operator"], about["device"], bool(about["operator_success"])) == ("human", "web", True)

@@ -30,7 +30,7 @@ TOKEN_VARIABLE = "SPATULA_TOKEN"
 
 _AUTHORITY = r"(?P<name>\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_~-]+(?:\.[A-Za-z0-9_~-]+)*\.?)(?::(?P<port>[0-9]{1,5}))?"
 _HOST = re.compile(_AUTHORITY)
-_ORIGIN = re.compile(rf"[A-Za-z][A-Za-z0-9+.-]*://(?P<authority>{_AUTHORITY})")
+_ORIGIN = re.compile(rf"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<authority>{_AUTHORITY})")
 
 
 class MalformedHeader(ValueError):
@@ -231,7 +231,14 @@ def _site(headers: Mapping[str, Sequence[str]]) -> tuple[str, int, bool]:
         found = _ORIGIN.fullmatch(origin)
         if found is None and origin != "null":
             raise MalformedHeader("the header Origin must name a site, as browsers do")
-        own = found is not None and found["authority"].lower() == asked.lower()
+        # A server with TLS in front says so, and no page of another site can.
+        scheme = (_single(headers, "x-forwarded-proto") or "http").strip().lower()
+        own = (
+            found is not None
+            and scheme in ("http", "https")
+            and found["scheme"].lower() == scheme
+            and found["authority"].lower() == asked.lower()
+        )
     # What a page embeds comes without Origin; what somebody follows a link to may come from anywhere.
     fetched = _single(headers, "sec-fetch-site") in ("cross-site", "same-site")
     if fetched and _single(headers, "sec-fetch-mode") != "navigate":

@@ -20,7 +20,7 @@ from http import HTTPStatus
 from importlib.resources import files
 from itertools import count
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from spatula_env.teleop.device import DeviceBusy, DeviceError
 from spatula_env.teleop.web.access import TOKEN, Doorkeeper
@@ -31,13 +31,17 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
     from websockets.http11 import Request, Response
 
+    from spatula_env.teleop.web.messages import MessageFilter
+
 HAND = "/spatula/hand"
 SCRIPT = "/spatula/page.js"
 
-LARGEST_MESSAGE = 50 * 2**20
-"""That viser's pages may send [bytes]."""
+LARGEST_MESSAGE = 2**14
+"""That viser's pages may send [bytes]. What may be said is short; see `messages`."""
 LARGEST_WORD = 4096
 """That the script may send [bytes]."""
+MOST_FRAMES = 2**53
+"""That a page may have drawn."""
 BUFFER = 2**18
 """Kept for a page that is slow [bytes]. What is on the way is old: viser leaves out what is outdated, if it is let."""
 ENDING = 5.0
@@ -57,20 +61,27 @@ class Gate:
     """
 
     def __init__(
-        self, doorkeeper: Doorkeeper, port: int, hands: Hands, keys: tuple[str, ...], on_key: Callable[[str], None]
+        self,
+        doorkeeper: Doorkeeper,
+        port: int,
+        hands: Hands,
+        messages: MessageFilter,
+        keys: tuple[str, ...],
+        on_key: Callable[[str], None],
     ) -> None:
         """Describe the gate.
 
         Args:
             doorkeeper: Who comes in, and at which address.
             port: Where; 0 for any that is free.
-            hands: Fed with what the pages say.
+            hands: Fed with what the pages' scripts say.
+            messages: Chooses what of what the pages say comes to viser.
             keys: Codes of the keys that pages tell of.
             on_key: Called with the code of each key when it is pressed, by viser's thread.
         """
         self.port = 0
         self._wanted = port
-        self._doorkeeper, self._hands = doorkeeper, hands
+        self._doorkeeper, self._hands, self._messages = doorkeeper, hands, messages
         self._keys, self._on_key = keys, on_key
         self._document = _with_script()
         self._script = files(__package__).joinpath("page.js").read_bytes()
@@ -195,7 +206,8 @@ class Gate:
         if connection.request.path.partition("?")[0] == HAND:
             await self._listen(connection)
         else:
-            await self._draw(connection)
+            # viser only calls what the guard has, or hands on.
+            await self._draw(cast("ServerConnection", self._messages.guard(connection)))
 
     async def _listen(self, connection: ServerConnection) -> None:
         """What a page's script says."""
@@ -240,7 +252,8 @@ def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str]
         return None
     held = frozenset(key for key in said["keys"] if isinstance(key, str))
     frames = said.get("frames")
-    return held.intersection(known), bool(said.get("hidden")), frames if isinstance(frames, int) else None
+    counted = type(frames) is int and 0 <= frames <= MOST_FRAMES
+    return held.intersection(known), bool(said.get("hidden")), frames if counted else None
 
 
 def _with_script() -> bytes:

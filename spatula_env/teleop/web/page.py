@@ -22,7 +22,8 @@ class Page:
 
     Attributes:
         server: viser's, to put things on the page.
-        hands: What is done on it.
+        hands: What is done on it by keys.
+        messages: What visitors may do on it otherwise.
         url: What to open in a browser on this machine, with the token.
     """
 
@@ -51,14 +52,19 @@ class Page:
             DeviceBusy: If the port is taken.
         """
         viser = require_viser()
+        # Needs what comes with viser.
+        from spatula_env.teleop.web.messages import MessageFilter
+
         doorkeeper = Doorkeeper(host, find_token(token))
         self.hands = Hands()
-        self._gate = Gate(doorkeeper, port, self.hands, (*KEYS, *SLOW_KEYS, *keys), on_key)
+        self.messages = MessageFilter()
+        self._gate = Gate(doorkeeper, port, self.hands, self.messages, (*KEYS, *SLOW_KEYS, *keys), on_key)
         # It tells everybody the address that nobody is to use.
         with _served_by(self._gate) as host, contextlib.redirect_stdout(io.StringIO()):
             self.server: Any = viser.ViserServer(host=host, port=0, verbose=False)
         # A page may ask for the scene to be shown to the whole world; not here.
         self.server.request_share_url = _do_not_share
+        self.messages.server = self.server
         try:
             self._gate.check()
         except BaseException:
