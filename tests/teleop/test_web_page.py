@@ -92,7 +92,9 @@ def test_a_key_presses_the_organ_and_the_page_shows_it(page, session):
     assert np.median(moved) < 0.5 * moved.max()
     # What is pressed has colours of pressure, and the panel says how much.
     wait_for(page, lambda: any((mesh(page, f"/pressure/{band}") or {}).get("visible") for band in range(10)), "colours")
-    wait_for(page, lambda: "kPa" in page.get_by_text("Peak pressure", exact=True).locator("..").inner_text(), "the panel")
+    wait_for(
+        page, lambda: "kPa" in page.get_by_text("Peak pressure", exact=True).locator("..").inner_text(), "the panel"
+    )
     for label in ("Contact force", "2.67", "4.0"):
         assert page.get_by_text(label, exact=True).first.is_visible()
     assert session.device._grip == pytest.approx(grip, abs=1e-9)
