@@ -99,7 +99,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _names_bullet(value: Any) -> bool:
-    return value == "bullet" if isinstance(value, str) else isinstance(value, dict) and "bullet" in value.values()
+    values = value.values() if isinstance(value, dict) else (value,)
+    return any(isinstance(one, str) and one == "bullet" for one in values)
 
 
 @pytest.hookimpl(tryfirst=True)

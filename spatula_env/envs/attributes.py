@@ -84,9 +84,16 @@ def read_in_worlds(env: SpatulaVectorEnv, name: str) -> tuple[Any, ...]:
     """
     if name in READ:
         return tuple(READ[name](env))
-    if name in ABOUT_ALL or not hasattr(env, name):
+    if name in ABOUT_ALL:
         raise AttributeError(_missing(env, name))
-    return (getattr(env, name),) * env.num_envs
+    try:
+        value = getattr(env, name)
+    except AttributeError:
+        if hasattr(type(env), name):
+            # A property, which says itself why it has nothing here.
+            raise
+        raise AttributeError(_missing(env, name)) from None
+    return (value,) * env.num_envs
 
 
 def set_in_worlds(env: SpatulaVectorEnv, name: str, values: Any) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.checks import as_floats, check_positive
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
 from spatula_env.tasks.base import PartSpec
 
@@ -165,6 +165,16 @@ class VelocityControl:
             return np.zeros((len(positions), 0))
         apart = np.sqrt(((positions[:, 1] - positions[:, 0]) ** 2).sum(axis=1))
         return np.asarray(apart - self._reach * tool_scale)[:, None]
+
+    def height_above_stop(self, positions: FloatArray, orientations: FloatArray, tool_scale: FloatArray) -> FloatArray:
+        """How far the lowest point of tools is above the stop above the ground (W,); below it, negative [m].
+
+        Args:
+            positions: (W, N, 3) of the tools [m].
+            orientations: (W, N, 4) of the tools.
+            tool_scale: (W,) how large they are.
+        """
+        return self._lowest(positions, orientations, tool_scale) - self._stop
 
     def motion(
         self,
@@ -387,8 +397,8 @@ def as_actions(value: Any, count: int, size: int, ignored: NDArray[np.bool_] | N
 
 def _as_numbers(value: Any, shape: tuple[int, ...], name: str, wanted: str) -> FloatArray:
     try:
-        numbers = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        numbers = as_floats(value)
+    except ValueError as error:
         raise ValueError(f"{name} must be {wanted} in [-1, 1], got {value!r}") from error
     if numbers.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {numbers.shape}")

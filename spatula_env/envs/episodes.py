@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,7 +19,7 @@ from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import COST_PRESSURE, Safety
 from spatula_env.envs.settings import Definition, EnvSettings
 from spatula_env.envs.snapshots import EpisodesState, restore_physics, save_physics
-from spatula_env.envs.start_options import chosen_starts
+from spatula_env.envs.start_options import check_free, chosen_starts
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situation, Start
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
     from spatula_env.sim.worlds import Loads, Worlds
     from spatula_env.tasks.marks import Mark
+    from spatula_env.tasks.situation import Setting
 
 Info = dict[str, NDArray[Any]]
 """What there is to tell of W worlds: (W,) each, under keys that never change."""
@@ -202,6 +204,44 @@ class Episodes:
         """Check what is chosen of an episode's beginning in worlds (n,); see `chosen_starts`."""
         return chosen_starts(options, worlds, self.count, self.task, self.workspace)
 
+    def check_begin(self, generators: Mapping[int, np.random.Generator], chosen: Mapping[str, FloatArray]) -> None:
+        """Check that `begin` would put no tool into an organ, nor below the stop; nothing changes.
+
+        Only where a position is chosen: the tasks' own are free.
+
+        Args:
+            generators: As for `begin`; copies are drawn from.
+            chosen: As for `begin`.
+
+        Raises:
+            ValueError: If it would; names the world.
+        """
+        if "tool_position" not in chosen:
+            return
+        copies = copy.deepcopy(dict(generators))
+        settings, scale = self._variation.would_be(copies)
+        start = self._sampled(copies, settings, chosen)
+        positions, orientations = self.control.place(start.tool_position, start.tool_orientation, start.control, scale)
+        worlds = np.fromiter(generators, dtype=np.int64)
+        check_free(chosen["tool_position"], positions, orientations, scale, settings, self.control, worlds)
+
+    def _sampled(
+        self,
+        generators: Mapping[int, np.random.Generator],
+        settings: Sequence[Setting],
+        chosen: Mapping[str, FloatArray] | None,
+    ) -> Start:
+        """How episodes begin in some worlds, with what is chosen of it."""
+        # Drawn in any case, so that choices do not change the episodes after this one; and one by one, so that a
+        # world's episodes depend on its own generator only.
+        start = Start.joined(
+            [
+                self.task.sample(generator, 1, setting)
+                for generator, setting in zip(generators.values(), settings, strict=True)
+            ]
+        )
+        return replace(start, **(chosen or {}))
+
     def begin(
         self, generators: Mapping[int, np.random.Generator], chosen: Mapping[str, FloatArray] | None = None
     ) -> None:
@@ -213,16 +253,8 @@ class Episodes:
         """
         worlds = np.fromiter(generators, dtype=np.int64)
         self._variation.draw(generators)
-        # Drawn in any case, so that choices do not change the episodes after this one; and one by one, so that a
-        # world's episodes depend on its own generator only.
         settings = [self._variation.settings[world] for world in worlds.tolist()]
-        start = Start.joined(
-            [
-                self.task.sample(generator, 1, setting)
-                for generator, setting in zip(generators.values(), settings, strict=True)
-            ]
-        )
-        start = replace(start, **(chosen or {}))
+        start = self._sampled(generators, settings, chosen)
         self.worlds.reset(worlds)
         scale = self._variation.tool_scale[worlds]
         positions, orientations = self.control.place(start.tool_position, start.tool_orientation, start.control, scale)

@@ -159,7 +159,8 @@ class Variation:
             frames: Where and how large the organs are; written.
             worlds: The physics, everything at rest.
         """
-        self._ranges, self._scene, self._setting, self._frames, self._worlds = ranges, scene, setting, frames, worlds
+        self._ranges, self._scene, self._setting, self._frames = ranges, scene, setting, frames
+        self._worlds: Worlds | None = worlds
         count = worlds.count
         self._rest = np.array(worlds.nodes[0])
         self._noisy = noise > 0.0
@@ -188,6 +189,23 @@ class Variation:
                 if name in ranges:
                     self.drawn[name][world] = value
         self._apply(np.fromiter(generators, dtype=np.int64))
+
+    def would_be(self, generators: Mapping[int, np.random.Generator]) -> tuple[list[Setting], FloatArray]:
+        """What `draw` would lead to, without any effect here.
+
+        Args:
+            generators: As for `draw`; they are drawn from.
+
+        Returns:
+            The setting of each world, and how large its tools are (n,).
+        """
+        trial = copy.copy(self)
+        trial._worlds, trial._frames = None, copy.deepcopy(self._frames)
+        trial._generators, trial.settings = list(self._generators), list(self.settings)
+        trial.drawn, trial.tool_scale = copy.deepcopy(self.drawn), self.tool_scale.copy()
+        trial.draw(generators)
+        worlds = list(generators)
+        return [trial.settings[world] for world in worlds], trial.tool_scale[worlds]
 
     def save(self, worlds: IntArray) -> tuple[dict[str, FloatArray], tuple[np.random.Generator | None, ...]]:
         """What some worlds (n,) differ in, and where their errors of measurement come from, as copies."""
@@ -218,7 +236,8 @@ class Variation:
             stiffness=drawn["stiffness"],
         )
         self.tool_scale[worlds] = drawn["tool_size"]
-        if {"friction", "tool_size", "organ_size"} & set(ranges):
+        # There are none where it is only tried what would be drawn.
+        if self._worlds is not None and {"friction", "tool_size", "organ_size"} & set(ranges):
             self._worlds.vary(drawn["friction"], drawn["tool_size"] / drawn["organ_size"], worlds)
         for world in worlds.tolist():
             self.settings[world] = self._setting_in(world)

@@ -8,12 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from spatula_env.engines import choose_engine
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.randomization import DEFAULT_RANGES, LONGEST_DELAY, Ranges, read_ranges
-from spatula_env.geometry.checks import check_count, check_not_negative, check_positive
+from spatula_env.geometry.checks import check_boolean, check_count, check_not_negative, check_positive, is_number
 from spatula_env.tasks.configuration import config_from_mapping
 from spatula_env.tasks.plain import make_fields_plain
 
@@ -31,6 +29,19 @@ REWARDS = ("dense", "sparse")
 
 RENDER_MODES = ("rgb_array", "human")
 """How environments can be looked at; many at once only in pictures."""
+
+
+LEAST_CONTROL_FREQUENCY = 0.5
+"""A control step lasts two seconds at most: longer ones are no control, and take as long to compute [Hz]."""
+
+LARGEST_PICTURE = 8192
+"""Along either side [pixels]."""
+
+MOST_SHOWN = 1000
+"""Of observations at once."""
+
+MOST_POINTS = 100_000
+"""Of a point cloud, on either surface."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +68,11 @@ class ObservationSettings:
         """Check the values, and take a list as it comes from a file, and NumPy's numbers and arrays."""
         make_fields_plain(self)
         check_not_negative(self.noise, "observation.noise")
-        if not 0.0 <= self.delay <= LONGEST_DELAY:
+        if not (is_number(self.delay) and 0.0 <= self.delay <= LONGEST_DELAY):
             raise ValueError(f"observation.delay must be 0 to {LONGEST_DELAY:g} s, got {self.delay!r}")
-        check_count(self.history, "observation.history", 1)
-        check_count(self.organ_points, "observation.organ_points", 1)
-        check_count(self.tool_points, "observation.tool_points", 1)
+        check_count(self.history, "observation.history", 1, MOST_SHOWN)
+        check_count(self.organ_points, "observation.organ_points", 1, MOST_POINTS)
+        check_count(self.tool_points, "observation.tool_points", 1, MOST_POINTS)
         try:
             height, width = self.image_size
         except (TypeError, ValueError):
@@ -69,7 +80,7 @@ class ObservationSettings:
                 f"observation.image_size must be two integers (height, width), got {self.image_size!r}"
             ) from None
         for number in (height, width):
-            check_count(number, "observation.image_size", 8)
+            check_count(number, "observation.image_size", 8, LARGEST_PICTURE)
         object.__setattr__(self, "image_size", (height, width))
 
 
@@ -91,15 +102,15 @@ class EnvSettings:
         max_jaw_speed: At which jaws open and close [m/s].
         max_force: A tool that has met a greater force in a physics step does not push on in the next one [N]; None:
             there is no such stop.
-        control_frequency: Control steps in a second [Hz].
+        control_frequency: Control steps in a second, 0.5 at least [Hz].
         episode_time: After which an episode is cut [s]; None: never.
         terminate_on_success: Whether success ends an episode.
         damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
         randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
         observation: Fields of `ObservationSettings` to change, by name.
         render_mode: None, "rgb_array" or, for one agent, "human".
-        width: Of pictures [pixels].
-        height: Of pictures [pixels].
+        width: Of pictures, 1 to 8192 [pixels].
+        height: Of pictures, 1 to 8192 [pixels].
     """
 
     engine: str | None = None
@@ -131,11 +142,16 @@ class EnvSettings:
             check_choice(self.render_mode, "render_mode", (None, *RENDER_MODES))
         for name in ("max_speed", "max_rotation_rate", "max_jaw_speed", "control_frequency"):
             check_positive(getattr(self, name), name)
+        if self.control_frequency < LEAST_CONTROL_FREQUENCY:
+            raise ValueError(
+                f"control_frequency must be {LEAST_CONTROL_FREQUENCY:g} Hz at least, got {self.control_frequency!r}"
+            )
         for name in ("max_force", "episode_time"):
-            if getattr(self, name) is not None:
-                check_positive(getattr(self, name), name)
-        if self.damage_limit is not None and not 0.0 <= self.damage_limit < np.inf:
-            raise ValueError(f"damage_limit must be None, or zero or more and finite, got {self.damage_limit!r}")
+            check_positive(getattr(self, name), name, or_none=True)
+        check_not_negative(self.damage_limit, "damage_limit", or_none=True)
+        check_boolean(self.terminate_on_success, "terminate_on_success")
+        for name in ("width", "height"):
+            check_count(getattr(self, name), name, 1, LARGEST_PICTURE)
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")
         object.__setattr__(self, "observation", observation)
 

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.envs.indices import indices_below
 from spatula_env.sim.batch import BatchState, WorldMemory
 from spatula_env.sim.simulation import SimulationState
 from spatula_env.sim.worlds import SeparateWorlds
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from spatula_env.envs.episodes import Episodes
     from spatula_env.envs.settings import EnvSettings
@@ -88,8 +89,24 @@ class EnvState:
         """N."""
         return len(self.over)
 
-    def rows(self, chosen: IntArray) -> EnvState:
-        """The states of some of the n worlds (k,), which may be named more than once."""
+    def rows(self, rows: ArrayLike) -> EnvState:
+        """The states of some of the n worlds.
+
+        Args:
+            rows: (k,) which, by indices from 0 to n - 1, which may be repeated, or by a mask of n booleans.
+
+        Returns:
+            Of k worlds.
+
+        Raises:
+            ValueError: If there are no such rows, or none is named.
+        """
+        chosen = indices_below(self.count, rows)
+        if chosen is None:
+            raise ValueError(
+                f"rows must be one or more indices from 0 to {self.count - 1}, or {self.count} booleans of which one "
+                f"is true at least, got {rows!r}"
+            )
         episodes = self.episodes
         taken = {
             each.name: _take(getattr(episodes, each.name), chosen)

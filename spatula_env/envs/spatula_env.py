@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import numpy as np
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
 from spatula_env.envs.base import EpisodesEnv
@@ -173,15 +174,15 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `max_rotation_rate`    | **float**          | `1.0`        | Greatest rate of rotation about each axis [rad/s]   |
     | `max_jaw_speed`        | **float**          | `0.05`       | Greatest speed at which jaws open and close [m/s]   |
     | `max_force`            | **float \| None**  | `2.0`        | With a greater one no tool pushes on [N]            |
-    | `control_frequency`    | **float**          | `20.0`       | Control steps in a second, divides 240 Hz           |
+    | `control_frequency`    | **float**          | `20.0`       | Control steps in a second, 0.5 on, divides 240 Hz   |
     | `episode_time`         | **float \| None**  | `None`       | After which the episode is cut; `make` passes 10 [s]|
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
     | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |
     | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
     | `observation`          | **dict**           | `None`       | Fields of `ObservationSettings` to change           |
     | `render_mode`          | **str \| None**    | `None`       | `None`, `"rgb_array"` or `"human"`                  |
-    | `width`                | **int**            | `480`        | Of pictures [pixels]                                |
-    | `height`               | **int**            | `480`        | Of pictures [pixels]                                |
+    | `width`                | **int**            | `480`        | Of pictures, 1 to 8192 [pixels]                     |
+    | `height`               | **int**            | `480`        | Of pictures, 1 to 8192 [pixels]                     |
 
     With `engine=None` it is `"bullet"` where PyBullet is installed, else `"batch"`, and a warning says so once;
     `env.spec` has the one that is used.
@@ -251,12 +252,17 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             The first observation, and `info` with the same keys as after a step.
 
         Raises:
-            ValueError: If an option is misspelt, malformed or out of its range. Options that are not of this package
-                are ignored, with a warning.
+            ValueError: If an option is misspelt, malformed or out of its range, or a tool would begin in the organ or
+                below the stop above the ground; nothing has then changed. Options that are not of this package are
+                ignored, with a warning.
         """
         self._check_open()
         chosen = self._episodes.choose(own_options(options, START_OPTIONS), np.zeros(1, dtype=np.int64))
-        super().reset(seed=None if seed is None else operator.index(seed))
+        whole = None if seed is None else operator.index(seed)
+        if chosen:
+            generator = self.np_random if whole is None else seeding.np_random(whole)[0]
+            self._episodes.check_begin({0: generator}, chosen)
+        super().reset(seed=whole)
         self._episodes.begin({0: self.np_random}, chosen)
         self._started = True
         self._show()
@@ -333,7 +339,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     def restore(self, state: EnvState) -> tuple[Observation, dict[str, Any]]:
         """Go back to a saved state, of this environment or another one like it. No `reset` is needed before.
 
-        From there on, the same actions lead to the same numbers, to the last bit.
+        From there on, the same actions lead to the same numbers, to the last bit. Wrappers know nothing of it: those
+        that `gymnasium.make` puts around an environment still want one `reset` before the first step.
 
         Args:
             state: What `save` returned, or one world of it where a vector environment saved it.

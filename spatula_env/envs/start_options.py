@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import difflib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.geometry.checks import as_floats
+from spatula_env.geometry.overlap import overlaps
+from spatula_env.geometry.rotations import turn
+
 if TYPE_CHECKING:
+    from spatula_env.envs.control import VelocityControl
     from spatula_env.envs.workspace import Workspace
     from spatula_env.tasks.base import Task
-    from spatula_env.tasks.situation import FloatArray, IntArray
+    from spatula_env.tasks.situation import FloatArray, IntArray, Setting
 
 START_OPTIONS = ("goal", "tool_position")
 """What of an episode's beginning can be chosen."""
+
+ROUNDING = 1e-6
+"""By how much a tool may be in the organ, or below the stop above the ground, all the same: single precision [m]."""
 
 
 def own_options(options: Mapping[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
@@ -73,8 +81,8 @@ def chosen_starts(
     for name, value in options.items():
         size = len(task.goal_names) if name == "goal" else 3
         try:
-            array = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError):
+            array = as_floats(value)
+        except ValueError:
             array = np.zeros(0)
         fits = array.shape in ((size,), (count, size))
         rows = np.broadcast_to(array, (count, size))[worlds] if fits else array
@@ -89,3 +97,44 @@ def chosen_starts(
         if ((position < low) | (position > high)).any():
             raise ValueError(f"options['tool_position'] must lie in {low} to {high} m, got {position}")
     return chosen
+
+
+def check_free(
+    chosen: FloatArray,
+    positions: FloatArray,
+    orientations: FloatArray,
+    tool_scale: FloatArray,
+    settings: Sequence[Setting],
+    control: VelocityControl,
+    worlds: IntArray,
+) -> None:
+    """Check that tools begin outside the organ at rest, and above the stop above the ground.
+
+    Args:
+        chosen: (n, 3) `options["tool_position"]` of worlds (n,) [m].
+        positions: (n, N, 3) where their tools are then [m].
+        orientations: (n, N, 4) how they are turned.
+        tool_scale: (n,) how large they are.
+        settings: (n,) where the organs are.
+        control: Which knows the stop.
+        worlds: (n,).
+
+    Raises:
+        ValueError: If one does not.
+    """
+    heights = control.height_above_stop(positions, orientations, tool_scale)
+    for row, world in enumerate(worlds.tolist()):
+        got = f"got {chosen[row]} in world {world}"
+        if heights[row] < -ROUNDING:
+            raise ValueError(
+                "options['tool_position'] must keep the tools above the stop above the ground, which their lowest "
+                f"point would be {-heights[row]:.4f} m below; {got}"
+            )
+        setting = settings[row]
+        for tool, position, orientation in zip(setting.tools, positions[row], orientations[row], strict=True):
+            corners = turn(orientation, tool.vertices) + position
+            if overlaps(setting.rest_nodes, setting.triangles, corners, tool.triangles, ROUNDING):
+                raise ValueError(
+                    "options['tool_position'] must keep the tools out of the organ at rest, which one of them "
+                    f"overlaps; {got}"
+                )

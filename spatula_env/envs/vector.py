@@ -146,16 +146,22 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             The observations of all worlds, and infos of those that begin, with the same keys as after a step.
 
         Raises:
-            ValueError: If a seed or an option is misspelt, malformed or out of its range; nothing has then changed.
-                Options that are not of this package are ignored, with a warning.
+            ValueError: If a seed or an option is misspelt, malformed or out of its range, or a tool would begin in the
+                organ or below the stop above the ground; nothing has then changed. Options that are not of this
+                package are ignored, with a warning.
         """
         self._check_open()
         worlds, rest = read_mask(options, self.num_envs)
         chosen = self._episodes.choose(rest, worlds)
-        seeds = read_seeds(seed, self.num_envs)
-        for world in worlds.tolist():
-            if seeds[world] is not None:
-                self._generators[world], self._seeds[world] = seeding.np_random(seeds[world])
+        fresh = {
+            world: seeding.np_random(one)
+            for world, one in read_seeds(seed, self.num_envs, worlds).items()
+            if one is not None or self._generators[world] is None
+        }
+        generators = {world: fresh[world][0] if world in fresh else self._generator(world) for world in worlds.tolist()}
+        self._episodes.check_begin(generators, chosen)
+        for world, (generator, number) in fresh.items():
+            self._generators[world], self._seeds[world] = generator, number
         self._begin(worlds, chosen)
         begun = np.zeros(self.num_envs, dtype=np.bool_)
         begun[worlds] = True

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from spatula_env.envs.indices import indices_below
 from spatula_env.envs.start_options import START_OPTIONS, own_options
 
 if TYPE_CHECKING:
@@ -26,9 +27,12 @@ def as_autoreset_mode(value: str | AutoresetMode) -> AutoresetMode:
     Raises:
         ValueError: If it is none.
     """
-    for mode in AutoresetMode:
-        if value in (mode, mode.name.lower(), mode.value):
-            return mode
+    if isinstance(value, str):
+        for mode in AutoresetMode:
+            if value in (mode.name.lower(), mode.value):
+                return mode
+    if isinstance(value, AutoresetMode):
+        return value
     raise ValueError(f"autoreset_mode must be one of {list(AUTORESET_MODES)} or an AutoresetMode, got {value!r}")
 
 
@@ -42,33 +46,39 @@ def read_mask(options: Mapping[str, Any] | None, count: int) -> tuple[IntArray, 
     mask = rest.pop("reset_mask", None)
     if mask is None:
         return np.arange(count), rest
-    array = np.asarray(mask)
+    try:
+        array = np.asarray(mask)
+    except ValueError:  # ragged
+        array = np.empty(0)
     if array.dtype != np.bool_ or array.shape != (count,) or not array.any():
         raise ValueError(f"options['reset_mask'] must be {count} booleans of which one is true at least, got {mask!r}")
     return np.flatnonzero(array), rest
 
 
-def read_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """The seed of each of `count` worlds.
+def read_seeds(seed: int | Sequence[int | None] | None, count: int, worlds: IntArray) -> dict[int, int | None]:
+    """The seeds of some of `count` worlds (n,), by world; those of others are not looked at.
 
     Raises:
-        ValueError: If they are no seeds, or not as many.
+        ValueError: If they are no seeds, or not as many as there are worlds.
     """
     if seed is None:
-        return [None] * count
+        return dict.fromkeys(worlds.tolist())
     try:
-        if not isinstance(seed, Sequence | np.ndarray):
-            first = operator.index(seed)
-            seeds: list[int | None] = [first + world for world in range(count)]
+        if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
+            if len(seed) != count:
+                raise ValueError(f"seed must be an integer or a sequence of {count}, got {len(seed)} seeds")
+            chosen = [seed[world] for world in worlds.tolist()]
+            seeds = [None if one is None else operator.index(one) for one in chosen]
         else:
-            seeds = [None if one is None else operator.index(one) for one in seed]
+            first = operator.index(seed)
+            if first < 0:
+                raise ValueError(f"seed must not be negative, got {seed!r}")
+            seeds = [first + world for world in worlds.tolist()]
     except TypeError:
         raise ValueError(f"seed must be an integer, a sequence of them, or None, got {seed!r}") from None
-    if len(seeds) != count:
-        raise ValueError(f"seed must be an integer or a sequence of {count}, got {len(seeds)}")
     if any(one is not None and one < 0 for one in seeds):
         raise ValueError(f"seed must not be negative, got {seed!r}")
-    return seeds
+    return dict(zip(worlds.tolist(), seeds, strict=True))
 
 
 def read_worlds(worlds: ArrayLike | None, count: int) -> IntArray:
@@ -79,10 +89,7 @@ def read_worlds(worlds: ArrayLike | None, count: int) -> IntArray:
     """
     if worlds is None:
         return np.arange(count)
-    array = np.atleast_1d(np.asarray(worlds))
-    if array.dtype == np.bool_ and array.shape == (count,):
-        array = np.flatnonzero(array)
-    distinct = array.ndim == 1 and array.dtype.kind in "iu" and len(set(array.tolist())) == len(array) > 0
-    if not distinct or array.min() < 0 or array.max() >= count:
+    chosen = indices_below(count, worlds)
+    if chosen is None or len(set(chosen.tolist())) != len(chosen):
         raise ValueError(f"worlds must be different indices from 0 to {count - 1} or {count} booleans, got {worlds!r}")
-    return array.astype(np.int64)
+    return chosen

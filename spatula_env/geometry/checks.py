@@ -1,50 +1,141 @@
-"""Checks of plain numbers, shared by the shapes."""
+"""Checks of plain numbers and truth values, shared by shapes, scenes and the options of environments.
+
+Booleans, strings and lists are no numbers, and numbers are no booleans: each check refuses what is of another kind with
+the argument's name, what is allowed and what came.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 
-def check_positive(value: float, name: str) -> None:
-    """Check that a number is positive and finite.
+def is_number(value: Any) -> bool:
+    """Whether something is a finite real number: Python's, NumPy's, or an array of NumPy without axes."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # an integer that no float can hold
+        return False
+
+
+def check_finite(value: Any, name: str) -> None:
+    """Check that something is a finite number.
 
     Args:
-        value: The number.
+        value: What came.
         name: What to call it in the error message.
 
     Raises:
         ValueError: If it is not.
     """
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{name} must be positive and finite, got {value!r}")
+    if not is_number(value):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
 
 
-def check_not_negative(value: float, name: str) -> None:
-    """Check that a number is zero or more, and finite.
+def check_positive(value: Any, name: str, *, or_none: bool = False) -> None:
+    """Check that something is a number, positive and finite.
 
     Args:
-        value: The number.
+        value: What came.
         name: What to call it in the error message.
+        or_none: Whether None is allowed too.
 
     Raises:
         ValueError: If it is not.
     """
-    if not (math.isfinite(value) and value >= 0.0):
-        raise ValueError(f"{name} must be zero or more and finite, got {value!r}")
+    if value is None and or_none:
+        return
+    if not (is_number(value) and value > 0.0):
+        raise ValueError(f"{name} must be {'None, or ' * or_none}positive and finite, got {value!r}")
 
 
-def check_count(value: int, name: str, least: int) -> None:
-    """Check that a number is an integer, and not too small.
+def check_not_negative(value: Any, name: str, *, or_none: bool = False) -> None:
+    """Check that something is a number of zero or more, and finite.
 
     Args:
-        value: The number.
+        value: What came.
+        name: What to call it in the error message.
+        or_none: Whether None is allowed too.
+
+    Raises:
+        ValueError: If it is not.
+    """
+    if value is None and or_none:
+        return
+    if not (is_number(value) and value >= 0.0):
+        raise ValueError(f"{name} must be {'None, or ' * or_none}zero or more and finite, got {value!r}")
+
+
+def check_count(value: Any, name: str, least: int, most: int | None = None) -> None:
+    """Check that something is an integer, and neither too small nor too great.
+
+    Args:
+        value: What came.
         name: What to call it in the error message.
         least: The smallest value allowed.
+        most: The greatest value allowed; None: there is no such limit.
 
     Raises:
         ValueError: If it is not.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be an integer of at least {least}, got {value!r}")
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or value < least or (most is not None and value > most):
+        wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
+        raise ValueError(f"{name} must be an integer {wanted}, got {value!r}")
+
+
+def check_boolean(value: Any, name: str) -> None:
+    """Check that something is True or False, and not what Python takes for either.
+
+    Args:
+        value: What came.
+        name: What to call it in the error message.
+
+    Raises:
+        ValueError: If it is not.
+    """
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False, got {value!r}")
+
+
+def as_pair(value: Any, name: str, wanted: str) -> tuple[float, float]:
+    """Two finite numbers, from a list, a tuple or an array of them.
+
+    Args:
+        value: What came.
+        name: What to call it in the error message.
+        wanted: What the two are, for the message.
+
+    Raises:
+        ValueError: If it is anything else.
+    """
+    if isinstance(value, list | tuple | np.ndarray) and np.shape(value) == (2,) and all(map(is_number, value)):
+        return float(value[0]), float(value[1])
+    raise ValueError(f"{name} must be two numbers {wanted}, both finite, got {value!r}")
+
+
+def as_floats(value: Any) -> NDArray[np.float64]:
+    """An array of real numbers, of its own memory.
+
+    Args:
+        value: What NumPy makes an array of. Booleans, strings and complex numbers are no real numbers.
+
+    Raises:
+        ValueError: If it is something else.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind in "iuf":
+            return np.array(array, dtype=np.float64)
+        if array.dtype.kind == "O" and not any(isinstance(one, str | bytes | bool | np.bool_) for one in array.flat):
+            return np.array(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"must be real numbers, got {value!r}") from error
+    raise ValueError(f"must be real numbers, got {value!r}")

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-import numpy as np
-
-from spatula_env.geometry.checks import check_not_negative, check_positive
+from spatula_env.geometry.checks import as_pair, check_finite, check_not_negative, check_positive
 from spatula_env.tasks.plain import as_plain, make_fields_plain
 
 if TYPE_CHECKING:
@@ -32,8 +30,7 @@ class Weights:
         """Check the weights."""
         make_fields_plain(cast("DataclassInstance", self))
         for name, value in vars(self).items():
-            if not np.isfinite(value):
-                raise ValueError(f"weights.{name} must be finite, got {value!r}")
+            check_finite(value, f"weights.{name}")
 
 
 class TaskConfig:
@@ -111,10 +108,7 @@ def check_range(value: Any, name: str) -> tuple[float, float]:
     Raises:
         ValueError: If `value` is anything else.
     """
-    try:
-        low, high = (float(number) for number in value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be two numbers (least, greatest), got {value!r}") from error
-    if not -np.inf < low <= high < np.inf:
+    low, high = as_pair(value, name, "(least, greatest)")
+    if low > high:
         raise ValueError(f"{name} must be two finite numbers in ascending order, got {value!r}")
     return low, high

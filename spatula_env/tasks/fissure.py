@@ -27,6 +27,10 @@ SIGHT_LENGTH = 0.06
 """Of the line of sight in pictures [m]."""
 
 
+MOST_ASKED = 1000
+"""Of the target's points along either side."""
+
+
 @dataclass(frozen=True)
 class FissureWeights(Weights):
     """Weights of the reward terms of `FissureTask`.
@@ -105,7 +109,7 @@ class FissureConfig(TaskConfig):
         for value in size:
             check_positive(value, "target_size")
         for count in grid:
-            check_count(count, "target_grid", 2)
+            check_count(count, "target_grid", 2, MOST_ASKED)
         object.__setattr__(self, "target_size", (float(size[0]), float(size[1])))
         object.__setattr__(self, "target_grid", (int(grid[0]), int(grid[1])))
         self._read_weights(FissureWeights)

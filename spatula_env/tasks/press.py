@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spatula_env.geometry.checks import as_pair
 from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
@@ -82,13 +83,7 @@ class PressConfig(TaskConfig):
         self._read_weights(PressWeights)
 
     def _read_center(self) -> None:
-        try:
-            x, y = map(float, self._plain("center"))
-        except (TypeError, ValueError):
-            raise ValueError(f"center must be two numbers (x, y), got {self.center!r}") from None
-        if not np.isfinite([x, y]).all():
-            raise ValueError(f"center must be finite, got {self.center!r}")
-        object.__setattr__(self, "center", (x, y))
+        object.__setattr__(self, "center", as_pair(self.center, "center", "(x, y)"))
 
 
 class PressTask(Task):

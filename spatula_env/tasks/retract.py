@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from spatula_env.geometry.blocks import RidgedBlock
+from spatula_env.geometry.checks import as_pair
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
@@ -284,12 +286,9 @@ class RetractTask(Task):
             )
 
 
-def _check_pair(value: Iterable[float], name: str) -> tuple[float, float]:
+def _check_pair(value: Any, name: str) -> tuple[float, float]:
     """Two finite numbers of zero or more, as a tuple of floats."""
-    try:
-        first, second = (float(number) for number in value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be two numbers, got {value!r}") from error
-    if not (0.0 <= first < np.inf and 0.0 <= second < np.inf):
+    first, second = as_pair(value, name, "(across, along)")
+    if first < 0.0 or second < 0.0:
         raise ValueError(f"{name} must be two finite numbers of zero or more, got {value!r}")
     return first, second

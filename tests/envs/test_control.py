@@ -265,6 +265,10 @@ def test_actions_beyond_the_bounds_are_clipped() -> None:
         ([0.0, 0.0], r"action must have shape \(3,\), got \(2,\)"),
         ([[0.0, 0.0, 0.0]], r"action must have shape \(3,\), got \(1, 3\)"),
         ("up", "action must be 3 numbers in"),
+        (np.zeros(3, dtype=complex), "action must be 3 numbers in"),
+        ([1j, 0.0, 0.0], "action must be 3 numbers in"),
+        (["1", "0", "0"], "action must be 3 numbers in"),
+        ([True, False, True], "action must be 3 numbers in"),
         (None, r"action must have shape \(3,\), got \(\)"),
     ],
 )

@@ -28,6 +28,13 @@ EVERYTHING: dict[str, Any] = {"randomization": "default", "observation": {"noise
 COUNT = 3
 
 
+@pytest.fixture(scope="module")
+def three() -> EnvState:
+    made = PressVectorEnv(3)
+    made.reset(seed=4)
+    return made.save()
+
+
 def actions_of(env: Any, count: int, seed: int = 0) -> np.ndarray:
     """At random, but downwards."""
     actions = np.random.default_rng(seed).uniform(-1.0, 1.0, (count, *env.action_space.shape))
@@ -181,6 +188,59 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
         assert_alike([env.step(action) for action in actions], expected, 0.0)
         env.restore(many.save(1))
         assert env.goal.tolist() == many.goals[1].tolist()
+
+
+WRONG_ROWS: list[Any] = [
+    [], [-1], [3], [True, False], [False] * 3, slice(0, 1), "a", None, 0.5, [0.0], [[0]], [[0], [0, 1]], 10**30,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("rows", WRONG_ROWS, ids=repr)
+def test_rows_that_there_are_not_are_refused_in_words(three: EnvState, rows: Any) -> None:
+    with pytest.raises(
+        ValueError, match=r"^rows must be one or more indices from 0 to 2, or 3 booleans of which one is"
+    ):
+        three.rows(rows)
+
+
+@pytest.mark.parametrize(
+    ("rows", "meant"),
+    [
+        ([0, 0, 2], [0, 0, 2]),
+        ((1,), [1]),
+        (2, [2]),
+        (np.uint8(1), [1]),
+        ([True, False, True], [0, 2]),
+        (np.array([1, 1], dtype=np.int8), [1, 1]),
+    ],
+)
+def test_rows_may_be_repeated_or_masked(three: EnvState, rows: Any, meant: list[int]) -> None:
+    taken = three.rows(rows)
+    assert taken.count == len(meant)
+    assert taken.seeds == tuple(three.seeds[row] for row in meant)
+    assert taken.episodes.counters["goals"].tolist() == three.episodes.counters["goals"][meant].tolist()
+
+
+def test_the_one_row_of_a_single_environment_can_be_repeated() -> None:
+    with PressEnv(engine="batch") as env:
+        env.reset(seed=0)
+        state = env.save()
+        assert state.rows([0, 0]).count == 2
+        with pytest.raises(ValueError, match=r"^rows must be one or more indices from 0 to 0, or 1 booleans"):
+            state.rows([5])
+
+
+def test_wrappers_want_one_reset_before_a_state_is_restored() -> None:
+    with PressEnv(engine="batch") as saved, gym.make("Spatula/Press-v0", engine="batch") as env:
+        saved.reset(seed=0)
+        made: Any = env.unwrapped
+        made.restore(saved.save())
+        with pytest.raises(ResetNeeded):
+            env.step(np.zeros(3))
+        made.step(np.zeros(3))
+        env.reset()
+        made.restore(saved.save())
+        assert_alike(env.step(np.zeros(3)), saved.step(np.zeros(3)), 0.0)
 
 
 def test_pictures_and_time_may_differ() -> None:

@@ -278,7 +278,7 @@ def test_options_choose_goals_and_starts_and_change_nothing_else(env: PressVecto
         ({"options": {"reset_mask": np.zeros(3, dtype=bool)}}, r"options\['reset_mask'\] must be 3 booleans of which"),
         ({"options": {"reset_mask": [1, 0, 1]}}, r"options\['reset_mask'\] must be 3 booleans"),
         ({"options": {"reset_mask": [True, False]}}, r"options\['reset_mask'\] must be 3 booleans"),
-        ({"seed": [1, 2]}, "seed must be an integer or a sequence of 3, got 2"),
+        ({"seed": [1, 2]}, "seed must be an integer or a sequence of 3, got 2 seeds"),
         ({"seed": "abc"}, "seed must be an integer, a sequence of them, or None, got 'abc'"),
         ({"seed": 0.5}, "seed must be an integer, a sequence of them, or None, got 0.5"),
         ({"seed": [0, -1, 2]}, "seed must not be negative"),

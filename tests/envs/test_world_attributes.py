@@ -105,6 +105,14 @@ def test_methods_are_called_with_their_arguments() -> None:
     assert [reward.tolist() for reward in made.call("compute_reward", goals, goals, None)] == [[0.0] * 4] * COUNT
 
 
+def test_what_worlds_lack_by_their_options_says_which(env: Any) -> None:
+    for ask in (env.call, env.get_attr):
+        with pytest.raises(
+            AttributeError, match=r"needs the goal interface: make the environment with reward='sparse'"
+        ):
+            ask("compute_reward")
+
+
 @pytest.mark.parametrize("task", spatula_env.TASKS)
 def test_what_is_asked_is_a_sentence(task: str) -> None:
     made: Any = gym.make(f"Spatula/{task}-v0", engine="batch")

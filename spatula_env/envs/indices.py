@@ -1,0 +1,31 @@
+"""Which of several things are meant: by their indices, or by a mask."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from spatula_env.tasks.situation import IntArray
+
+
+def indices_below(count: int, value: Any) -> IntArray | None:
+    """Indices (n,) of some of `count` things, one at least; they may be repeated.
+
+    Args:
+        count: How many there are.
+        value: One index, several of them, or a mask of `count` booleans.
+
+    Returns:
+        The indices; None if `value` is anything else, nothing, or not all are from 0 to `count` - 1.
+    """
+    try:
+        array = np.atleast_1d(np.asarray(value))
+    except ValueError:  # ragged
+        return None
+    if array.dtype == np.bool_ and array.shape == (count,):
+        array = np.flatnonzero(array)
+    if array.ndim != 1 or array.dtype.kind not in "iu" or not len(array) or array.min() < 0 or array.max() >= count:
+        return None
+    return array.astype(np.int64)
