@@ -36,7 +36,7 @@ def check_finite(value: Any, name: str) -> None:
         ValueError: If it is not.
     """
     if not is_number(value):
-        raise ValueError(f"{name} must be a finite number, got {value!r}")
+        raise ValueError(f"{name} must be finite and a number, got {value!r}")
 
 
 def check_positive(value: Any, name: str, *, or_none: bool = False) -> None:
@@ -87,7 +87,7 @@ def check_count(value: Any, name: str, least: int, most: int | None = None) -> N
     """
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or value < least or (most is not None and value > most):
-        wanted = f"of at least {least}" if most is None else f"from {least} to {most}"
+        wanted = f"of at least {least}" + ("" if most is None else f" and at most {most}")
         raise ValueError(f"{name} must be an integer {wanted}, got {value!r}")
 
 

@@ -44,7 +44,7 @@ def test_options_of_observations(name: str, value: Any) -> None:
 
 @pytest.mark.parametrize("name", ["history", "organ_points", "tool_points"])
 def test_what_no_memory_holds_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=rf"^observation\.{name} must be an integer from 1 to \d+, got 1000000000"):
+    with pytest.raises(ValueError, match=rf"^observation\.{name} must be an integer of at least 1 and at most \d+, got 1000000000"):
         ObservationSettings(**{name: 10**9})
 
 
@@ -74,7 +74,7 @@ def test_options_that_are_booleans(value: Any) -> None:
 @pytest.mark.parametrize("value", NO_SIZES, ids=repr)
 @pytest.mark.parametrize("name", ["width", "height"])
 def test_sizes_of_pictures(name: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=f"^{name} must be an integer from 1 to 8192, got "):
+    with pytest.raises(ValueError, match=f"^{name} must be an integer of at least 1 and at most 8192, got "):
         EnvSettings(**{name: value})
 
 
@@ -96,7 +96,7 @@ def test_ranges_of_what_is_drawn(value: Any) -> None:
     [
         ({"terminate_on_success": "yes"}, "terminate_on_success must be True or False, got 'yes'"),
         ({"max_speed": "fast"}, "max_speed must be positive and finite, got 'fast'"),
-        ({"width": True}, "width must be an integer from 1 to 8192, got True"),
+        ({"width": True}, "width must be an integer of at least 1 and at most 8192, got True"),
         ({"control_frequency": 1e-300}, "control_frequency must be 0.5 Hz at least, got 1e-300"),
         ({"task": {"hold_time": "long"}}, "hold_time must be positive and finite, got 'long'"),
         ({"observation": {"noise": "much"}}, "observation.noise must be zero or more and finite, got 'much'"),

@@ -41,7 +41,7 @@ def test_none_is_taken_where_it_is_told(check: Callable[..., None]) -> None:
 
 @pytest.mark.parametrize("value", ["5", None, True, 5.0, [5], 1, 10], ids=repr)
 def test_counts_have_both_bounds(value: Any) -> None:
-    with pytest.raises(ValueError, match=r"^size must be an integer from 2 to 9, got "):
+    with pytest.raises(ValueError, match=r"^size must be an integer of at least 2 and at most 9, got "):
         check_count(value, "size", 2, 9)
     check_count(np.int64(9), "size", 2, 9)
 
