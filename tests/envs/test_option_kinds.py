@@ -44,7 +44,9 @@ def test_options_of_observations(name: str, value: Any) -> None:
 
 @pytest.mark.parametrize("name", ["history", "organ_points", "tool_points"])
 def test_what_no_memory_holds_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=rf"^observation\.{name} must be an integer of at least 1 and at most \d+, got 1000000000"):
+    with pytest.raises(
+        ValueError, match=rf"^observation\.{name} must be an integer of at least 1 and at most \d+, got 1000000000"
+    ):
         ObservationSettings(**{name: 10**9})
 
 
