@@ -53,7 +53,7 @@ def check_positive(value: Any, name: str, *, or_none: bool = False) -> None:
     if value is None and or_none:
         return
     if not (is_number(value) and value > 0.0):
-        raise ValueError(f"{name} must be {'None, or ' * or_none}positive and finite, got {value!r}")
+        raise ValueError(f"{name} must be positive and finite{', or None' * or_none}, got {value!r}")
 
 
 def check_not_negative(value: Any, name: str, *, or_none: bool = False) -> None:

@@ -35,7 +35,7 @@ def test_numbers_of_all_kinds_are_taken(check: Callable[[Any, str], None], value
 @pytest.mark.parametrize("check", [check_positive, check_not_negative])
 def test_none_is_taken_where_it_is_told(check: Callable[..., None]) -> None:
     check(None, "speed", or_none=True)
-    with pytest.raises(ValueError, match=r"^speed must be None, or .*, got 'a'"):
+    with pytest.raises(ValueError, match=r"^speed must be .*None.*, got 'a'"):
         check("a", "speed", or_none=True)
 
 
