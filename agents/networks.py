@@ -12,6 +12,7 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage
 from torch import nn
 
 PICTURES = ("image", "depth")
@@ -44,6 +45,14 @@ def policy_settings(space: spaces.Space[Any]) -> dict[str, Any]:
 def has_pictures_or_points(space: spaces.Space[Any]) -> bool:
     """Whether observations of a space have parts that are no vectors."""
     return isinstance(space, spaces.Dict) and any(name in space.spaces for name in (*PICTURES, *POINTS))
+
+
+def keep_pictures(env: VecEnv) -> VecEnv:
+    """An environment of Stable-Baselines3 whose pictures stay as they are, channels last.
+
+    Left to itself Stable-Baselines3 puts the channels of some pictures first, by a wrapper around all others.
+    """
+    return VecTransposeImage(env, skip=True) if has_pictures_or_points(env.observation_space) else env
 
 
 def vector_names(space: spaces.Dict) -> list[str]:

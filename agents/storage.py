@@ -36,6 +36,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from agents.configuration import PPOConfig, TrainingConfig
 from agents.models import make_model
+from agents.networks import keep_pictures
 from agents.replay import DemonstrationReplayBuffer
 
 MODEL, SPACES, NORMALIZER = "model.zip", "spaces.npz", "normalizer.npz"
@@ -124,7 +125,7 @@ def read_model(folder: Path, config: TrainingConfig, env: VecEnv | None = None) 
     """
     check_readable(folder)
     if env is None:
-        env = SpacesOnly(*read_spaces(folder))
+        env = keep_pictures(SpacesOnly(*read_spaces(folder)))
         chosen = config.hyperparameters
         # To act, there is no need for room for what is seen.
         small: dict[str, Any] = {"n_steps": 2, "batch_size": 2} if isinstance(chosen, PPOConfig) else {"buffer_size": 1}

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize, VecTransposeImage
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
 from agents.configuration import TrainingConfig
-from agents.networks import has_pictures_or_points, vector_names
+from agents.networks import keep_pictures, vector_names
 from agents.threads import numba_threads
 from spatula_env.envs.sb3 import SpatulaVecEnv, make_sb3_vec_env
 from spatula_env.policies import PartSelection
@@ -120,10 +120,7 @@ def make_training_env(config: TrainingConfig, seed: int, discount: float) -> tup
     selection = PartSelection.of(base.env, environment.parts)
     if selection is not None:
         env = PartsVecEnv(env, selection)
-    if has_pictures_or_points(env.observation_space):
-        # Pictures stay as they are; Stable-Baselines3 would turn some around, and wrap what is to be outermost.
-        env = VecTransposeImage(env, skip=True)
-    env = VecMonitor(env)
+    env = VecMonitor(keep_pictures(env))
     normalization = config.normalization
     if normalization.observations or normalization.rewards:
         env = VecNormalize(
