@@ -166,6 +166,7 @@ def test_a_wrapper_that_needs_pictures_gets_them_again(tmp_path) -> None:
 
 def test_onlookers_are_not_kept(tmp_path) -> None:
     """Whoever watched or filmed a recording, its environment opens no windows and makes no films."""
+    pytest.importorskip("moviepy")
     made = make(render_mode="rgb_array", width=32, height=24)
     filmed = gym.wrappers.RecordVideo(made, str(tmp_path / "films"), episode_trigger=lambda _: False)
     assert storable_spec(filmed).additional_wrappers == ()

@@ -215,7 +215,7 @@ def test_pictures_are_taken_over() -> None:
         ({"delay": 2}, "observation.delay must be 0 to 0.5 s, got 2"),
         ({"history": 0}, "observation.history must be an integer of at least 1"),
         ({"image_size": 84}, r"observation.image_size must be two integers \(height, width\), got 84"),
-        ({"image_size": (4, 84)}, "observation.image_size must be an integer of at least 8, got 4"),
+        ({"image_size": (4, 84)}, "observation.image_size must be an integer of at least 8 and at most 8192, got 4"),
         ({"organ_points": 0}, "observation.organ_points must be an integer of at least 1"),
     ],
 )
