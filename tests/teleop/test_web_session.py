@@ -109,6 +109,25 @@ def test_practice_has_no_limit_of_time(session):
         until(lambda: session.env.unwrapped._episodes.info["time"][0] > limit + 0.5, "more than an episode's time")
 
 
+def test_what_is_asked_for_again_at_once_ends_an_episode_too(session):
+    # Before the first step of an episode, the button that ended the last one is still down.
+    taken = []
+    take = session._asked.take
+
+    def take_and_ask_again():
+        what = take()
+        if what == "reset" and len(taken) < 3:
+            taken.append(what)
+            session._asked.put("reset")
+        return what
+
+    session._asked.take = take_and_ask_again
+    with Script(session.url):
+        until(lambda: session._status.text == "Practice", "practice")
+        session._ask("reset")
+        until(lambda: len(taken) == 3, "three new episodes")
+
+
 def test_an_episode_is_recorded(session):
     with Script(session.url) as script:
         start_recording(session, script)

@@ -291,9 +291,7 @@ class WebSession:
         if self._said and info["time"] > MESSAGE_TIME:
             self._said = ""
             self._say("Practice", PRACTICE)
-        if self._asked.what is not None:
-            # Nothing happens in a control step but what was asked for before it.
-            self._device.press(QUIT)
+        self._press_if_asked(QUIT, info)
 
     def _pause(self) -> None:
         """Stand still while nobody looks."""
@@ -350,8 +348,15 @@ class WebSession:
         limit_said = "" if limit is None else f"It ends after{end.removeprefix(' of')} s, or with a button. "
         self._say(f"Recording {info['time']:.1f}{end} s", f"{limit_said}It goes to {self.dataset_id(self.env_id)}.")
         self._pause()
-        if self._asked.what is not None:
-            self._device.press(FINISH)
+        self._press_if_asked(FINISH, info)
+
+    def _press_if_asked(self, button: str, info: dict[str, Any]) -> None:
+        """End the episode if anything is asked for: nothing happens in a control step but what was asked for before it.
+
+        Not before the first step: a button that ended the last episode counts only after a step in which it is up.
+        """
+        if self._asked.what is not None and info["time"] > 0.0:
+            self._device.press(button)
 
     def _until_moved(self) -> None:
         page = self._device.page
