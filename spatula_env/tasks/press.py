@@ -202,7 +202,7 @@ class PressTask(Task):
         place = float(np.hypot(*(goal[:2] - achieved[:2])))
         return (
             Criterion.near("depth", "m", float(achieved[2]), float(goal[2]), self.config.depth_tolerance),
-            Criterion.at_most("distance to place", "m", place, self.config.place_tolerance),
+            Criterion.at_most("off the place", "m", place, self.config.place_tolerance),
         )
 
     def marks(

@@ -13,6 +13,7 @@ from spatula_env.tasks.marks import Patch, Ring
 
 pytest.importorskip("viser", reason="the extra web is not installed")
 first_view = pytest.importorskip("spatula_env.teleop.web.stage").first_view
+_fog = pytest.importorskip("spatula_env.teleop.web.viewers")._fog
 
 gym.register_envs(spatula_env)
 
@@ -50,6 +51,10 @@ def test_the_goal_is_in_the_first_view(name):
         moment = env.unwrapped.moment
         assert moment.marks
         nodes, triangles = np.ascontiguousarray(moment.nodes), np.array(env.unwrapped._episodes.worlds.triangles)
+        # What is to be seen is not faded.
+        near, far = _fog(camera, points)
+        distances = np.linalg.norm(nodes - camera.position, axis=1)
+        assert near > distances.max() and far > 2.0 * near
         away = np.array(camera.position) - camera.target
         direction = away / np.linalg.norm(away)
         for mark in moment.marks:

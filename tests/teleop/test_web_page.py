@@ -25,8 +25,13 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory):
-    with WebSession("Spatula/Press-v0", port=0, dataset=tmp_path_factory.mktemp("datasets"), seed=0) as made:
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("datasets")
+
+
+@pytest.fixture(scope="module")
+def session(folder):
+    with WebSession("Spatula/Press-v0", port=0, dataset=folder, seed=0) as made:
         yield made
 
 
@@ -142,7 +147,7 @@ def test_the_mouse_drags_the_tool(page, session):
     page.get_by_text("View and speed").click()
 
 
-def test_an_episode_is_recorded_from_the_page(page, session):
+def test_an_episode_is_recorded_from_the_page(page, session, folder):
     saved = session.saved
     click(page, "Record an episode")
     wait_for(page, lambda: session._status.text == "Ready", "recording")
@@ -155,7 +160,7 @@ def test_an_episode_is_recorded_from_the_page(page, session):
     click(page, "Success")
     wait_for(page, lambda: session.saved == saved + 1, "saving")
     page.get_by_text("Saved").first.wait_for()
-    dataset = minari.MinariDataset(session.recording._root / "spatula/press/web-v0/data")
+    dataset = minari.MinariDataset(folder / "spatula/press/web-v0/data")
     number = dataset.total_episodes - 1
     (about,) = dataset.storage.get_episode_metadata([number])
     assert (about["operator"], about["device"], bool(about["operator_success"])) == ("human", "web", True)

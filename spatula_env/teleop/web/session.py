@@ -208,7 +208,7 @@ class WebSession:
         """Show the buttons that mean something now."""
         for name, button in self._buttons.items():
             button.visible = (name in VERDICTS) == self._recording
-        self._choice.disabled = self._recording
+        self._choice.visible = not self._recording
         assert self._device.panel is not None
         self._device.panel.hint(KEYS_RECORDING if self._recording else KEYS_WAITING)
 

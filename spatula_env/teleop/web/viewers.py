@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 NEAR, FAR = 0.1, 200.0
 """What the camera sees [u]."""
 FOG = (1.3, 4.0)
-"""Where the ground begins to fade, and where it is gone, as parts of the distance from the camera to the organ."""
+"""Where the ground begins to fade, and where it is gone, as parts of the distance from the camera to the farthest thing
+that is to be seen: nothing of those fades."""
 LIGHT_SKY, DARK_SKY = (255, 255, 255), (20, 20, 20)
 """What the ground fades to: viser's background."""
 LEAST_ASPECT, GREATEST_ASPECT = 0.4, 2.5
@@ -78,7 +79,7 @@ class Viewers:
             first.position, first.look_at, first.up = camera.position, camera.target, camera.up
             first.fov, first.near, first.far = math.radians(camera.vertical_field_of_view), NEAR, FAR
             if anew:
-                self._server.scene.configure_fog(*_fog(camera), color=LIGHT_SKY)
+                self._server.scene.configure_fog(*_fog(camera, points), color=LIGHT_SKY)
             for viewer in self._viewers.values():
                 if anew or not viewer.moved:
                     self._look(viewer)
@@ -148,12 +149,13 @@ class Viewers:
         self._color(viewer)
 
     def _color(self, viewer: _Viewer) -> None:
-        if viewer.given is not None:
-            viewer.client.scene.configure_fog(*_fog(viewer.given), color=DARK_SKY if viewer.dark else LIGHT_SKY)
+        if viewer.given is not None and self._points is not None:
+            near, far = _fog(viewer.given, self._points)
+            viewer.client.scene.configure_fog(near, far, color=DARK_SKY if viewer.dark else LIGHT_SKY)
 
 
-def _fog(camera: Camera) -> tuple[float, float]:
-    away = math.dist(camera.position, camera.target)
+def _fog(camera: Camera, points: FloatArray) -> tuple[float, float]:
+    away = float(np.linalg.norm(points - camera.position, axis=1).max())
     return FOG[0] * away, FOG[1] * away
 
 
