@@ -284,6 +284,9 @@ def test_a_page_cannot_name_a_module(session, tmp_path, monkeypatch):
         line.send(msgspec.msgpack.encode(camera))
         until(lambda: session.device.page.server.get_clients(), "a page")
         until(lambda: session._status.text == "Practice", "practice")
+        # It looked straight down; it is given the first view all the same.
+        (client,) = session.device.page.server.get_clients().values()
+        until(lambda: client.camera.position[2] > 2.0 and client.camera.up_direction[2] == 1.0, "the first view")
         for name in ("named_by_a_page:Spatula/Press-v0", "CartPole-v1", ""):
             before = session.device.page.messages.dropped
             line.send(msgspec.msgpack.encode({**choice, "updates": {"value": name}}))

@@ -166,6 +166,10 @@
     return made;
   };
 
+  const RESENDS = 8; // times that the camera is told anew after the picture has got another size
+  let sized = "";
+  let resends = 0;
+
   let foot = null;
   let banner = null;
   let letters = null; // what is printed on keys, by their codes
@@ -197,6 +201,14 @@
     if (sheet) sheet.classList.add("sp-sheet");
     const below = (sheet ?? document.querySelector(".sp-sheet") ?? foot).offsetHeight;
     document.documentElement.style.setProperty("--sp-below", `${below}px`);
+    // The viewer tells its camera when that moves, and not always when its picture has another size.
+    const { canvas, sendCamera } = window.__viserMutable ?? {};
+    const size = canvas ? `${canvas.clientWidth}x${canvas.clientHeight}` : "";
+    if (size !== sized) [sized, resends] = [size, RESENDS];
+    if (resends > 0 && sendCamera) {
+      resends -= 1;
+      sendCamera();
+    }
     if (top?.dataset.title && document.title !== top.dataset.title) document.title = top.dataset.title;
   };
 

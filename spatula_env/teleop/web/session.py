@@ -280,8 +280,9 @@ class WebSession:
         # A page can say anything, and `gymnasium.make` imports what stands before a colon.
         chosen = str(self._choice.value)
         if chosen not in task_ids():
-            self._tell("Not a task", f"There is no task {chosen[:80]!r} here.", "red")
+            # First: whoever reads the refusal may choose again.
             self._choice.value = self.env_id
+            self._tell("Not a task", f"There is no task {chosen[:80]!r} here.", "red")
             return False
         self.env_id = chosen
         return True

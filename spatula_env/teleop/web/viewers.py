@@ -144,8 +144,9 @@ class Viewers:
         viewer.given = camera = fit_camera(self._points, self._viewpoint, aspect)
         viewer.moved, viewer.when = False, time.monotonic()
         with viewer.client.atomic():
-            handle.up_direction, handle.fov = camera.up, math.radians(camera.vertical_field_of_view)
+            # In this order: viser refuses an upward direction along which one looks, as somebody may who looks down.
             handle.position, handle.look_at = camera.position, camera.target
+            handle.up_direction, handle.fov = camera.up, math.radians(camera.vertical_field_of_view)
         self._color(viewer)
 
     def _color(self, viewer: _Viewer) -> None:
