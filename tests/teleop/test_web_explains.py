@@ -352,17 +352,19 @@ def test_a_press_is_done_by_mouse_and_keys(page, session):
         sign = np.sign(away)
         key = more if away > 0.0 else less
         hold(key, lambda a=axis, s=sign: s * (goal[a] - session.device._grip[a]) < 0.0012, "a place")
-    hold("KeyQ", lambda: info(session)["depth"][0] > goal[2] - 0.0006, "a depth")
-    for _ in range(12):
+    hold("KeyQ", lambda: info(session)["depth"][0] > 0.3 * goal[2], "a depth")
+    # By small steps, each as long as it takes at that speed: pages of software renderers are late.
+    session.device.panel.speed.value = 5
+    for _ in range(30):
         if info(session)["is_success"][0]:
             break
         error = goal[2] - info(session)["depth"][0]
-        if abs(error) > 0.0008:
+        if abs(error) > 0.0007:
             key = "KeyQ" if error > 0.0 else "KeyE"
-            page.keyboard.down("Shift")
-            hold(key, lambda: abs(goal[2] - info(session)["depth"][0]) < 0.0006, "the depth")
-            page.keyboard.up("Shift")
-        page.wait_for_timeout(800)
+            page.keyboard.down(key)
+            page.wait_for_timeout(min(1000.0 * abs(error) / 0.005, 1000.0))
+            page.keyboard.up(key)
+        page.wait_for_timeout(900)
     wait_for(page, lambda: info(session)["is_success"][0], "success")
     wait_for(page, lambda: page.locator(".sp-top .success").count() == 1, "which is said")
     assert "Success: held for 0.5 s" in page.locator(".sp-top .success").inner_text()
