@@ -46,9 +46,9 @@ class Pictures(gym.Env):
 
 
 def make_pictures() -> gym.Env:
-    if "Spatula/PicturesForTests-v0" not in gym.registry:
-        gym.register("Spatula/PicturesForTests-v0", entry_point="recording_helpers:Pictures")
-    return gym.make("Spatula/PicturesForTests-v0", disable_env_checker=True)
+    if "Tests/Pictures-v0" not in gym.registry:
+        gym.register("Tests/Pictures-v0", entry_point="recording_helpers:Pictures")
+    return gym.make("Tests/Pictures-v0", disable_env_checker=True)
 
 
 def do_episode(env: gym.Env, seed: int) -> Episode:

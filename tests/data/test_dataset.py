@@ -107,7 +107,7 @@ def test_another_environment_does_not_mix(root, env):
 
     DatasetWriter(ID, env)
     other = gym.make("CartPole-v1")
-    with pytest.raises(ValueError, match=r"has episodes of Spatula/PicturesForTests-v0, not of CartPole-v1"):
+    with pytest.raises(ValueError, match=r"has episodes of Tests/Pictures-v0, not of CartPole-v1"):
         DatasetWriter(ID, other)
     other.close()
 

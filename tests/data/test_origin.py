@@ -109,14 +109,14 @@ def test_what_json_cannot_keep_is_refused_at_the_start(tmp_path, wrap, message) 
 def test_an_environment_that_is_registered_by_its_class(tmp_path) -> None:
     from recording_helpers import Pictures
 
-    gym.register("Spatula/ByClassForTests-v0", entry_point=Pictures)
+    gym.register("Tests/ByClass-v0", entry_point=Pictures)
     try:
-        env = gym.make("Spatula/ByClassForTests-v0", disable_env_checker=True)
+        env = gym.make("Tests/ByClass-v0", disable_env_checker=True)
         assert storable_spec(env).entry_point == "recording_helpers:Pictures"
         DatasetWriter(ID, env, root=tmp_path)
         env.close()
     finally:
-        del gym.registry["Spatula/ByClassForTests-v0"]
+        del gym.registry["Tests/ByClass-v0"]
 
 
 def test_merged_episodes_keep_their_options_and_authors(tmp_path) -> None:
