@@ -1,12 +1,11 @@
 """Does anything break when nobody is careful?
 
-Random actions for many control steps in every task: nothing may diverge or become infinite, no tool may come through an
-organ, and memory may not grow. After every control step each world is inspected: a tool that is inside the organ with
-no contact node flagged was missed, and an organ's surface on the far side of a tool has been tunnelled through.
+Random actions for many control steps in every task: nothing may diverge or become infinite, no tool may be in an organ
+or the other way round, no organ may stay folded through itself, and memory may not grow. Every physics step of every
+world is looked at by `benchmarks.inspection`, which shares nothing with the contact model that it judges.
 
-A surface that slips off a tool goes round its rim within a control step, which looks, seen only before and after, as if
-it had gone through. Where a vertex is found on the other side the step is therefore done once more, from the same
-state to the same end, and inspected after every physics step.
+Two kinds of random actions, as learners make them: independent in every control step, which gets nowhere, and kept for
+a while, down more often than up, which ploughs.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from benchmarks.inspection import Inspector
+from benchmarks.inspection import ALLOWED, WorldInspector
 from benchmarks.measure import finish, parser, without_bullet
+from benchmarks.physics_steps import look_after_every_step
 from spatula_env import TASKS
-from spatula_env.sim.worlds import SeparateWorlds
 
 WORLDS = {"batch": 32, "bullet": 2}
 """How many are stepped together."""
@@ -31,43 +30,66 @@ WORLDS = {"batch": 32, "bullet": 2}
 STEPS = {"batch": 200_000, "bullet": 20_000}
 """Control steps in all worlds together."""
 
-DEEP = 0.05
-"""A part of a tool this deep in the organ, with no flag set, was missed [u]: 1 mm."""
-
 LARGEST_GROWTH = 8.0
 """Memory may grow by so much from the first quarter of a run to its end [MiB]."""
 
-SAME = 1e-2
-"""A control step that is done once more came out the same if no node is farther off than this [u]."""
+LONGEST_CROSSED = 0.1
+"""An organ may cross itself for so long [s]."""
 
-HOLD = 8
-"""A random action is held for so many control steps at most: noise alone does not get anywhere."""
+ACTIONS = ("independent", "kept")
+"""Kinds of random actions."""
+
+HOLD = 6
+"""A kept action stays for so many control steps at most."""
+
+LEVELS = (0.5, 1.0)
+"""Sizes of a kept action's components."""
+
+DOWN = 0.7
+"""How often a kept action goes down."""
+
+VERTICAL = 2
+"""The component of an action that does."""
 
 
 @dataclass(frozen=True)
 class Endurance:
-    """What was seen in a run.
+    """What was seen in a run. Steps are physics steps of one world, but for `control_steps` and `non_finite`.
 
     Attributes:
-        steps: Control steps.
-        contact_share: Part of them with a contact node flagged at the end.
+        control_steps: In all worlds together.
+        steps: Looked at.
+        touching: In which a tool felt a force.
         diverged: Worlds whose physics broke down.
         non_finite: Control steps with an observation or a reward that is not finite.
-        missed: Control steps after which a tool was in an organ with no flag set.
-        wrong_side: Control steps after which an organ's surface was on the far side of a tool.
-        residual: Greatest depth of a tool in an organ or the other way round after a control step [u].
+        deep: In which a tool was deeper than `inspection.ALLOWED` in an organ, or an organ's surface in a tool.
+        longest_deep: For how long at most without a break [s].
+        depth: Greatest [u].
+        unreported: Deep ones whose residual, as reported, is not more than allowed.
+        residual: Greatest that was reported [u].
+        wrong_side: In which an organ's surface was on the far side of a tool.
+        crossed: In which an organ crossed itself.
+        longest_crossed: For how long at most without a break [s].
+        most_crossings: Greatest number of pairs of an edge and a triangle.
         peak_pressure: Greatest [Pa].
         memory_growth: From the first quarter of the run to its end [MiB].
         seconds: How long it took, inspections included [s].
     """
 
+    control_steps: int
     steps: int
-    contact_share: float
+    touching: int
     diverged: int
     non_finite: int
-    missed: int
-    wrong_side: int
+    deep: int
+    longest_deep: float
+    depth: float
+    unreported: int
     residual: float
+    wrong_side: int
+    crossed: int
+    longest_crossed: float
+    most_crossings: int
     peak_pressure: float
     memory_growth: float
     seconds: float
@@ -75,115 +97,113 @@ class Endurance:
     @property
     def passed(self) -> bool:
         """Whether nothing broke."""
-        broken = self.diverged + self.non_finite + self.missed + self.wrong_side
-        return broken == 0 and self.memory_growth <= LARGEST_GROWTH
+        broken = self.diverged + self.non_finite + self.deep + self.wrong_side
+        held = self.longest_crossed <= LONGEST_CROSSED and self.memory_growth <= LARGEST_GROWTH
+        return broken == 0 and held
 
 
-class Retraced:
-    """The worlds' last control step, to be gone through once more physics step by physics step.
+class Watch:
+    """Looks at some worlds after each physics step.
 
     Args:
-        worlds: They are watched from now on: the state before every `advance` is kept.
+        worlds: They are watched from now on.
     """
 
     def __init__(self, worlds: Any) -> None:
         self._worlds = worlds
-        self._advance = worlds.advance
-        self._before: Any = None
-        self._motion: tuple[Any, Any, int, Any] = (None, None, 0, None)
-        worlds.advance = self._watched
+        count = worlds.count
+        self._inspectors = [WorldInspector(worlds.scene) for _ in range(count)]
+        self._deep_for, self._crossed_for = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
+        self.steps = self.touching = self.deep = self.unreported = self.wrong_side = self.crossed = 0
+        self.most_crossings = self.longest_deep = self.longest_crossed = 0
+        self.depth = self.residual = 0.0
+        look_after_every_step(worlds, self._look)
 
-    def _watched(self, linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any) -> Any:
-        self._before, self._motion = self._save(), (linear, angular, steps, force_limits)
-        return self._advance(linear, angular, steps, pressure_limits, force_limits)
+    def forget(self, worlds: Any) -> None:
+        """Begin anew in worlds (n,) that have been reset."""
+        for world in worlds:
+            self._inspectors[world].reset()
+            self._deep_for[world] = self._crossed_for[world] = 0
 
-    def passages(self, world: int, tool: int) -> int:
-        """How many of an organ's vertices went through a tool in the last control step of a world."""
-        worlds, (linear, angular, steps, force_limits) = self._worlds, self._motion
-        after, nodes = self._save(), worlds.nodes[world].copy()
-        self._restore(self._before)
-        inspector = Inspector(worlds.scene.tools[tool].tool, worlds.triangles)
-        count = 0
-        for step in range(steps + 1):
-            if step > 0:
-                self._advance(linear, angular, 1, None, force_limits)
-            position, orientation = worlds.tool_positions[world, tool], worlds.tool_orientations[world, tool]
-            count += inspector.inspect(position, orientation, worlds.nodes[world]).passages
-        same = np.allclose(worlds.nodes[world], nodes, rtol=0.0, atol=SAME)
-        self._restore(after)
-        # Bullet repeats a step to some 1e-9 u, and a fold that snaps makes much of that. What cannot be followed,
-        # counts.
-        return count if same else max(count, 1)
-
-    def _save(self) -> Any:
-        if isinstance(self._worlds, SeparateWorlds):
-            return [simulation.save() for simulation in self._worlds.simulations]
-        return self._worlds.save()
-
-    def _restore(self, state: Any) -> None:
-        if isinstance(self._worlds, SeparateWorlds):
-            for simulation, saved in zip(self._worlds.simulations, state, strict=True):
-                simulation.restore(saved)
-        else:
-            self._worlds.restore(state)
+    def _look(self, loads: Any) -> None:
+        worlds = self._worlds
+        nodes, positions, orientations = worlds.nodes, worlds.tool_positions, worlds.tool_orientations
+        self.residual = max(self.residual, float(loads.residuals.max()))
+        self.touching += int((loads.peak_forces > 0.0).any(axis=1).sum())
+        for world in np.flatnonzero(~loads.diverged).tolist():
+            seen = self._inspectors[world].inspect(positions[world], orientations[world], nodes[world])
+            deep, own = int(seen.residual > ALLOWED), seen.crossings.own
+            self.steps += 1
+            self.deep += deep
+            self.unreported += deep * int(loads.residuals[world] <= ALLOWED)
+            self.depth = max(self.depth, seen.residual)
+            self.wrong_side += seen.wrong_side
+            self.crossed += own > 0
+            self.most_crossings = max(self.most_crossings, own)
+            self._deep_for[world] = self._deep_for[world] + 1 if deep else 0
+            self._crossed_for[world] = self._crossed_for[world] + 1 if own else 0
+        self.longest_deep = max(self.longest_deep, int(self._deep_for.max()))
+        self.longest_crossed = max(self.longest_crossed, int(self._crossed_for.max()))
 
 
-def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
-    """Make random control steps in some worlds of a task."""
+class RandomActions:
+    """Draws actions for some worlds, control step after control step.
+
+    Args:
+        kind: One of `ACTIONS`.
+        shape: Worlds, and components of an action.
+        generator: What they are drawn with.
+    """
+
+    def __init__(self, kind: str, shape: tuple[int, int], generator: np.random.Generator) -> None:
+        self._kind, self._generator = kind, generator
+        self._actions = np.zeros(shape, dtype=np.float32)
+        self._left = np.zeros(shape[0], dtype=int)
+
+    def draw(self) -> Any:
+        """The next actions, of all worlds."""
+        if self._kind == "independent":
+            return self._generator.uniform(-1.0, 1.0, self._actions.shape).astype(np.float32)
+        for world in np.flatnonzero(self._left == 0):
+            size = self._actions.shape[1]
+            action = self._generator.choice(LEVELS, size) * self._generator.choice((-1.0, 1.0), size)
+            action[VERTICAL] = abs(action[VERTICAL]) * (-1.0 if self._generator.random() < DOWN else 1.0)
+            self._actions[world], self._left[world] = action, self._generator.integers(1, HOLD + 1)
+        self._left -= 1
+        return self._actions.copy()
+
+
+def run(task: str, engine: str, steps: int, seed: int, actions: str = "kept") -> Endurance:
+    """Make random control steps in some worlds of a task.
+
+    Args:
+        task: Its name.
+        engine: Its engine.
+        steps: How many, in all worlds together.
+        seed: Of the environment and of the actions.
+        actions: One of `ACTIONS`.
+
+    Returns:
+        What was seen.
+    """
     count = WORLDS[engine]
     envs: Any = gymnasium.make_vec(f"Spatula/{task}-v0", num_envs=count, engine=engine)
-    generator = np.random.default_rng(seed)
-    base = envs.unwrapped
-    worlds = base.worlds
-    tools = worlds.scene.tools
-    inspectors = [[Inspector(placed.tool, worlds.triangles) for placed in tools] for _ in range(count)]
-    # Farther from every vertex than this, a tool meets no triangle; and it cannot have got far inside unseen.
-    longest = max(float(placed.organ.edge_lengths.max()) for placed in worlds.scene.organs)
-    reaches = [float(np.linalg.norm(placed.tool.vertices, axis=1).max()) + 1.5 * longest for placed in tools]
-    # The observation tells which share of the contact nodes of each face is flagged.
-    shares = base.observation_builder.slices["contact_share"]
-    of_tool = np.repeat(np.arange(len(tools)), [len(np.unique(placed.tool.face)) for placed in tools])
-    size = envs.single_action_space.shape[0]
+    drawn = RandomActions(actions, (count, envs.single_action_space.shape[0]), np.random.default_rng(seed))
+    worlds = envs.unwrapped.worlds
     envs.reset(seed=seed)
-    retraced = Retraced(worlds)
-    touching, diverged, non_finite, missed, wrong_side = 0, 0, 0, 0, 0
-    residual, peak_pressure = 0.0, 0.0
+    watch = Watch(worlds)
+    diverged, non_finite, peak_pressure = 0, 0, 0.0
     rounds = -(-steps // count)
-    actions = np.zeros((count, size), dtype=np.float32)
-    left = np.zeros(count, dtype=int)
-    resting = np.zeros(count, dtype=bool)
     early = None
     start = time.perf_counter()
     for index in range(rounds):
-        for world in np.flatnonzero(left == 0):
-            actions[world] = generator.uniform(-1.0, 1.0, size)
-            left[world] = generator.integers(1, HOLD + 1)
-        left -= 1
-        observation, rewards, terminated, truncated, infos = envs.step(actions)
+        observation, rewards, terminated, truncated, infos = envs.step(drawn.draw())
         finite = np.isfinite(observation).all(axis=1) & np.isfinite(rewards)
         non_finite += int((~finite).sum())
         diverged += int(infos["diverged"].sum())
         peak_pressure = max(peak_pressure, float(infos["peak_pressure"].max()))
-        nodes, positions, orientations = worlds.nodes, worlds.tool_positions, worlds.tool_orientations
-        away = np.sqrt(((nodes[:, None] - positions[:, :, None]) ** 2).sum(axis=-1).min(axis=-1))
-        flagged = observation[:, shares] > 0.0
-        for world in range(count):
-            if resting[world] or not finite[world]:
-                for inspector in inspectors[world]:
-                    inspector.reset()
-                continue
-            touching += flagged[world].any()
-            for tool, inspector in enumerate(inspectors[world]):
-                if away[world, tool] > reaches[tool]:
-                    inspector.reset()
-                    continue
-                seen = inspector.inspect(positions[world, tool], orientations[world, tool], nodes[world])
-                deepest = max(seen.node_depth, seen.corner_depth)
-                missed += deepest > DEEP and not flagged[world, of_tool == tool].any()
-                through = seen.passages > 0 and retraced.passages(world, tool) > 0
-                wrong_side += seen.centre_inside or seen.enclosed > 0 or through
-                residual = max(residual, seen.residual)
-        resting = terminated | truncated
+        # They are reset in the next step, before physics goes on.
+        watch.forget(np.flatnonzero(terminated | truncated).tolist())
         if index == rounds // 4:
             gc.collect()
             early = _memory()
@@ -191,9 +211,24 @@ def run(task: str, engine: str, steps: int, seed: int) -> Endurance:
     growth = _memory() - early if early is not None else 0.0
     seconds = time.perf_counter() - start
     envs.close()
-    total = rounds * count
     return Endurance(
-        total, touching / total, diverged, non_finite, missed, wrong_side, residual, peak_pressure, growth, seconds
+        control_steps=rounds * count,
+        steps=watch.steps,
+        touching=watch.touching,
+        diverged=diverged,
+        non_finite=non_finite,
+        deep=watch.deep,
+        longest_deep=watch.longest_deep * worlds.scene.dt,
+        depth=watch.depth,
+        unreported=watch.unreported,
+        residual=watch.residual,
+        wrong_side=watch.wrong_side,
+        crossed=watch.crossed,
+        longest_crossed=watch.longest_crossed * worlds.scene.dt,
+        most_crossings=watch.most_crossings,
+        peak_pressure=peak_pressure,
+        memory_growth=growth,
+        seconds=seconds,
     )
 
 
@@ -211,6 +246,7 @@ def main() -> None:
     options = parser(__doc__ or "")
     options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
     options.add_argument("--engines", nargs="+", choices=tuple(STEPS), default=list(STEPS))
+    options.add_argument("--actions", nargs="+", choices=ACTIONS, default=list(ACTIONS))
     options.add_argument("--steps", type=int, default=None, help="instead of 200,000 (batch) and 20,000 (bullet)")
     options.add_argument("--seed", type=int, default=0)
     arguments = options.parse_args()
@@ -219,18 +255,27 @@ def main() -> None:
     engines = without_bullet(arguments.engines)
     for task in arguments.tasks:
         for engine in engines:
-            outcome = run(task, engine, arguments.steps or STEPS[engine], arguments.seed)
-            table.setdefault(task, {})[engine] = {**asdict(outcome), "passed": outcome.passed}
-            good = good and outcome.passed
-            if not arguments.json:
-                print(
-                    f"{task:8} {engine:6} {outcome.steps:7d} steps, {100 * outcome.contact_share:3.0f} % in contact: "
-                    f"{outcome.diverged} diverged, {outcome.non_finite} not finite, {outcome.missed} missed, "
-                    f"{outcome.wrong_side} on the wrong side; {outcome.peak_pressure / 1e3:.0f} kPa at most; "
-                    f"memory {outcome.memory_growth:+.1f} MiB; {outcome.seconds:.0f} s",
-                    flush=True,
-                )
-    finish({"benchmark": "endurance", "passed": good, "tasks": table})
+            for actions in arguments.actions:
+                outcome = run(task, engine, arguments.steps or STEPS[engine], arguments.seed, actions)
+                by_engine = table.setdefault(task, {}).setdefault(engine, {})
+                by_engine[actions] = {**asdict(outcome), "passed": outcome.passed}
+                good = good and outcome.passed
+                if not arguments.json:
+                    print(describe(task, engine, actions, outcome), flush=True)
+    finish({"benchmark": "endurance", "passed": good, "allowed_depth": ALLOWED, "tasks": table})
+
+
+def describe(task: str, engine: str, actions: str, outcome: Endurance) -> str:
+    """A run in a line."""
+    share = 100 * outcome.touching / outcome.steps
+    return (
+        f"{task:8} {engine:6} {actions:11} {outcome.control_steps:7d} control steps, {share:3.0f} % in contact: "
+        f"{outcome.deep} deep ({outcome.unreported} not reported, {outcome.longest_deep:.2f} s and "
+        f"{outcome.depth:.4f} u at most), {outcome.wrong_side} on the wrong side, {outcome.crossed} crossed "
+        f"({outcome.longest_crossed:.2f} s at most); {outcome.diverged} diverged, {outcome.non_finite} not finite; "
+        f"{outcome.peak_pressure / 1e3:.0f} kPa at most; memory {outcome.memory_growth:+.1f} MiB; "
+        f"{outcome.seconds:.0f} s"
+    )
 
 
 if __name__ == "__main__":

@@ -1,25 +1,40 @@
-"""Looks at where a tool and an organ are, and says how far one is inside the other.
+"""Looks at where tools and organs are, and says how far one is inside the other and where organs cross themselves.
 
 It shares nothing with the contact detector that it judges: points are inside an organ by the winding number of its
-surface, depths are Euclidean distances to the nearest triangle, and whether the organ has slipped past the tool is
-decided from the paths of its vertices. Everything is computed in the tool's frame.
+surface, the depth of the surface in a tool is the greatest of any of its points, wherever on a triangle that is,
+whether the organ has slipped past the tool is decided from the paths of its vertices, and an organ crosses itself where
+an edge goes through a triangle.
+
+As a command it makes a motion in a scene, or repeats a recorded one, and looks after every physics step. A recording is
+an .npz file of `nodes` (V, 3) and `velocities` (V, 3) of the organs, `positions` (N, 3) and `orientations` (N, 4) of
+the tools, and `linear` and `angular` (S, N, 3), how they move in each of S physics steps.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel, kernel
+from benchmarks import motions
+from benchmarks.crossings import CrossingCounter, Crossings
+from benchmarks.depths import depth_of_surface, locate_points
+from benchmarks.measure import finish, parser
+from benchmarks.passages import PARALLEL, find_passages
+from spatula_env import Simulation, scenes
+from spatula_env.engines import ENGINES
 from spatula_env.geometry.transforms import quaternion_conjugate, rotate
+from spatula_env.sim import SimulationDiverged
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from spatula_env.geometry import Tool
+    from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]
 
@@ -27,11 +42,11 @@ RIM = 0.1
 """So near to the rim of a face [u] a surface may slip round it between two inspections: what it does there is a matter
 of depth and not of sides."""
 
-PARALLEL = 1e-6
-"""Normals are opposite when their dot product is less than this above -1."""
+EDGE_SPACING = 0.1
+"""The tool's edges are looked at in points no farther apart than this [u]."""
 
-GRAZE = 1e-12
-"""A line passes so near an edge that the side is in doubt, if the triangle of edge and line has no more area [u2]."""
+ALLOWED = 0.01
+"""A depth that is no fault [u]: 0.2 mm in the scenes of the tasks."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +56,9 @@ class Inspection:
     Attributes:
         node_depth: Greatest depth of one of the tool's contact nodes inside the organ [u].
         corner_depth: Greatest depth of one of the tool's corners inside the organ [u].
-        vertex_depth: Greatest depth of a vertex of the organ inside the tool [u].
+        edge_depth: Greatest depth of a point of the tool's edges inside the organ, of those that are `EDGE_SPACING`
+            apart [u].
+        surface_depth: Greatest depth of any point of the organ's surface inside the tool, exactly [u].
         centre_inside: Whether the tool's origin is inside the organ.
         enclosed: How many of the tool's columns are inside the organ with both ends. A column runs from a contact node
             to its opposite; those within `RIM` of another face do not count.
@@ -55,7 +72,8 @@ class Inspection:
 
     node_depth: float
     corner_depth: float
-    vertex_depth: float
+    edge_depth: float
+    surface_depth: float
     centre_inside: bool
     enclosed: int
     passages: int
@@ -64,7 +82,7 @@ class Inspection:
     @property
     def residual(self) -> float:
         """Greatest of the depths [u]."""
-        return max(self.node_depth, self.corner_depth, self.vertex_depth)
+        return max(self.node_depth, self.corner_depth, self.edge_depth, self.surface_depth)
 
     @property
     def wrong_side(self) -> bool:
@@ -72,19 +90,25 @@ class Inspection:
         return self.centre_inside or self.enclosed > 0 or self.passages > 0
 
 
+APART = Inspection(0.0, 0.0, 0.0, 0.0, centre_inside=False, enclosed=0, passages=0, turned=0)
+"""What is seen of a tool that is far from all organs."""
+
+
 class Inspector:
     """Inspects one tool and one organ, step after step.
 
     Args:
         tool: The tool.
-        triangles: (T, 3) of the organ's closed surface, counter-clockwise from outside.
+        triangles: (T, 3) of the organ's closed surface, counter-clockwise from outside; or of several organs.
     """
 
     def __init__(self, tool: Tool, triangles: ArrayLike) -> None:
         self._triangles = np.array(triangles, dtype=np.int32, order="C")
-        self._points: FloatArray = np.concatenate([tool.nodes, tool.vertices, np.zeros((1, 3))])
-        self._node_count = len(tool.nodes)
         self._planes = _distinct_planes(*tool.planes)
+        groups = (tool.nodes, tool.vertices, _edge_points(tool, *self._planes), np.zeros((1, 3)))
+        self._points: FloatArray = np.concatenate(groups)
+        self._ends = np.cumsum([len(group) for group in groups])
+        self._radius = tool.bounding_radius
         self._columns = _inner_columns(tool, *self._planes)
         self._inside = np.zeros(len(self._points), dtype=np.bool_)
         self._depths = np.zeros(len(self._points))
@@ -112,19 +136,30 @@ class Inspector:
         """
         local = np.ascontiguousarray(rotate(quaternion_conjugate(orientation), vertices - np.asarray(position)))
         locate_points(self._points, local, self._triangles, self._inside, self._depths)
-        normals, offsets = self._planes
         passages, turned = self._count_passages(local)
         self._before = local
-        count, inside = self._node_count, self._inside
+        inside = self._inside
+        nodes, corners, edges = (part.max(initial=0.0) for part in np.split(self._depths, self._ends[:3])[:3])
         return Inspection(
-            node_depth=float(self._depths[:count].max(initial=0.0)),
-            corner_depth=float(self._depths[count:-1].max(initial=0.0)),
-            vertex_depth=depth_of_vertices(local, normals, offsets),
+            node_depth=float(nodes),
+            corner_depth=float(corners),
+            edge_depth=float(edges),
+            surface_depth=depth_of_surface(local, self._triangles, *self._planes),
             centre_inside=bool(inside[-1]),
             enclosed=int((inside[self._columns[:, 0]] & inside[self._columns[:, 1]]).sum()),
             passages=passages,
             turned=turned,
         )
+
+    def is_apart(self, position: FloatArray, low: FloatArray, high: FloatArray) -> bool:
+        """Whether a ball around the tool is outside of the box around all organs, from its lower corner to its upper.
+
+        Args:
+            position: (3,) of the tool [u].
+            low: (3,) [u].
+            high: (3,) [u].
+        """
+        return bool((position + self._radius < low).any() or (position - self._radius > high).any())
 
     def _count_passages(self, local: FloatArray) -> tuple[int, int]:
         """Count vertices that have come through since the last time, the organ's outside and inside ahead."""
@@ -152,6 +187,73 @@ class Inspector:
         return passages, turned
 
 
+@dataclass(frozen=True)
+class WorldInspection:
+    """What is seen of a world at one instant.
+
+    Attributes:
+        tools: Of each tool, against all organs together.
+        crossings: Of the organs.
+    """
+
+    tools: tuple[Inspection, ...]
+    crossings: Crossings
+
+    @property
+    def residual(self) -> float:
+        """Greatest depth of a tool in an organ or the other way round [u]."""
+        return max(seen.residual for seen in self.tools)
+
+    @property
+    def wrong_side(self) -> bool:
+        """Whether some of an organ's surface is on the far side of a tool."""
+        return any(seen.wrong_side for seen in self.tools)
+
+
+class WorldInspector:
+    """Inspects all tools and organs of one world, step after step.
+
+    Args:
+        scene: What is in it.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        sizes = [len(placed.organ.vertices) for placed in scene.organs]
+        starts = np.cumsum([0, *sizes[:-1]])
+        triangles = np.concatenate(
+            [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=True)]
+        )
+        self._tools = [Inspector(placed.tool, triangles) for placed in scene.tools]
+        vertices = np.concatenate([placed.vertices for placed in scene.organs])
+        self._crossings = CrossingCounter(vertices, triangles, np.repeat(np.arange(len(sizes)), sizes))
+
+    def reset(self) -> None:
+        """Forget where the organs were, so that the next inspection counts no passages."""
+        for inspector in self._tools:
+            inspector.reset()
+
+    def inspect(self, positions: FloatArray, orientations: FloatArray, vertices: FloatArray) -> WorldInspection:
+        """Look at the present state.
+
+        Args:
+            positions: (N, 3) of the tools [u].
+            orientations: (N, 4) of the tools, unit quaternions xyzw.
+            vertices: (V, 3) of all organs, world frame [u], finite.
+
+        Returns:
+            What was seen.
+        """
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        tools = []
+        for inspector, position, orientation in zip(self._tools, positions, orientations, strict=True):
+            if inspector.is_apart(position, low, high):
+                inspector.reset()
+                tools.append(APART)
+            else:
+                tools.append(inspector.inspect(position, orientation, vertices))
+        return WorldInspection(tuple(tools), self._crossings.count(vertices))
+
+
 def _distinct_planes(normals: FloatArray, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The planes of a tool's faces, each once: normals (F, 3) and offsets (F,)."""
     rows = np.column_stack([normals, offsets])
@@ -165,6 +267,20 @@ def _vertex_normals(vertices: FloatArray, triangles: NDArray[np.int32]) -> Float
     normals = np.zeros_like(vertices)
     np.add.at(normals, triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
     return normals
+
+
+def _edge_points(tool: Tool, normals: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Points (m, 3) of a tool's edges, ends left out, no farther apart than `EDGE_SPACING`."""
+    corners = tool.vertices
+    on_plane = np.abs(corners @ normals.T - offsets) < PARALLEL * tool.bounding_radius
+    pairs = np.unique(np.sort(tool.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    points = []
+    for first, second in pairs.tolist():
+        # A triangle's side within a face lies on one plane, an edge of the tool on two.
+        if (on_plane[first] & on_plane[second]).sum() >= 2:
+            parts = int(np.ceil(np.linalg.norm(corners[second] - corners[first]) / EDGE_SPACING))
+            points += [corners[first] + k / parts * (corners[second] - corners[first]) for k in range(1, parts)]
+    return np.array(points).reshape(-1, 3)
 
 
 def _inner_columns(tool: Tool, normals: FloatArray, offsets: FloatArray) -> NDArray[np.int64]:
@@ -181,285 +297,178 @@ def _inner_columns(tool: Tool, normals: FloatArray, offsets: FloatArray) -> NDAr
     return np.array(columns, dtype=np.int64).reshape(-1, 2)
 
 
-@inline_kernel
-def _doubled_area(au: float, av: float, bu: float, bv: float, cu: float, cv: float) -> float:
-    """Twice the signed area of a triangle in the plane."""
-    return (bu - au) * (cv - av) - (bv - av) * (cu - au)
+@dataclass
+class Tally:
+    """What was seen in the physics steps of a run.
 
-
-@inline_kernel
-def _solid_angles(point: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> float:
-    """Winding number of a closed surface about a point (3,), from the solid angles of all its triangles.
-
-    A. van Oosterom and J. Strackee, The solid angle of a plane triangle, IEEE Transactions on Biomedical Engineering
-    30(2), 1983.
+    Attributes:
+        steps: How many.
+        touching: In which a tool felt a force.
+        depth: Greatest [u].
+        deepest_step: When that was, counted from 0.
+        deep: In which a depth was greater than `ALLOWED`.
+        longest_deep: How many of those followed each other at most.
+        unreported: In which a depth was greater than `ALLOWED` and the report's residual was not.
+        reported: Greatest residual of a report [u].
+        wrong_side: In which some of an organ's surface was on the far side of a tool.
+        crossed: In which an organ crossed itself.
+        longest_crossed: How many of those followed each other at most.
+        most_crossings: Greatest number of crossings of organs with themselves.
+        crossed_between: In which organs crossed each other.
+        diverged: Whether the simulation broke down.
     """
-    total = 0.0
-    for t in range(triangles.shape[0]):
-        ax = vertices[triangles[t, 0], 0] - point[0]
-        ay = vertices[triangles[t, 0], 1] - point[1]
-        az = vertices[triangles[t, 0], 2] - point[2]
-        bx = vertices[triangles[t, 1], 0] - point[0]
-        by = vertices[triangles[t, 1], 1] - point[1]
-        bz = vertices[triangles[t, 1], 2] - point[2]
-        cx = vertices[triangles[t, 2], 0] - point[0]
-        cy = vertices[triangles[t, 2], 1] - point[1]
-        cz = vertices[triangles[t, 2], 2] - point[2]
-        a = math.sqrt(ax * ax + ay * ay + az * az)
-        b = math.sqrt(bx * bx + by * by + bz * bz)
-        c = math.sqrt(cx * cx + cy * cy + cz * cz)
-        volume = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-        rest = (
-            a * b * c
-            + (ax * bx + ay * by + az * bz) * c
-            + (bx * cx + by * cy + bz * cz) * a
-            + (cx * ax + cy * ay + cz * az) * b
+
+    steps: int = 0
+    touching: int = 0
+    depth: float = 0.0
+    deepest_step: int = -1
+    deep: int = 0
+    longest_deep: int = 0
+    unreported: int = 0
+    reported: float = 0.0
+    wrong_side: int = 0
+    crossed: int = 0
+    longest_crossed: int = 0
+    most_crossings: int = 0
+    crossed_between: int = 0
+    diverged: bool = False
+    _deep_since: int = 0
+    _crossed_since: int = 0
+
+    def add(self, seen: WorldInspection, *, touching: bool, reported: float) -> None:
+        """Count one physics step.
+
+        Args:
+            seen: What was seen after it.
+            touching: Whether a tool felt a force in it.
+            reported: Its report's residual [u].
+        """
+        depth, own = seen.residual, seen.crossings.own
+        if depth > self.depth:
+            self.depth, self.deepest_step = depth, self.steps
+        self.steps += 1
+        self.touching += touching
+        self.deep += depth > ALLOWED
+        self._deep_since = self._deep_since + 1 if depth > ALLOWED else 0
+        self.longest_deep = max(self.longest_deep, self._deep_since)
+        self.unreported += depth > ALLOWED >= reported
+        self.reported = max(self.reported, reported)
+        self.wrong_side += seen.wrong_side
+        self.crossed += own > 0
+        self._crossed_since = self._crossed_since + 1 if own else 0
+        self.longest_crossed = max(self.longest_crossed, self._crossed_since)
+        self.most_crossings = max(self.most_crossings, own)
+        self.crossed_between += seen.crossings.between > 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
+
+
+def watch_motion(simulation: Simulation, linear: FloatArray, angular: FloatArray, *, show: bool = False) -> Tally:
+    """Move a simulation's tools, and look after every physics step.
+
+    Args:
+        simulation: Where to begin.
+        linear: (S, N, 3) of the tools in each step [u/s].
+        angular: (S, N, 3) world frame [rad/s].
+        show: Whether to print a line for each step.
+
+    Returns:
+        What was seen.
+    """
+    inspector, tally = WorldInspector(simulation.scene), Tally()
+    inspector.inspect(simulation.tool_positions, simulation.tool_orientations, simulation.nodes)
+    if show:
+        print(" step    node   corner     edge  surface residual | reported crossings    force [N] flags")
+    for step, (v, w) in enumerate(zip(linear, angular, strict=True)):
+        try:
+            report = simulation.step(v, w)
+        except SimulationDiverged:
+            tally.diverged = True
+            break
+        seen = inspector.inspect(simulation.tool_positions, simulation.tool_orientations, simulation.nodes)
+        force = float(np.linalg.norm(report.loads[:, :3], axis=1).max())
+        tally.add(seen, touching=force > 0.0, reported=report.residual)
+        if show:
+            deepest = max(seen.tools, key=lambda each: each.residual)
+            flags = sum(int(found.flags.sum()) for row in report.all_contacts for found in row)
+            print(
+                f"{step:5d} {deepest.node_depth:8.4f} {deepest.corner_depth:8.4f} {deepest.edge_depth:8.4f}"
+                f" {deepest.surface_depth:8.4f} {seen.residual:8.4f} | {report.residual:8.4f}"
+                f" {seen.crossings.own:9d} {force * simulation.scene.scale.force:12.3f} {flags:5d}"
+                + ("  wrong side" if seen.wrong_side else "")
+            )
+    return tally
+
+
+def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, FloatArray]:
+    """Put a simulation into the state of a recording.
+
+    Args:
+        simulation: Of the scene that was recorded.
+        path: Of the .npz file.
+
+    Returns:
+        How the tools move: linear and angular velocities, (S, N, 3) each.
+
+    Raises:
+        ValueError: If the file lacks something, or does not fit the scene.
+    """
+    with np.load(path) as recorded:
+        missing = [name for name in motions.RECORDED if name not in recorded]
+        if missing:
+            raise ValueError(f"{path} must hold {list(motions.RECORDED)}, it lacks {missing}")
+        nodes, velocities, positions, orientations, linear, angular = (recorded[name] for name in motions.RECORDED)
+    simulation.restore(
+        replace(
+            simulation.save(),
+            nodes=nodes,
+            node_velocities=velocities,
+            tool_positions=positions,
+            tool_orientations=orientations,
         )
-        total += math.atan2(volume, rest)
-    return total / (2.0 * math.pi)
+    )
+    return linear, angular
 
 
-@inline_kernel
-def _squared_distance_to_segment(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """Squared distance of a point from a segment, all (3,)."""
-    along, length = 0.0, 0.0
-    for k in range(3):
-        along += (p[k] - a[k]) * (b[k] - a[k])
-        length += (b[k] - a[k]) ** 2
-    fraction = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
-    total = 0.0
-    for k in range(3):
-        total += (a[k] + fraction * (b[k] - a[k]) - p[k]) ** 2
-    return total
-
-
-@inline_kernel
-def _squared_distance_to_triangle(p: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Squared distance of a point from a triangle, all (3,)."""
-    nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-    ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-    nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    squared = nx * nx + ny * ny + nz * nz
-    within = squared > 0.0
-    if within:
-        corners = (a, b, c)
-        for k in range(3):
-            start, end = corners[k], corners[(k + 1) % 3]
-            ex, ey, ez = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-            px, py, pz = p[0] - start[0], p[1] - start[1], p[2] - start[2]
-            if nx * (ey * pz - ez * py) + ny * (ez * px - ex * pz) + nz * (ex * py - ey * px) < 0.0:
-                within = False
-    if within:
-        height = nx * (p[0] - a[0]) + ny * (p[1] - a[1]) + nz * (p[2] - a[2])
-        result: float = height * height / squared
-        return result
-    return min(
-        _squared_distance_to_segment(p, a, b),
-        _squared_distance_to_segment(p, b, c),
-        _squared_distance_to_segment(p, c, a),
+def main() -> None:
+    """Make a motion, look, and print."""
+    options = parser(__doc__ or "")
+    options.formatter_class = argparse.RawDescriptionHelpFormatter
+    options.add_argument("--scene", choices=motions.SCENES, default="seed")
+    options.add_argument("--engine", choices=ENGINES, default="batch")
+    options.add_argument("--motion", choices=tuple(motions.MOTIONS), default="slide")
+    options.add_argument("--recording", type=Path, help="an .npz file, instead of a motion")
+    options.add_argument("--seconds", type=float, default=1.0, help="how long a motion is [s]")
+    options.add_argument("--seed", type=int, default=0, help="of a motion")
+    arguments = options.parse_args()
+    if not arguments.seconds > 0.0:
+        options.error(f"--seconds must be positive, got {arguments.seconds}")
+    simulation = Simulation(getattr(scenes, arguments.scene)(), engine=arguments.engine)
+    if arguments.recording is not None:
+        try:
+            linear, angular = restore_recording(simulation, arguments.recording)
+        except (OSError, ValueError) as error:
+            options.error(f"--recording: {error}")
+    else:
+        generator = np.random.default_rng(arguments.seed)
+        linear, angular = motions.MOTIONS[arguments.motion](simulation, arguments.seconds, generator)
+    start = time.perf_counter()
+    tally = watch_motion(simulation, linear, angular, show=not arguments.json)
+    simulation.close()
+    finish(
+        {
+            "benchmark": "inspection",
+            "scene": arguments.scene,
+            "engine": arguments.engine,
+            "motion": str(arguments.recording or arguments.motion),
+            "passed": not (tally.deep or tally.wrong_side or tally.crossed or tally.diverged),
+            "seconds": time.perf_counter() - start,
+            **tally.as_dict(),
+        }
     )
 
 
-@kernel("void(f8[:,::1], f8[:,::1], i4[:,::1], b1[::1], f8[::1])")
-def locate_points(
-    points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, inside: np.ndarray, depths: np.ndarray
-) -> None:
-    """Say which points a closed surface encloses, and how deep they are.
-
-    A point's winding number is the number of times that a line from it leaves the surface, less the number of times
-    that it enters. Where the line passes too near an edge to tell, the solid angles decide.
-
-    Args:
-        points: (m, 3) [u].
-        vertices: (V, 3) of the surface [u].
-        triangles: (T, 3), counter-clockwise from outside.
-        inside: (m,) is filled: whether the winding number is positive.
-        depths: (m,) is filled: distance of each point inside from the nearest triangle, 0 for the others [u].
-    """
-    count, size = points.shape[0], triangles.shape[0]
-    # All lines run along w of the right-handed frame (3, -6, 2) / 7, (6, 2, -3) / 7, (2, 3, 6) / 7, a direction that no
-    # face or lattice of a box lies along: surfaces that rest on a face are met at an angle.
-    seen = np.empty((vertices.shape[0], 3))
-    for v in range(vertices.shape[0]):
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        seen[v, 0] = (3.0 * x - 6.0 * y + 2.0 * z) / 7.0
-        seen[v, 1] = (6.0 * x + 2.0 * y - 3.0 * z) / 7.0
-        seen[v, 2] = (2.0 * x + 3.0 * y + 6.0 * z) / 7.0
-    lines = np.empty((count, 3))
-    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
-    for i in range(count):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        lines[i, 0] = (3.0 * x - 6.0 * y + 2.0 * z) / 7.0
-        lines[i, 1] = (6.0 * x + 2.0 * y - 3.0 * z) / 7.0
-        lines[i, 2] = (2.0 * x + 3.0 * y + 6.0 * z) / 7.0
-        low_u, high_u = min(low_u, lines[i, 0]), max(high_u, lines[i, 0])
-        low_v, high_v = min(low_v, lines[i, 1]), max(high_v, lines[i, 1])
-    near = np.empty(size, dtype=np.int32)
-    near_count = 0
-    for t in range(size):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        if (
-            min(seen[a, 0], seen[b, 0], seen[c, 0]) <= high_u
-            and max(seen[a, 0], seen[b, 0], seen[c, 0]) >= low_u
-            and min(seen[a, 1], seen[b, 1], seen[c, 1]) <= high_v
-            and max(seen[a, 1], seen[b, 1], seen[c, 1]) >= low_v
-        ):
-            near[near_count] = t
-            near_count += 1
-    found = False
-    for i in range(count):
-        u, v, w = lines[i, 0], lines[i, 1], lines[i, 2]
-        winding = 0
-        doubtful = False
-        for k in range(near_count):
-            a, b, c = triangles[near[k], 0], triangles[near[k], 1], triangles[near[k], 2]
-            opposite_a = _doubled_area(u, v, seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1])
-            opposite_b = _doubled_area(u, v, seen[c, 0], seen[c, 1], seen[a, 0], seen[a, 1])
-            opposite_c = _doubled_area(u, v, seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1])
-            least = min(opposite_a, opposite_b, opposite_c)
-            most = max(opposite_a, opposite_b, opposite_c)
-            if least > GRAZE or most < -GRAZE:
-                area = opposite_a + opposite_b + opposite_c
-                if (opposite_a * seen[a, 2] + opposite_b * seen[b, 2] + opposite_c * seen[c, 2]) / area > w:
-                    winding += 1 if area > 0.0 else -1
-            elif least >= -GRAZE or most <= GRAZE:
-                doubtful = True
-                break
-        inside[i] = _solid_angles(points[i], vertices, triangles) > 0.5 if doubtful else winding > 0
-        depths[i] = 0.0
-        found = found or inside[i]
-    if not found:
-        return
-    middles = np.empty((size, 3))
-    radii = np.empty(size)
-    for t in range(size):
-        radius = 0.0
-        for k in range(3):
-            middles[t, k] = (
-                vertices[triangles[t, 0], k] + vertices[triangles[t, 1], k] + vertices[triangles[t, 2], k]
-            ) / 3.0
-        for corner in range(3):
-            squared = 0.0
-            for k in range(3):
-                squared += (vertices[triangles[t, corner], k] - middles[t, k]) ** 2
-            radius = max(radius, squared)
-        radii[t] = math.sqrt(radius)
-    nearest = 0
-    for i in range(count):
-        if not inside[i]:
-            continue
-        # The triangle that was nearest to the point before is near this one too: the others are then mostly too far.
-        best = _squared_distance_to_triangle(
-            points[i],
-            vertices[triangles[nearest, 0]],
-            vertices[triangles[nearest, 1]],
-            vertices[triangles[nearest, 2]],
-        )
-        reach = math.sqrt(best)
-        for t in range(size):
-            squared = 0.0
-            for k in range(3):
-                squared += (points[i, k] - middles[t, k]) ** 2
-            if squared < (reach + radii[t]) ** 2:
-                squared = _squared_distance_to_triangle(
-                    points[i], vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-                )
-                if squared < best:
-                    best, nearest, reach = squared, t, math.sqrt(squared)
-        depths[i] = reach
-
-
-@kernel("f8(f8[:,::1], f8[:,::1], f8[::1])")
-def depth_of_vertices(vertices: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> float:
-    """Greatest distance of a vertex inside a convex body from the nearest of its faces.
-
-    Args:
-        vertices: (V, 3) in the body's frame [u].
-        normals: (F, 3) outward unit normals of its faces.
-        offsets: (F,) of the faces' planes [u].
-
-    Returns:
-        The depth, 0 if all vertices are outside [u].
-    """
-    greatest = 0.0
-    for v in range(vertices.shape[0]):
-        depth = np.inf
-        for f in range(normals.shape[0]):
-            height = offsets[f]
-            for k in range(3):
-                height -= normals[f, k] * vertices[v, k]
-            depth = min(depth, height)
-            if depth <= greatest:
-                break
-        greatest = max(greatest, depth)
-    return greatest
-
-
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8, i4[::1], i4[::1])")
-def find_passages(
-    before: np.ndarray,
-    after: np.ndarray,
-    normals: np.ndarray,
-    offsets: np.ndarray,
-    rim: float,
-    entries: np.ndarray,
-    ways: np.ndarray,
-) -> None:
-    """Find the vertices that have gone right through a convex body, on straight paths in its frame.
-
-    Args:
-        before: (V, 3) where they were, in the body's frame [u].
-        after: (V, 3) where they are [u].
-        normals: (F, 3) outward unit normals of the body's faces.
-        offsets: (F,) of the faces' planes [u].
-        rim: Where a path crosses one of the two faces, it must be this far under the other ones [u].
-        entries: (V,) by which face each vertex that is inside came in, -1 for the others and where it is not known;
-            kept from call to call.
-        ways: (V,) is filled: by which face each vertex came in that came out by the opposite one, -1 for the others.
-    """
-    faces = normals.shape[0]
-    for v in range(before.shape[0]):
-        ways[v] = -1
-        first, last = 0.0, 1.0
-        entry, out = entries[v], -1
-        for f in range(faces):
-            start, end = -offsets[f], -offsets[f]
-            for k in range(3):
-                start += normals[f, k] * before[v, k]
-                end += normals[f, k] * after[v, k]
-            if start >= 0.0 and end >= 0.0:
-                first = 2.0
-                break
-            if start >= 0.0:
-                part = start / (start - end)
-                if part >= first:
-                    first, entry = part, f
-            elif end >= 0.0:
-                part = start / (start - end)
-                if part <= last:
-                    last, out = part, f
-        if first > last:
-            entries[v] = -1
-            continue
-        if out < 0:
-            entries[v] = entry
-            continue
-        entries[v] = -1
-        if entry < 0:
-            continue
-        across = 0.0
-        for k in range(3):
-            across += normals[entry, k] * normals[out, k]
-        if across > -1.0 + PARALLEL:
-            continue
-        within = True
-        for f in range(faces):
-            alignment, depth_in, depth_out = 0.0, offsets[f], offsets[f]
-            for k in range(3):
-                alignment += normals[f, k] * normals[entry, k]
-                depth_in -= normals[f, k] * (before[v, k] + first * (after[v, k] - before[v, k]))
-                depth_out -= normals[f, k] * (before[v, k] + last * (after[v, k] - before[v, k]))
-            if abs(alignment) < 1.0 - PARALLEL and min(depth_in, depth_out) < rim:
-                within = False
-        if within:
-            ways[v] = entry
+if __name__ == "__main__":
+    main()

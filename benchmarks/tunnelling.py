@@ -168,7 +168,9 @@ def show_case(job: Job) -> Outcome:
     for key, value in plunge.as_dict().items():
         print(f"{key:12} {value}")
     print(f"{plunge.moving_steps} steps of moving, {plunge.held_steps} of holding; flags are counted by face")
-    print(" step     node   corner   vertex centre columns passages turned pairs queries    force  fastest  flags")
+    print(
+        " step     node   corner     edge  surface centre columns passages turned pairs queries    force  fastest flags"
+    )
     watch = partial(_print_step, moving_steps=plunge.moving_steps)
     outcome = plunges.run(plunge, job.contact, watch)
     for key, value in outcome.as_dict().items():
@@ -182,10 +184,10 @@ def _print_step(step: int, simulation: Simulation, report: Report, seen: Inspect
     by_face = np.bincount(tool.face, weights=flags, minlength=len(tool.face_normals)).astype(int).tolist()
     fastest = np.linalg.norm(simulation.node_velocities, axis=1).max()
     print(
-        f"{step:5d} {seen.node_depth:8.5f} {seen.corner_depth:8.5f} {seen.vertex_depth:8.5f} {seen.centre_inside:6d}"
-        f" {seen.enclosed:7d} {seen.passages:8d} {seen.turned:6d} {(flags & flags[tool.opposite]).sum() // 2:5d}"
-        f" {report.queries:7d} {np.linalg.norm(report.force):8.1f} {fastest:8.1f}  {by_face}"
-        + ("  held" if step >= moving_steps else "")
+        f"{step:5d} {seen.node_depth:8.5f} {seen.corner_depth:8.5f} {seen.edge_depth:8.5f} {seen.surface_depth:8.5f}"
+        f" {seen.centre_inside:6d} {seen.enclosed:7d} {seen.passages:8d} {seen.turned:6d}"
+        f" {(flags & flags[tool.opposite]).sum() // 2:5d} {report.queries:7d} {np.linalg.norm(report.force):8.1f}"
+        f" {fastest:8.1f} {by_face}" + ("  held" if step >= moving_steps else "")
     )
 
 

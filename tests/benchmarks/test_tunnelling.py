@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import parallel, pictures, plunges, tunnelling
-from benchmarks.inspection import RIM, Inspection, Inspector, locate_points
+from benchmarks.depths import locate_points
+from benchmarks.inspection import APART, RIM, Inspector
 from spatula_env import Simulation, scenes
 from spatula_env.geometry import Tool, box_surface, icosphere, seed_sphere, torus
 from spatula_env.geometry.surface import triangle_normals, winding_numbers
 from spatula_env.geometry.transforms import quaternion_from_two_vectors, random_quaternion, rotate
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
-NOTHING = Inspection(0.0, 0.0, 0.0, centre_inside=False, enclosed=0, passages=0, turned=0)
 FAST = 38
 """A case of the default seed that is over after 20 steps, and that Bullet's own contact loses."""
 
@@ -45,11 +45,12 @@ def test_a_box_pressed_into_a_facet_is_as_deep_as_it_was_put(depth):
     seen = Inspector(tool, organ.triangles).inspect(middle + (0.025 - depth) * normal, orientation, organ.vertices)
     assert seen.node_depth == pytest.approx(depth, abs=1e-9)
     assert seen.corner_depth == pytest.approx(depth, abs=1e-9)
-    assert seen.vertex_depth == 0.0
+    # The facet goes right through the plate; the face that is nearer counts.
+    assert seen.surface_depth == pytest.approx(min(depth, 0.05 - depth), abs=1e-9)
     assert seen.residual == pytest.approx(depth, abs=1e-9)
     assert seen.centre_inside == (depth > 0.025)
     above = Inspector(tool, organ.triangles).inspect(middle + (0.025 + depth) * normal, orientation, organ.vertices)
-    assert above == NOTHING
+    assert above == APART
 
 
 @given(st.integers(0, 2**32))
@@ -114,12 +115,12 @@ def test_a_corner_of_the_organ_in_the_tool_is_measured_too():
     top = turned[:, 2].max()
     inspector = Inspector(tool, organ.triangles)
     seen = inspector.inspect((0.0, 0.0, top + 0.02 - 0.01), UPRIGHT, turned)
-    assert seen.vertex_depth == pytest.approx(0.01, abs=1e-9)
+    assert seen.surface_depth == pytest.approx(0.01, abs=1e-9)
     assert seen.node_depth == 0.0
-    assert seen.residual == seen.vertex_depth
-    # Where the other face is nearer, it counts.
+    assert seen.residual == seen.surface_depth
+    # Where the other face is nearer to it, what is below it is deeper: in the middle between both.
     seen = inspector.inspect((0.0, 0.0, top - 0.02 + 0.005), UPRIGHT, turned)
-    assert seen.vertex_depth == pytest.approx(0.005, abs=1e-9)
+    assert seen.surface_depth == pytest.approx(0.02, abs=1e-9)
 
 
 # Sides -------------------------------------------------------------------------------------------------------------
@@ -165,7 +166,7 @@ def visit(tool, *heights, offset=(0.0, 0.0), organ=None, inverted=False):
 def test_an_organ_that_goes_through_in_one_step_is_seen():
     count = len(pebble().vertices)
     before, after = visit(Tool.box((1.0, 1.0, 0.1)), 0.5, -0.5)
-    assert before == NOTHING
+    assert before == APART
     # Neither state shows anything; the way does. The lower half of the pebble has its outside ahead.
     assert after.residual == 0.0
     assert after.enclosed == 0
@@ -182,7 +183,7 @@ def test_an_organ_that_goes_through_in_small_steps_is_seen():
 
 def test_what_turns_back_does_not_go_through():
     seen = visit(Tool.box((1.0, 1.0, 0.2)), 0.5, 0.2, 0.15, 0.2, 0.5)
-    assert max(each.vertex_depth for each in seen) > 0.01
+    assert max(each.surface_depth for each in seen) > 0.01
     assert not any(each.passages or each.turned for each in seen)
 
 
@@ -216,7 +217,7 @@ def test_passages_are_seen_when_the_tool_moves_and_forgotten_on_reset():
     assert inspector.inspect(-up, orientation, organ.vertices).passages > 0
     inspector.inspect(up, orientation, organ.vertices)
     inspector.reset()
-    assert inspector.inspect(-up, orientation, organ.vertices) == NOTHING
+    assert inspector.inspect(-up, orientation, organ.vertices) == APART
 
 
 # Cases -------------------------------------------------------------------------------------------------------------
@@ -295,7 +296,7 @@ def test_a_tally_counts():
     tally = plunges.Tally(np.array([1, 0, 3, 2], dtype=np.int32))
 
     def add(flags, **seen):
-        tally.add(np.array(flags, dtype=bool), replace(NOTHING, **seen))
+        tally.add(np.array(flags, dtype=bool), replace(APART, **seen))
 
     add([0, 0, 0, 0], node_depth=0.02)
     assert (tally.missed, tally.pairs, tally.enclosed) == (0, 0, 0)
@@ -306,7 +307,7 @@ def test_a_tally_counts():
     assert (tally.missed, tally.pairs) == (2, 0)
     add([1, 1, 1, 1], corner_depth=0.01)
     assert tally.pairs == 1
-    add([0, 0, 0, 0], vertex_depth=0.3, passages=7)
+    add([0, 0, 0, 0], surface_depth=0.3, passages=7)
     add([0, 0, 0, 0], enclosed=3, turned=1)
     assert (tally.enclosed, tally.passages, tally.turned) == (2, 1, 1)
     assert (tally.residual, tally.final_residual) == (0.3, 0.0)
