@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from spatula_env import __version__
 from spatula_env.data.encoding import episode_image
 from spatula_env.data.episode import Episode
-from spatula_env.data.files import append_to_file, check_can_write, inside, write_file, write_lock
+from spatula_env.data.files import append_to_file, check_can_write, inside, remove_unfinished, write_file, write_lock
 from spatula_env.data.index import (
     EPISODES,
     INDEX_FILE,
@@ -127,6 +127,8 @@ class DatasetWriter:
             check_can_write(self._data / EPISODES)
             (self._data / EPISODES).mkdir(parents=True, exist_ok=True)
             with write_lock(self.path):
+                for folder in (self._data, self._data / EPISODES):
+                    remove_unfinished(folder)
                 if not self._metadata_file.exists():
                     if path is None:
                         register_namespaces(dataset_id, root)

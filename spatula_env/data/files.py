@@ -16,6 +16,8 @@ WRITE_LOCK = ".lock"
 """Held while something is added to a dataset; the name of a file in its folder."""
 RECORDING_LOCK = ".recording.lock"
 """Held as long as somebody records into a dataset; likewise."""
+NEW = ".new"
+"""How files that are being written end; their names begin with a dot."""
 PATIENCE = 60.0
 """How long a writer waits for another one [s]."""
 
@@ -58,7 +60,7 @@ def inside(folder: Path, *names: str) -> Path:
 
 def write_file(path: Path, content: bytes) -> None:
     """Write a file: it has its old content or the new one, whatever happens. A link of that name is replaced."""
-    new = path.with_name(f".{path.name}.{os.getpid()}.new")
+    new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
     # Whatever somebody has put there, a link for instance, is not written through.
     new.unlink(missing_ok=True)
     try:
@@ -71,6 +73,14 @@ def write_file(path: Path, content: bytes) -> None:
         new.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what programs have left in a folder that were killed while they wrote files; nobody else may be at it."""
+    for path in folder.glob(f".*{NEW}"):
+        # It does no harm if it stays.
+        with suppress(OSError):
+            path.unlink()
 
 
 def append_to_file(path: Path, start: int, content: bytes) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from spatula_env.data.checking import check_line, check_metadata, read_json
-from spatula_env.data.contained import check_contained, check_no_links
+from spatula_env.data.contained import check_contained, check_main_file, check_no_links
 from spatula_env.data.episode import Episode
 from spatula_env.data.files import DatasetDamaged, inside
 from spatula_env.data.layout import KEY
@@ -96,11 +96,14 @@ def read_metadata(data: Path) -> dict[str, Any]:
     return check_metadata(read_json(content, str(file)), file)
 
 
-def check_harmless(data: Path) -> None:
+def check_harmless(data: Path) -> dict[int, str]:
     """Check that a dataset can be opened by Minari without making what it names, or reading what is no part of it.
 
     Args:
         data: The folder "data" in that of the dataset.
+
+    Returns:
+        Files of episodes that have not been looked into, by the episodes' numbers; see `check_main_file`.
 
     Raises:
         FileNotFoundError: If there is no dataset.
@@ -121,9 +124,9 @@ def check_harmless(data: Path) -> None:
     for text in {metadata.get("env_spec"), *(metadata.get(KEY) or {}).get(SPECS, [])} - {None}:
         spec_from_json(text)
     if metadata.get("data_format", "hdf5") == "hdf5" and (data / MAIN_FILE).is_file():
-        check_contained(data, MAIN_FILE, metadata["total_episodes"])
-    else:
-        check_no_links(data)
+        return check_main_file(data, MAIN_FILE, metadata["total_episodes"])
+    check_no_links(data)
+    return {}
 
 
 def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[EpisodeEntry]:

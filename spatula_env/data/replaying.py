@@ -53,6 +53,9 @@ class EpisodeReplay:
 def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     """A recorded dataset, as ``minari.load_dataset`` gives it.
 
+    Nothing is read of it that is no part of it: what is in the file of an episode is checked when it is first read, so
+    that opening a large dataset takes no longer than going through the list of its episodes.
+
     Its ``recover_environment`` makes whatever environment the dataset names, and so runs code if the dataset wants it
     to; `make_recorded` does not.
 
@@ -63,16 +66,22 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     Raises:
         ImportError: If Minari is missing.
         FileNotFoundError: If there is no such dataset.
-        DatasetDamaged: If it cannot be read without more than reading it.
+        DatasetDamaged: If it cannot be read without more than reading it. So do reading an episode of it, and asking
+            for its metadata, if that is so of the episode.
     """
     minari, _ = require_minari()
     data = data_folder(dataset_id, root)
-    check_harmless(data)
+    unchecked = check_harmless(data)
     try:
-        return minari.MinariDataset(data)
+        found = minari.MinariDataset(data)
     # It raises whatever it meets.
     except Exception as error:
         raise DatasetDamaged(f"{data} cannot be read: {error}") from error
+    if not unchecked:
+        return found
+    from spatula_env.data.reading import CheckedStorage
+
+    return minari.MinariDataset(CheckedStorage(found.storage, unchecked))
 
 
 def read_entries(dataset_id: str, root: str | Path | None = None) -> list[EpisodeEntry]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
 
 import numpy as np
@@ -13,11 +14,12 @@ from recording_helpers import ID, do_episode, make_pictures
 from spatula_env.cli.main import main
 from spatula_env.data import DatasetWriter, copy_episodes, summarize
 from spatula_env.data.files import DatasetDamaged
-from spatula_env.data.replaying import open_dataset, read_entries
+from spatula_env.data.replaying import open_dataset, read_entries, recorded_states, replay
 from spatula_env.data.statistics import statistics
 
 h5py = pytest.importorskip("h5py", reason="pip install 'spatula-env[data]'")
 pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
+from spatula_env.data import reading  # noqa: E402 - it loads Minari
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="links need no permission on POSIX")
 SECRET = b"a private key" * 20
@@ -91,12 +93,16 @@ def test_a_link_that_comes_later_is_not_written_through(root, tmp_path):
 
 
 def test_files_that_are_being_written_go_through_no_link(root, tmp_path):
+    env = make_pictures()
+    writer = DatasetWriter(ID, env, root=root)
     for folder, name in (("data", "metadata.json"), ("data", "main_data.hdf5"), ("data/episodes", "000001.hdf5")):
         for link in (f".{name}.new", f".{name}.{os.getpid()}.new"):
             (root / ID / folder / link).symlink_to(tmp_path / "home" / "key")
     (root / ID / "data" / "episodes" / "000001.hdf5").symlink_to(tmp_path / "home" / "key")
-    env = make_pictures()
-    assert DatasetWriter(ID, env, root=root).add(do_episode(env, 1)) == 1
+    assert writer.add(do_episode(env, 1)) == 1
+    # Nor does what a killed program may have left, when it is removed.
+    assert DatasetWriter(ID, env, root=root).add(do_episode(env, 2)) == 2
+    assert not list((root / ID).rglob("*.new"))
     env.close()
 
 
@@ -165,10 +171,62 @@ def test_an_episode_that_shows_another_file_is_not_read(root, tmp_path, kind, in
         file.write_text(json.dumps(metadata))
         with pytest.raises(DatasetDamaged, match=r"has a link in place of|in another file"):
             read_entries(ID, root)
-    for call in (open_dataset, statistics, lambda name, root: copy_episodes([name], OTHER, root=root)):
+    for call in (
+        lambda dataset: list(dataset.iterate_episodes()),
+        lambda dataset: dataset[0],
+        lambda dataset: dataset.sample_episodes(1),
+        lambda dataset: dataset.filter_episodes(lambda _: True),
+        lambda dataset: list(pickle.loads(pickle.dumps(dataset))),
+        lambda dataset: list(dataset.storage.get_episode_metadata([0])),
+        lambda dataset: list(dataset.storage.apply(len)),
+        lambda dataset: dataset.storage.update_episode_metadata([{"a": 1}]),
+        lambda _: replay(ID, root=root),
+        lambda _: list(recorded_states(ID, root=root)),
+        lambda _: statistics(ID, root=root),
+        lambda _: copy_episodes([ID], OTHER, root=root),
+    ):
         with pytest.raises(DatasetDamaged, match=r"has a link in place of|in another file"):
-            call(ID, root=root)
+            call(open_dataset(ID, root))
     assert not (root / OTHER).exists()
+
+
+def test_an_episode_is_checked_when_it_is_first_read(root, monkeypatch):
+    env = make_pictures()
+    writer = DatasetWriter(ID, env, root=root)
+    for seed in (1, 2):
+        writer.add(do_episode(env, seed))
+    env.close()
+    checked = []
+    check = reading.check_episode_file
+
+    def watch(data, name):
+        checked.append(name)
+        check(data, name)
+
+    monkeypatch.setattr(reading, "check_episode_file", watch)
+    dataset = open_dataset(ID, root)
+    assert checked == []
+    for _ in range(2):
+        assert [each["seed"] for each in dataset.storage.get_episode_metadata([2])] == [2]
+        assert len(dataset[2].rewards) == 6
+    assert checked == ["episodes/000002.hdf5"]
+    assert dataset.total_steps == sum(len(episode) for episode in dataset.iterate_episodes())
+    assert sorted(checked) == [f"episodes/00000{number}.hdf5" for number in range(3)]
+    # What has become a link since it was opened is not followed, either.
+    dataset = open_dataset(ID, root)
+    file = root / ID / "data" / "episodes" / "000001.hdf5"
+    shutil.move(file, root / "moved.hdf5")
+    file.symlink_to(root / "moved.hdf5")
+    with pytest.raises(DatasetDamaged, match="is a link"):
+        dataset[1]
+
+
+@pytest.mark.parametrize("name", ["..\\x.hdf5", "C:x.hdf5", "\\x.hdf5", "\\\\server\\x.hdf5", "a/../../x.hdf5"])
+def test_no_system_reads_a_path_as_one_out_of_the_folder(root, name):
+    with h5py.File(root / ID / "data" / "main_data.hdf5", "w") as main:
+        main["episode_0"] = h5py.ExternalLink(name, "/")
+    with pytest.raises(DatasetDamaged, match="no part of the dataset"):
+        open_dataset(ID, root)
 
 
 def test_an_episode_in_the_current_folder_is_none_of_the_dataset(root, tmp_path, monkeypatch):
