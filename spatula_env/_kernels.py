@@ -1,15 +1,14 @@
 """Numba's decorator with the settings and the types the package uses.
 
-Kernels are compiled for the signature written beside them when their module is imported, or when they are first called
-where that is rare or before a simulation begins, and kept in Numba's on-disk cache. `fastmath` stays off: the ray test
-relies on IEEE arithmetic (see `spatula_env.contact.raycast`) and results must not depend on how the compiler regroups
-sums.
+Kernels are compiled, or loaded from Numba's on-disk cache, when they are first needed, each for the signatures written
+beside it: a process pays for the few that it calls. `fastmath` stays off: the ray test relies on IEEE arithmetic (see
+`spatula_env.contact.raycast`) and results must not depend on how the compiler regroups sums.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
 
 import numba
@@ -40,47 +39,57 @@ ARRAYS: dict[str, Any] = {
 """Types of C-contiguous arrays by element and number of dimensions."""
 
 
-def kernel(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., Any]]:
-    """Compile a function ahead of time for the given Numba signatures.
+class Kernel:
+    """A function that Numba compiles when it is first needed: called, or compiled into another kernel that calls it.
 
-    Args:
-        *signatures: Numba signatures, as strings such as ``"f8(f8[::1], i4)"`` or as objects.
-
-    Returns:
-        A decorator that keeps the function's Python type for the type checker.
-    """
-    return cast("Callable[[Function], Function]", numba.njit(list(signatures), cache=CACHE.kept, error_model="numpy"))
-
-
-def kernel_on_demand(*signatures: Any) -> Callable[[Callable[..., object]], Callable[..., Any]]:
-    """Compile a function for the given Numba signatures when it is first called, and only for those; see `kernel`.
-
-    Args:
-        *signatures: As of `kernel`.
-
-    Returns:
-        A decorator. What it gives is called from Python, not from other kernels.
+    Attributes:
+        function: As it is written.
     """
 
-    def decorate(function: Callable[..., object]) -> Callable[..., Any]:
-        compiled: list[Callable[..., Any]] = []
+    def __init__(self, function: Callable[..., object], signatures: Sequence[Any], nogil: bool) -> None:
+        """Compile nothing yet.
 
-        @functools.wraps(function)
-        def call(*arguments: Any) -> Any:
-            if not compiled:
-                compiled.append(kernel(*signatures)(function))
-            return compiled[0](*arguments)
+        Args:
+            function: What to compile.
+            signatures: For which; none means for those with which it is called.
+            nogil: Whether other threads run meanwhile.
+        """
+        functools.update_wrapper(self, function)
+        self.function = function
+        self._signatures = list(signatures)
+        self._nogil = nogil
 
-        return call
+    @functools.cached_property
+    def dispatcher(self) -> Any:
+        """Numba's function, compiled for the signatures."""
+        signatures: Any = self._signatures or None
+        return numba.njit(signatures, cache=CACHE.kept, error_model="numpy", nogil=self._nogil)(self.function)
 
-    return decorate
+    @property
+    def _numba_type_(self) -> Any:
+        # Numba asks for this where another kernel refers to this one.
+        return types.Dispatcher(self.dispatcher)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call what is compiled."""
+        return self.dispatcher(*arguments)
 
 
-def late_kernel(function: Function) -> Function:
-    """Compile a function when it is first called: for what only some of those need who import its module."""
-    return cast("Function", numba.njit(cache=CACHE.kept, error_model="numpy")(function))
+def kernel(*signatures: Any, nogil: bool = False) -> Callable[[Callable[..., object]], Callable[..., Any]]:
+    """Compile a function for the given Numba signatures, and only for those.
+
+    Args:
+        *signatures: Numba signatures, as strings such as ``"f8(f8[::1], i4)"`` or as objects. None at all means those
+            with which it is called: for helpers, which LLVM inlines where that pays, and for what comes in precisions
+            of which a process needs one.
+        nogil: Whether other Python threads may run meanwhile.
+
+    Returns:
+        A decorator that makes a `Kernel`.
+    """
+    return lambda function: Kernel(function, signatures, nogil)
 
 
 def inline_kernel(function: Function) -> Function:
-    """Compile a small helper that only other kernels call; LLVM inlines it where that pays."""
-    return cast("Function", numba.njit(cache=CACHE.kept, error_model="numpy")(function))
+    """Compile a small helper that only other kernels call, for whatever they give it."""
+    return cast("Function", Kernel(function, (), nogil=False))

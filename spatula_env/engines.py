@@ -6,7 +6,7 @@ import platform
 import sys
 import warnings
 from functools import cache
-from importlib import import_module, metadata
+from importlib import import_module
 from typing import Any
 
 ENGINES = ("bullet", "batch")
@@ -130,6 +130,9 @@ def bullet_distribution(
 
 def bullet_version() -> tuple[str, str] | None:
     """Name and version of the distribution that brings PyBullet; None if none is installed."""
+    # It takes as long to import as all else here.
+    from importlib import metadata
+
     for name in BULLET_DISTRIBUTIONS:
         try:
             return name, metadata.version(name)

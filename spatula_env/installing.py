@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
-from urllib.request import url2pathname
 
 DISTRIBUTION = "spatula-env"
 
@@ -56,6 +54,9 @@ def origin_of(direct_url: dict[str, Any] | None, place: Path) -> tuple[str, str,
         told = direct_url["vcs_info"]
         return "", DISTRIBUTION, f" @ {told['vcs']}+{url}@{told.get('requested_revision') or told['commit_id']}"
     if "dir_info" in direct_url:
+        # Imported where it is used, as the next one: they take longer than all else that a short command does.
+        from urllib.request import url2pathname
+
         folder = Path(url2pathname(unquote(urlsplit(url).path)))
         if not folder.is_dir():
             return "", DISTRIBUTION, ""
@@ -65,6 +66,8 @@ def origin_of(direct_url: dict[str, Any] | None, place: Path) -> tuple[str, str,
 
 def _direct_url() -> dict[str, Any] | None:
     """What pip has written down; see PEP 610."""
+    from importlib import metadata
+
     try:
         text = metadata.distribution(DISTRIBUTION).read_text("direct_url.json")
     except metadata.PackageNotFoundError:

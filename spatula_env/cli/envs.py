@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import inspect
-from typing import TYPE_CHECKING, Any
+import ast
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import gymnasium
 
@@ -12,6 +13,8 @@ from spatula_env.cli.common import add_json_option, new_parser, print_json
 from spatula_env.naming import env_ids
 
 if TYPE_CHECKING:
+    from gymnasium.envs.registration import EnvSpec
+
     from spatula_env.cli.common import Parsers
 
 
@@ -34,9 +37,17 @@ def run(chosen: argparse.Namespace) -> int:
     return 0
 
 
-def _summary(spec: Any) -> str:
-    """The first line of an environment's documentation."""
-    from gymnasium.envs.registration import load_env_creator
+def _summary(spec: EnvSpec) -> str:
+    """The first line of an environment's documentation, read from its source: importing it takes far longer."""
+    found = _documentation(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point.__doc__
+    return (found or "").strip().partition("\n")[0]
 
-    maker = load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
-    return (inspect.getdoc(maker) or "").partition("\n")[0]
+
+def _documentation(entry_point: str) -> str | None:
+    module, _, name = entry_point.partition(":")
+    found = find_spec(module)
+    source = getattr(found.loader, "get_source", lambda _: None)(module) if found is not None else None
+    for node in ast.parse(source or "").body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
+            return ast.get_docstring(node)
+    return None

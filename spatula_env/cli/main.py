@@ -6,18 +6,18 @@ import argparse
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from importlib import import_module
 
 import gymnasium
 
 from spatula_env import __version__
-from spatula_env.cli import bench, datasets, demo, envs, falcon, forward, play, record, replay, view
-from spatula_env.cli import compile as compile_command
+from spatula_env.cli import forward
 from spatula_env.cli.common import FAILURE, INTERRUPTED, CommandError, Stopped, fail
 from spatula_env.cli.interrupting import endings_like_ctrl_c
 from spatula_env.printing import printable
 
-COMMANDS = (demo, envs, play, record, replay, datasets, falcon, view, forward, bench, compile_command)
-"""In the order in which help lists them."""
+MODULES = ("demo", "envs", "play", "record", "replay", "datasets", "falcon", "view", "forward", "bench", "compile")
+"""Of the commands, in the order in which help lists them; all but `forward` are called like their command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,15 +33,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Their options are none of this parser's business.
     if given and given[0] in forward.TARGETS:
         return _run(lambda: forward.run(given[0], given[1:]))
-    parser = make_parser()
+    parser = make_parser(given[0] if given else None)
     chosen = parser.parse_args(given)
     run: Callable[[argparse.Namespace], int] = chosen.run
     with endings_like_ctrl_c():
         return _run(lambda: run(chosen), getattr(chosen, "command", "spatula"))
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The parser of the command line."""
+def make_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the command line.
+
+    Args:
+        command: The one that is meant: no other is imported. If it is none of them, all are.
+    """
     parser = argparse.ArgumentParser(
         prog="spatula",
         description="Learning tool-tissue manipulation with a thin rigid spatula.",
@@ -49,8 +53,8 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"spatula_env {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        command.add_parser(commands)
+    for name in MODULES if command not in MODULES else [command]:
+        import_module(f"spatula_env.cli.{name}").add_parser(commands)
     return parser
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel_on_demand
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.path import ON_PLANE, entry_plane
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.rigid import opposes_best, turn
@@ -327,7 +327,7 @@ def fill_record(
             _fill_weights(record[i], vertices, corners)
 
 
-@kernel_on_demand(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
+@kernel(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
 def detect_contacts(
     position: np.ndarray,
     orientation: np.ndarray,

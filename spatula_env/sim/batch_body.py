@@ -33,7 +33,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from spatula_env._kernels import CACHE, inline_kernel
+from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.geometry.checks import check_positive
 from spatula_env.sim.threads import share_out
 
@@ -334,7 +334,7 @@ _WRITE_SIGNATURES = [_copy_signature(real, readonly=True) for real in _REALS]
 
 
 # Compiled when first called, which for the two precisions is rarely both of them.
-@numba.njit(cache=CACHE.kept, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def _advance_blocks(
     first_block: int,
     end_block: int,
@@ -358,7 +358,7 @@ def _advance_blocks(
         )  # fmt: skip
 
 
-@numba.njit(_READ_SIGNATURES, cache=CACHE.kept, error_model="numpy")
+@kernel(*_READ_SIGNATURES)
 def _read_worlds(blocks: np.ndarray, worlds: np.ndarray, values: np.ndarray) -> None:
     """Copy the values (n, V, 3) of some worlds (n,) out of the blocks (B, V, C, lanes)."""
     lanes = blocks.shape[3]
@@ -366,7 +366,7 @@ def _read_worlds(blocks: np.ndarray, worlds: np.ndarray, values: np.ndarray) -> 
         read_world(blocks[worlds[i] // lanes], worlds[i] % lanes, values[i])
 
 
-@numba.njit(_WRITE_SIGNATURES, cache=CACHE.kept, error_model="numpy")
+@kernel(*_WRITE_SIGNATURES)
 def _write_worlds(blocks: np.ndarray, worlds: np.ndarray, values: np.ndarray) -> None:
     """Copy the values (n, V, 3) of some worlds (n,) into the blocks (B, V, C, lanes)."""
     lanes = blocks.shape[3]
@@ -374,7 +374,7 @@ def _write_worlds(blocks: np.ndarray, worlds: np.ndarray, values: np.ndarray) ->
         write_world(blocks[worlds[i] // lanes], worlds[i] % lanes, values[i])
 
 
-@numba.njit(_ADD_SIGNATURES, cache=CACHE.kept, error_model="numpy")
+@kernel(*_ADD_SIGNATURES)
 def _add_to_worlds(blocks: np.ndarray, movable: np.ndarray, values: np.ndarray) -> None:
     """Add values (W, V, 3) to those of all worlds in the blocks (B, V, C, lanes), where nodes can move."""
     lanes = blocks.shape[3]

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 
-from spatula_env._kernels import CACHE
+from spatula_env._kernels import kernel
 from spatula_env.contact.motion import turn_by
 from spatula_env.contact.pressure import tool_pressures
 from spatula_env.contact.step import CONTACT_COUNT, PENETRATION, RESIDUAL, RESULT_LENGTH, resolve_step
@@ -29,7 +28,7 @@ pressure on a contact node in any step [kg/(u s2)], and the integral over time o
 world's limit by [kg/(u s)]; share of the steps in which too great a force kept tools from pushing on."""
 
 
-@numba.njit(cache=CACHE.kept, error_model="numpy", nogil=True)
+@kernel(nogil=True)
 def advance_blocks(
     first_block: int,
     end_block: int,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel, late_kernel
+from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.raycast import line_meets_triangle
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
     return size - 1
 
 
-@late_kernel
+@kernel()
 def visible_points(
     nodes: np.ndarray, triangles: np.ndarray, corners: np.ndarray, points: np.ndarray, directions: np.ndarray
 ) -> np.ndarray:
