@@ -65,6 +65,11 @@ class Kernel:
         signatures: Any = self._signatures or None
         return numba.njit(signatures, cache=CACHE.kept, error_model="numpy", nogil=self._nogil)(self.function)
 
+    def compile(self) -> None:
+        """Compile it now, if that has not been done; nothing is to be done where there are no signatures."""
+        if self._signatures:
+            _ = self.dispatcher
+
     @property
     def _numba_type_(self) -> Any:
         # Numba asks for this where another kernel refers to this one.

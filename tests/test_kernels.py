@@ -231,6 +231,7 @@ EVERYTHING = """
 import sys
 from pathlib import Path
 import spatula_env
+from spatula_env._kernels import Kernel
 from spatula_env.cli.compile import STEPS
 for step in STEPS.values():
     step()
@@ -238,14 +239,59 @@ package = Path(spatula_env.__file__).parent
 for file in package.rglob("*.py"):
     name = ".".join(("spatula_env", *file.relative_to(package).with_suffix("").parts))
     if "from spatula_env._kernels import" in file.read_text(encoding="utf-8") and name not in sys.modules:
-        print(name)
+        print("not imported:", name)
+count = 0
+for name, module in list(sys.modules.items()):
+    for value in list(vars(module).values()) if name.startswith("spatula_env.") else ():
+        if isinstance(value, Kernel):
+            count += 1
+            if "dispatcher" not in vars(value) and value._signatures:
+                print("not compiled:", name, value.__name__)
+print(count > 50)
 """
 
 
-def test_the_command_reaches_every_module_with_kernels():
+def test_the_command_reaches_every_kernel():
     done = subprocess.run(
         [sys.executable, "-c", EVERYTHING], capture_output=True, text=True, timeout=PATIENCE, check=False
     )
     assert done.returncode == 0, done.stderr
     # The command itself looks at the cache without being imported as one of its steps.
-    assert set(done.stdout.split()) <= {"spatula_env.cli.compile"}
+    assert set(done.stdout.splitlines()) <= {"True", "not imported: spatula_env.cli.compile"}
+    assert "True" in done.stdout
+
+
+STARTING = """
+import sys
+{}
+found = {{name.partition(".")[0] for name in sys.modules}} & set({})
+assert not found, found
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "without"),
+    [
+        ("import spatula_env", ("numba", "scipy", "pybullet", "torch")),
+        ("from spatula_env.cli import main; main(['envs'])", ("numba", "scipy", "pybullet", "torch")),
+        ("import spatula_env.envs.press", ("pybullet", "torch", "trimesh")),
+    ],
+)
+def test_what_is_not_needed_is_not_imported(what, without):
+    script = STARTING.format(what, without)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_importing_environments_loads_no_kernel():
+    script = """
+import sys
+import spatula_env.envs.press, spatula_env.envs.retract, spatula_env.sim.batch
+from spatula_env._kernels import Kernel
+kernels = [v for n, m in list(sys.modules.items()) if n.startswith("spatula_env.") for v in list(vars(m).values())
+           if isinstance(v, Kernel)]
+assert len(kernels) > 50
+assert not [kernel.__name__ for kernel in kernels if "dispatcher" in vars(kernel)]
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr

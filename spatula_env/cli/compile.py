@@ -171,6 +171,17 @@ def _picture_observations() -> None:
         envs.close()
 
 
+def _what_is_left() -> None:
+    """Kernels that nothing above has called: all modules with kernels are imported by now."""
+    from spatula_env._kernels import Kernel
+
+    for name, module in list(sys.modules.items()):
+        if name.startswith("spatula_env."):
+            for value in list(vars(module).values()):
+                if isinstance(value, Kernel):
+                    value.compile()
+
+
 STEPS: dict[str, Callable[[], None]] = {
     "the contact model": _contact,
     "simulations": _simulation,
@@ -178,5 +189,6 @@ STEPS: dict[str, Callable[[], None]] = {
     "environments": _environments,
     "pictures": _pictures,
     "observations in pictures and points": _picture_observations,
+    "what is left": _what_is_left,
 }
-"""What is done, once each, to have everything compiled that it calls, by name."""
+"""What is done, once each and in this order, to have everything compiled, by name."""

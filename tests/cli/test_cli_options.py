@@ -11,7 +11,7 @@ import pytest
 
 from spatula_env import cli
 from spatula_env.cli.common import CommandError, print_json, read_changes, resolve_env
-from spatula_env.cli.main import COMMANDS, make_parser
+from spatula_env.cli.main import MODULES, make_parser
 from spatula_env.cli.showing import Film
 from spatula_env.naming import env_ids
 
@@ -53,7 +53,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     said = capsys.readouterr().out
     for words in COMMAND_LINES:
         assert f"\n    {words[0]} " in said
-    assert len(COMMANDS) == len({command.__name__ for command in COMMANDS})
+    assert len(MODULES) == len(set(MODULES))
 
 
 def test_help_fits_a_terminal(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
