@@ -13,14 +13,13 @@ from __future__ import annotations
 import gc
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 from benchmarks.inspection import ALLOWED, WorldInspector
-from benchmarks.measure import finish, parser, without_bullet
+from benchmarks.measure import finish, parser, resident_megabytes, without_bullet
 from benchmarks.physics_steps import look_after_every_step
 from spatula_env import TASKS
 
@@ -31,7 +30,7 @@ STEPS = {"batch": 200_000, "bullet": 20_000}
 """Control steps in all worlds together."""
 
 LARGEST_GROWTH = 8.0
-"""Memory may grow by so much from the first quarter of a run to its end [MiB]."""
+"""Memory may grow by so much from the first quarter of a run to its end [MB]."""
 
 LONGEST_CROSSED = 0.1
 """An organ may cross itself for so long [s]."""
@@ -72,7 +71,7 @@ class Endurance:
         longest_crossed: For how long at most without a break [s].
         most_crossings: Greatest number of pairs of an edge and a triangle.
         peak_pressure: Greatest [Pa].
-        memory_growth: From the first quarter of the run to its end [MiB].
+        memory_growth: From the first quarter of the run to its end [MB].
         seconds: How long it took, inspections included [s].
     """
 
@@ -206,9 +205,9 @@ def run(task: str, engine: str, steps: int, seed: int, actions: str = "kept") ->
         watch.forget(np.flatnonzero(terminated | truncated).tolist())
         if index == rounds // 4:
             gc.collect()
-            early = _memory()
+            early = resident_megabytes()
     gc.collect()
-    growth = _memory() - early if early is not None else 0.0
+    growth = resident_megabytes() - early if early is not None else 0.0
     seconds = time.perf_counter() - start
     envs.close()
     return Endurance(
@@ -230,15 +229,6 @@ def run(task: str, engine: str, steps: int, seed: int, actions: str = "kept") ->
         memory_growth=growth,
         seconds=seconds,
     )
-
-
-def _memory() -> float:
-    """What this process holds in memory [MiB]; 0 where the system does not tell, as only Linux does."""
-    file = Path("/proc/self/status")
-    for line in file.read_text(encoding="ascii").splitlines() if file.exists() else ():
-        if line.startswith("VmRSS:"):
-            return float(line.split()[1]) / 1024.0
-    return 0.0
 
 
 def main() -> None:
@@ -273,7 +263,7 @@ def describe(task: str, engine: str, actions: str, outcome: Endurance) -> str:
         f"{outcome.deep} deep ({outcome.unreported} not reported, {outcome.longest_deep:.2f} s and "
         f"{outcome.depth:.4f} u at most), {outcome.wrong_side} on the wrong side, {outcome.crossed} crossed "
         f"({outcome.longest_crossed:.2f} s at most); {outcome.diverged} diverged, {outcome.non_finite} not finite; "
-        f"{outcome.peak_pressure / 1e3:.0f} kPa at most; memory {outcome.memory_growth:+.1f} MiB; "
+        f"{outcome.peak_pressure / 1e3:.0f} kPa at most; memory {outcome.memory_growth:+.1f} MB; "
         f"{outcome.seconds:.0f} s"
     )
 

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from importlib.metadata import version
+from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -58,6 +59,14 @@ def machine() -> dict[str, Any]:
 def load_average() -> float | None:
     """How many processes want a core, over the last minute; None where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def resident_megabytes() -> float:
+    """What this process holds in memory [MB]; 0 where the system does not tell, as only Linux does."""
+    file = Path("/proc/self/statm")
+    if not file.exists():
+        return 0.0
+    return int(file.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE") / 1e6
 
 
 def without_bullet(names: Iterable[Name]) -> list[Name]:

@@ -1,0 +1,217 @@
+"""What is left of environments that were closed or only dropped, and memory over long runs, each in a fresh process."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+import gymnasium
+import numpy as np
+
+from benchmarks.measure import resident_megabytes
+from spatula_env import TASKS
+
+Result = TypeVar("Result")
+
+ENDINGS = ("closed", "dropped")
+ENVIRONMENTS, SETTLED = 200, 20
+"""How many environments are made, and after how many memory is read first."""
+WORLDS = 64
+"""Of the batch engine in a long run."""
+LONG_STEPS = {"batch": 1_000_000, "bullet": 100_000}
+"""Steps of environments in a long run; those of all worlds count."""
+SAMPLES = 100
+"""How often memory is read in a long run."""
+WARM_UP = 0.1
+"""Share of a long run after which memory is to stay what it is."""
+LIMIT = 5.0
+"""Greatest growth [MB]."""
+
+
+@dataclass(frozen=True)
+class Left:
+    """What environments leave behind.
+
+    Attributes:
+        growth: Of memory, from the first reading to the last [MB].
+        clients: Of PyBullet that are still connected.
+        descriptors: More than at the first reading.
+        threads: Likewise, those of compiled code included.
+        files: In the folder for temporary ones.
+        seconds: How long it took.
+    """
+
+    growth: float
+    clients: int
+    descriptors: int
+    threads: int
+    files: int
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether that is next to nothing."""
+        return self.growth <= LIMIT and not (self.clients or self.descriptors > 0 or self.threads > 0 or self.files)
+
+
+@dataclass(frozen=True)
+class LongRun:
+    """Memory over a long run.
+
+    Attributes:
+        steps: Of environments.
+        memory: Samples [MB].
+        growth: From the end of the warm-up to the end [MB].
+        peak_growth: From there to the greatest sample after it [MB].
+        seconds: How long it took.
+    """
+
+    steps: int
+    memory: list[float]
+    growth: float
+    peak_growth: float
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is flat."""
+        return self.growth <= LIMIT
+
+
+def in_fresh_process(work: Callable[..., Result], *arguments: Any) -> Result:
+    """What a function returns in a process of its own, which has done nothing else."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
+
+
+def leave_environments(engine: str, ending: str, count: int = ENVIRONMENTS, settled: int = SETTLED) -> Left:
+    """Make environments, for one agent and for several, of all tasks; use them a little, and end them.
+
+    Args:
+        engine: "batch" or "bullet".
+        ending: "closed" or "dropped".
+        count: How many.
+        settled: After how many memory is read first; at most `count`.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["TMPDIR"], tempfile.tempdir = folder, None
+        start = time.perf_counter()
+        first: tuple[float, int, int] | None = None
+        for number in range(count):
+            _use(engine, ending, number)
+            if number + 1 == settled:
+                first = _held()
+        now = _held()
+        assert first is not None
+        return Left(
+            growth=now[0] - first[0],
+            clients=_clients(10 * count),
+            descriptors=now[1] - first[1],
+            threads=now[2] - first[2],
+            files=len(os.listdir(folder)),
+            seconds=time.perf_counter() - start,
+        )
+
+
+def _use(engine: str, ending: str, number: int) -> None:
+    task = TASKS[number % len(TASKS)]
+    several = number // len(TASKS) % 2 == 1
+    env: Any = (
+        gymnasium.make_vec(f"Spatula/{task}-v0", num_envs=2, engine=engine)
+        if several
+        else gymnasium.make(f"Spatula/{task}-v0", engine=engine)
+    )
+    env.reset(seed=number)
+    for _ in range(3):
+        env.step(env.action_space.sample())
+    if ending == "closed":
+        env.close()
+
+
+def _held() -> tuple[float, int, int]:
+    """Memory [MB], descriptors and threads of this process; 0 where the system does not tell."""
+    gc.collect()
+    counts = [len(os.listdir(place)) if os.path.isdir(place) else 0 for place in ("/proc/self/fd", "/proc/self/task")]
+    return resident_megabytes(), counts[0], counts[1]
+
+
+def _clients(most: int) -> int:
+    """How many of PyBullet's clients are connected."""
+    if "pybullet" not in sys.modules:
+        return 0
+    import pybullet
+
+    return sum(bool(pybullet.isConnected(client)) for client in range(most))
+
+
+def run_long(engine: str, steps: int, show: bool = True) -> LongRun:
+    """Make random steps, resets and all, and watch the memory.
+
+    Args:
+        engine: "batch", with many worlds, or "bullet", with one.
+        steps: Of environments.
+        show: Whether to tell how far it is, on standard error.
+    """
+    task, generator = "Spatula/Press-v0", np.random.default_rng(0)
+    count = WORLDS if engine == "batch" else 1
+    env: Any = (
+        gymnasium.make_vec(task, num_envs=count, engine=engine) if count > 1 else gymnasium.make(task, engine=engine)
+    )
+    rounds = -(-steps // count)
+    marks = {rounds * sample // SAMPLES for sample in range(1, SAMPLES + 1)}
+    memory: list[float] = []
+    start = time.perf_counter()
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    for number in range(1, rounds + 1):
+        if number % 10 == 1:
+            # Downwards more often than not: there is contact.
+            action = generator.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+            action[..., 2] -= 0.3
+            action = action.clip(-1.0, 1.0)
+        _, _, terminated, truncated, _ = env.step(action)
+        if count == 1 and (terminated or truncated):
+            env.reset()
+        if number in marks:
+            gc.collect()
+            memory.append(round(resident_megabytes(), 3))
+            if show and len(memory) % 10 == 0:
+                told = f"{engine}: {number * count} of {rounds * count} steps, {memory[-1]:.1f} MB"
+                print(told, file=sys.stderr, flush=True)
+    env.close()
+    warm = memory[max(int(WARM_UP * len(memory)) - 1, 0)]
+    after = memory[max(int(WARM_UP * len(memory)) - 1, 0) :]
+    return LongRun(rounds * count, memory, memory[-1] - warm, max(after) - warm, time.perf_counter() - start)
+
+
+def measure_left(engines: list[str], count: int = ENVIRONMENTS) -> dict[str, Any]:
+    """Of each engine and each ending what environments leave behind."""
+    found: dict[str, Any] = {}
+    for engine in engines:
+        for ending in ENDINGS:
+            print(f"{count} environments of {engine}, {ending}", file=sys.stderr, flush=True)
+            left = in_fresh_process(leave_environments, engine, ending, count, min(SETTLED, count))
+            found[f"{engine} {ending}"] = {**asdict(left), "passed": left.passed}
+    return found
+
+
+def measure_long(engines: list[str], share: float = 1.0) -> dict[str, Any]:
+    """Of each engine how memory is over a long run.
+
+    Args:
+        engines: Which.
+        share: Of the full number of steps.
+    """
+    found: dict[str, Any] = {}
+    for engine in engines:
+        run = in_fresh_process(run_long, engine, int(share * LONG_STEPS[engine]))
+        found[engine] = {**asdict(run), "passed": run.passed}
+    return found
