@@ -62,6 +62,7 @@ class Endurance:
         diverged: Worlds whose physics broke down.
         non_finite: Control steps with an observation or a reward that is not finite.
         deep: In which a tool was deeper than `inspection.ALLOWED` in an organ, or an organ's surface in a tool.
+        deep_uncrossed: Deep ones in which no organ crossed itself.
         longest_deep: For how long at most without a break [s].
         depth: Greatest [u].
         unreported: Deep ones whose residual, as reported, is not more than allowed.
@@ -81,6 +82,7 @@ class Endurance:
     diverged: int
     non_finite: int
     deep: int
+    deep_uncrossed: int
     longest_deep: float
     depth: float
     unreported: int
@@ -113,7 +115,9 @@ class Watch:
         count = worlds.count
         self._inspectors = [WorldInspector(worlds.scene) for _ in range(count)]
         self._deep_for, self._crossed_for = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
-        self.steps = self.touching = self.deep = self.unreported = self.wrong_side = self.crossed = 0
+        self.steps = self.touching = self.deep = self.deep_uncrossed = self.unreported = self.wrong_side = (
+            self.crossed
+        ) = 0
         self.most_crossings = self.longest_deep = self.longest_crossed = 0
         self.depth = self.residual = 0.0
         look_after_every_step(worlds, self._look)
@@ -134,6 +138,7 @@ class Watch:
             deep, own = int(seen.residual > ALLOWED), seen.crossings.own
             self.steps += 1
             self.deep += deep
+            self.deep_uncrossed += deep * int(own == 0)
             self.unreported += deep * int(loads.residuals[world] <= ALLOWED)
             self.depth = max(self.depth, seen.residual)
             self.wrong_side += seen.wrong_side
@@ -217,6 +222,7 @@ def run(task: str, engine: str, steps: int, seed: int, actions: str = "kept") ->
         diverged=diverged,
         non_finite=non_finite,
         deep=watch.deep,
+        deep_uncrossed=watch.deep_uncrossed,
         longest_deep=watch.longest_deep * worlds.scene.dt,
         depth=watch.depth,
         unreported=watch.unreported,
@@ -260,11 +266,11 @@ def describe(task: str, engine: str, actions: str, outcome: Endurance) -> str:
     share = 100 * outcome.touching / outcome.steps
     return (
         f"{task:8} {engine:6} {actions:11} {outcome.control_steps:7d} control steps, {share:3.0f} % in contact: "
-        f"{outcome.deep} deep ({outcome.unreported} not reported, {outcome.longest_deep:.2f} s and "
-        f"{outcome.depth:.4f} u at most), {outcome.wrong_side} on the wrong side, {outcome.crossed} crossed "
-        f"({outcome.longest_crossed:.2f} s at most); {outcome.diverged} diverged, {outcome.non_finite} not finite; "
-        f"{outcome.peak_pressure / 1e3:.0f} kPa at most; memory {outcome.memory_growth:+.1f} MB; "
-        f"{outcome.seconds:.0f} s"
+        f"{outcome.deep} deep ({outcome.deep_uncrossed} uncrossed, {outcome.unreported} not reported, "
+        f"{outcome.longest_deep:.2f} s and {outcome.depth:.4f} u at most), {outcome.wrong_side} on the wrong side, "
+        f"{outcome.crossed} crossed ({outcome.longest_crossed:.2f} s at most); {outcome.diverged} diverged, "
+        f"{outcome.non_finite} not finite; {outcome.peak_pressure / 1e3:.0f} kPa at most; "
+        f"memory {outcome.memory_growth:+.1f} MB; {outcome.seconds:.0f} s"
     )
 
 

@@ -307,7 +307,8 @@ class Tally:
         depth: Greatest [u].
         deepest_step: When that was, counted from 0.
         deep: In which a depth was greater than `ALLOWED`.
-        longest_deep: How many of those followed each other at most.
+        deep_uncrossed: How many of those had no organ that crossed itself.
+        longest_deep: How many of them followed each other at most.
         unreported: In which a depth was greater than `ALLOWED` and the report's residual was not.
         reported: Greatest residual of a report [u].
         wrong_side: In which some of an organ's surface was on the far side of a tool.
@@ -323,6 +324,7 @@ class Tally:
     depth: float = 0.0
     deepest_step: int = -1
     deep: int = 0
+    deep_uncrossed: int = 0
     longest_deep: int = 0
     unreported: int = 0
     reported: float = 0.0
@@ -334,6 +336,11 @@ class Tally:
     diverged: bool = False
     _deep_since: int = 0
     _crossed_since: int = 0
+
+    @property
+    def crossed_now(self) -> int:
+        """For how many steps an organ has crossed itself without a break."""
+        return self._crossed_since
 
     def add(self, seen: WorldInspection, *, touching: bool, reported: float) -> None:
         """Count one physics step.
@@ -349,6 +356,7 @@ class Tally:
         self.steps += 1
         self.touching += touching
         self.deep += depth > ALLOWED
+        self.deep_uncrossed += depth > ALLOWED and own == 0
         self._deep_since = self._deep_since + 1 if depth > ALLOWED else 0
         self.longest_deep = max(self.longest_deep, self._deep_since)
         self.unreported += depth > ALLOWED >= reported
@@ -419,7 +427,9 @@ def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, F
         missing = [name for name in motions.RECORDED if name not in recorded]
         if missing:
             raise ValueError(f"{path} must hold {list(motions.RECORDED)}, it lacks {missing}")
-        nodes, velocities, positions, orientations, linear, angular = (recorded[name] for name in motions.RECORDED)
+        nodes, velocities, positions, orientations, linear, angular = (
+            np.array(recorded[name], dtype=np.float64) for name in motions.RECORDED
+        )
     simulation.restore(
         replace(
             simulation.save(),

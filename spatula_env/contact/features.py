@@ -15,25 +15,20 @@ from typing import Any
 import numpy as np
 
 from spatula_env._kernels import inline_kernel
-from spatula_env.contact.flags import fill_local_normal, triangle_weights
-from spatula_env.contact.path import MARGIN, SLACK, entry_plane
+from spatula_env.contact.corners import gather_corners, gather_sunk_corners
+from spatula_env.contact.path import MARGIN, entry_plane
+from spatula_env.contact.rows import ON_EDGE, ON_GROUND, ON_NODE, ON_VERTEX, append_constraint, constraint_name
 from spatula_env.contact.structures import (
-    DISPLACEMENT,
     FRICTION,
     GROUND,
-    IMPULSE,
     NORMAL,
     ORIGIN,
     OWNER,
     PLANE,
     POINT,
-    VELOCITY,
     WEIGHTS,
     reserve,
 )
-
-ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND = 0, 1, 2, 3, 4
-"""Kinds of constraints, in their names."""
 
 EDGE_PART = 0.5
 """An edge that moves farther than this part of the tool's thickness is looked at at times in between."""
@@ -44,74 +39,8 @@ MOST_SAMPLES = 16
 BISECTIONS = 8
 """Steps of bisection to find when an edge met the tool."""
 
-OUTSIDE_TRIANGLE = 0.02
-"""How far outside of a triangle, in its size, a corner may be and still be kept from going through it: the triangle
-has moved since they met."""
-
-MEETING_STEPS = 4
-"""Most steps of false position to find when a corner and a triangle met."""
-
 PARALLEL = 1e-6
 """Edges whose directions have a smaller sine than this are parallel."""
-
-
-@inline_kernel
-def constraint_name(kind: int, of_tool: int, first: int, second: int) -> int:
-    """A number that tells features apart: of the tool (up to 2**20), and two vertices of the organ (up to 2**20)."""
-    name: int = (kind << 60) | (of_tool << 40) | (first << 20) | second
-    return name
-
-
-@inline_kernel
-def append_constraint(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    count: int,
-    corners: tuple[int, int, int],
-    weights: tuple[float, float, float],
-    normal: tuple[float, float, float],
-    point: tuple[float, float, float],
-    memory_last: np.ndarray,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
-    plane: int,
-    name: int,
-) -> int:
-    """Append a constraint; normal and point are in the tool's frame. Returns the new count."""
-    row = rows[count]
-    a, b, c = corners
-    features[count, 0], features[count, 1], features[count, 2] = a + first_vertex, b + first_vertex, c + first_vertex
-    features[count, OWNER], features[count, PLANE] = owner, plane
-    names[count] = name
-    row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = weights
-    for axis in range(3):
-        arm = rotation[3 * axis] * point[0] + rotation[3 * axis + 1] * point[1] + rotation[3 * axis + 2] * point[2]
-        row[NORMAL + axis] = (
-            rotation[3 * axis] * normal[0] + rotation[3 * axis + 1] * normal[1] + rotation[3 * axis + 2] * normal[2]
-        )
-        row[POINT + axis] = position[axis] + arm
-        row[VELOCITY + axis] = arm
-    rx, ry, rz = row[VELOCITY], row[VELOCITY + 1], row[VELOCITY + 2]
-    row[VELOCITY] = linear_velocity[0] + angular_velocity[1] * rz - angular_velocity[2] * ry
-    row[VELOCITY + 1] = linear_velocity[1] + angular_velocity[2] * rx - angular_velocity[0] * rz
-    row[VELOCITY + 2] = linear_velocity[2] + angular_velocity[0] * ry - angular_velocity[1] * rx
-    x = weights[0] * memory_last[0, a] + weights[1] * memory_last[0, b] + weights[2] * memory_last[0, c]
-    y = weights[0] * memory_last[1, a] + weights[1] * memory_last[1, b] + weights[2] * memory_last[1, c]
-    z = weights[0] * memory_last[2, a] + weights[1] * memory_last[2, b] + weights[2] * memory_last[2, c]
-    for axis in range(3):
-        row[ORIGIN + axis] = (
-            position[axis] + rotation[3 * axis] * x + rotation[3 * axis + 1] * y + rotation[3 * axis + 2] * z
-        )
-        row[DISPLACEMENT + axis] = 0.0
-        row[IMPULSE + axis] = 0.0
-    row[FRICTION] = friction
-    return count + 1
 
 
 @inline_kernel
@@ -237,144 +166,6 @@ def gather_vertices(
             last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, p,
             constraint_name(ON_VERTEX, 0, i + first_vertex, 0),
         )  # fmt: skip
-    return count
-
-
-@inline_kernel
-def best_plane(plane_normals: np.ndarray, nx: float, ny: float, nz: float) -> int:
-    """The face of the tool whose normal is nearest to a direction."""
-    best, largest = 0, -np.inf
-    for p in range(plane_normals.shape[0]):
-        along = plane_normals[p, 0] * nx + plane_normals[p, 1] * ny + plane_normals[p, 2] * nz
-        if along > largest:
-            best, largest = p, along
-    return best
-
-
-@inline_kernel
-def meeting_weights(
-    last: np.ndarray,
-    local: np.ndarray,
-    a: int,
-    b: int,
-    c: int,
-    x: float,
-    y: float,
-    z: float,
-    last_height: float,
-    height: float,
-) -> tuple[float, float, float]:
-    """Barycentric weights of a point where the plane of a moving triangle met it.
-
-    Args:
-        last: (3, V) vertices before [u].
-        local: (3, V) vertices now [u].
-        a: First corner.
-        b: Second corner.
-        c: Third corner.
-        x: The point.
-        y: The point.
-        z: The point.
-        last_height: Of the point over the plane before [u].
-        height: Now, not greater than `MARGIN` [u].
-
-    Returns:
-        Weights of the corners, as the triangle was then.
-    """
-    moving = np.empty((3, 3))
-    low, high = 0.0, 1.0
-    at_low, at_high = max(last_height, 0.0), min(height, 0.0)
-    wa, wb, wc = 0.0, 0.0, 0.0
-    for _ in range(MEETING_STEPS):
-        # The height is a cubic of time; false position closes in on its root.
-        time = low + (high - low) * at_low / (at_low - at_high) if at_low > at_high else high
-        for axis in range(3):
-            moving[axis, 0] = last[axis, a] + time * (local[axis, a] - last[axis, a])
-            moving[axis, 1] = last[axis, b] + time * (local[axis, b] - last[axis, b])
-            moving[axis, 2] = last[axis, c] + time * (local[axis, c] - last[axis, c])
-        wa, wb, wc = triangle_weights(moving, 0, 1, 2, x, y, z)
-        ux, uy, uz = moving[0, 1] - moving[0, 0], moving[1, 1] - moving[1, 0], moving[2, 1] - moving[2, 0]
-        vx, vy, vz = moving[0, 2] - moving[0, 0], moving[1, 2] - moving[1, 0], moving[2, 2] - moving[2, 0]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        above = (nx * (x - moving[0, 0]) + ny * (y - moving[1, 0]) + nz * (z - moving[2, 0])) / np.sqrt(
-            nx * nx + ny * ny + nz * nz
-        )
-        if abs(above) <= MARGIN or time >= 1.0:
-            break
-        if above > 0.0:
-            low, at_low = time, above
-        else:
-            high, at_high = time, above
-    return wa, wb, wc
-
-
-@inline_kernel
-def _swept_range(local: np.ndarray, last: np.ndarray, axis: int, a: int, b: int, c: int) -> tuple[float, float]:
-    """Least and greatest coordinate of a triangle between two queries, with a margin."""
-    low = min(min(local[axis, a], local[axis, b], local[axis, c]), min(last[axis, a], last[axis, b], last[axis, c]))
-    high = max(max(local[axis, a], local[axis, b], local[axis, c]), max(last[axis, a], last[axis, b], last[axis, c]))
-    return low - MARGIN, high + MARGIN
-
-
-@inline_kernel
-def gather_corners(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    count: int,
-    room: int,
-    tool: Any,
-    memory: Any,
-    triangles: np.ndarray,
-    found: int,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
-) -> int:
-    """Append one constraint for each corner of the tool that came through a triangle or touches it."""
-    local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
-    plane_normals = tool.plane_normals
-    normal, last_normal = np.empty(3), np.empty(3)
-    for k in range(found):
-        t = candidates[k]
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        has_normals = False
-        low_x, high_x = _swept_range(local, last, 0, a, b, c)
-        low_y, high_y = _swept_range(local, last, 1, a, b, c)
-        low_z, high_z = _swept_range(local, last, 2, a, b, c)
-        for corner in range(corners.shape[0]):
-            outside = (corners[corner, 0] < low_x) | (corners[corner, 0] > high_x)
-            outside |= (corners[corner, 1] < low_y) | (corners[corner, 1] > high_y)
-            outside |= (corners[corner, 2] < low_z) | (corners[corner, 2] > high_z)
-            if outside:
-                continue
-            if not has_normals:
-                fill_local_normal(local, triangles[t], normal)
-                fill_local_normal(last, triangles[t], last_normal)
-                has_normals = True
-            x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
-            # Heights of the corner over the triangle's plane, on the organ's outer side.
-            height = normal[0] * (x - local[0, a]) + normal[1] * (y - local[1, a]) + normal[2] * (z - local[2, a])
-            last_height = (
-                last_normal[0] * (x - last[0, a])
-                + last_normal[1] * (y - last[1, a])
-                + last_normal[2] * (z - last[2, a])
-            )
-            if height > MARGIN or last_height < -SLACK or count == room:
-                continue
-            wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height)
-            if min(wa, wb, wc) < -OUTSIDE_TRIANGLE:
-                continue
-            count = append_constraint(
-                rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
-                (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
-                best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
-                constraint_name(ON_CORNER, corner, first_vertex, t),
-            )  # fmt: skip
     return count
 
 
@@ -725,15 +516,20 @@ def gather_features(
     if found == 0:
         return count
     corners = tool.corners.shape[0]
-    reserve(constraints, count, count + 9 * found + 8 * corners)
+    reserve(constraints, count, count + 9 * found + 9 * corners)
     rows, features, names = constraints.rows, constraints.features, constraints.names
     count = gather_vertices(
         rows, features, names, count, tool, memory, first_vertex, position, rotation, linear_velocity,
         angular_velocity, friction, owner,
     )  # fmt: skip
+    first, heights = count, np.empty(corners)
     count = gather_corners(
-        rows, features, names, count, count + 8 * corners, tool, memory, triangles, found, first_vertex, position,
-        rotation, linear_velocity, angular_velocity, friction, owner,
+        rows, features, names, count, first + 8 * corners, heights, tool, memory, triangles, found, first_vertex,
+        position, rotation, linear_velocity, angular_velocity, friction, owner,
+    )  # fmt: skip
+    count = gather_sunk_corners(
+        rows, features, names, count, first, first + 9 * corners, heights, tool, memory, triangles, found,
+        first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
     )  # fmt: skip
     return gather_edges(
         rows, features, names, count, tool, memory, triangles, found, first_vertex, position, rotation,

@@ -11,16 +11,14 @@ from hypothesis import strategies as st
 from loose import DT, LooseOrgans
 from reference_detector import random_rotation, rotation_matrix
 
+from spatula_env.contact.corners import OUTSIDE_TRIANGLE, best_plane, meeting_weights
 from spatula_env.contact.features import (
     MOST_SAMPLES,
-    OUTSIDE_TRIANGLE,
-    best_plane,
     border_reached,
     clip_edge,
     fill_heights,
     least_deep_plane,
     meeting_time,
-    meeting_weights,
     ridge_contact,
     stays_over,
     touched_plane,

@@ -1,0 +1,355 @@
+"""Where corners of a tool have come through an organ's surface.
+
+A corner is a point, and the surface a net of triangles that move. Which of them it has come through is told by its way
+since the last query, and where that does not tell, by where it is.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spatula_env._kernels import inline_kernel
+from spatula_env.contact.flags import fill_local_normal, triangle_weights
+from spatula_env.contact.path import MARGIN, SLACK
+from spatula_env.contact.rows import ON_CORNER, append_constraint, constraint_name
+
+OUTSIDE_TRIANGLE = 0.02
+"""How far outside of a triangle, in its size, a corner may be and still be kept from going through it: the triangle
+has moved since they met."""
+
+MEETING_STEPS = 4
+"""Most steps of false position to find when a corner and a triangle met."""
+
+SUNK = 0.5
+"""A corner that was no deeper in the organ than this part of the tool's thickness comes out where it is nearest."""
+
+TIE = 1.0 + 1e-9
+"""Squared distances with a smaller ratio are the same."""
+
+
+@inline_kernel
+def best_plane(plane_normals: np.ndarray, nx: float, ny: float, nz: float) -> int:
+    """The face of the tool whose normal is nearest to a direction."""
+    best, largest = 0, -np.inf
+    for p in range(plane_normals.shape[0]):
+        along = plane_normals[p, 0] * nx + plane_normals[p, 1] * ny + plane_normals[p, 2] * nz
+        if along > largest:
+            best, largest = p, along
+    return best
+
+
+@inline_kernel
+def meeting_weights(
+    last: np.ndarray,
+    local: np.ndarray,
+    a: int,
+    b: int,
+    c: int,
+    x: float,
+    y: float,
+    z: float,
+    last_height: float,
+    height: float,
+) -> tuple[float, float, float]:
+    """Barycentric weights of a point where the plane of a moving triangle met it.
+
+    Args:
+        last: (3, V) vertices before [u].
+        local: (3, V) vertices now [u].
+        a: First corner.
+        b: Second corner.
+        c: Third corner.
+        x: The point.
+        y: The point.
+        z: The point.
+        last_height: Of the point over the plane before [u].
+        height: Now, not greater than `MARGIN` [u].
+
+    Returns:
+        Weights of the corners, as the triangle was then.
+    """
+    moving = np.empty((3, 3))
+    low, high = 0.0, 1.0
+    at_low, at_high = max(last_height, 0.0), min(height, 0.0)
+    wa, wb, wc = 0.0, 0.0, 0.0
+    for _ in range(MEETING_STEPS):
+        # The height is a cubic of time; false position closes in on its root.
+        time = low + (high - low) * at_low / (at_low - at_high) if at_low > at_high else high
+        for axis in range(3):
+            moving[axis, 0] = last[axis, a] + time * (local[axis, a] - last[axis, a])
+            moving[axis, 1] = last[axis, b] + time * (local[axis, b] - last[axis, b])
+            moving[axis, 2] = last[axis, c] + time * (local[axis, c] - last[axis, c])
+        wa, wb, wc = triangle_weights(moving, 0, 1, 2, x, y, z)
+        ux, uy, uz = moving[0, 1] - moving[0, 0], moving[1, 1] - moving[1, 0], moving[2, 1] - moving[2, 0]
+        vx, vy, vz = moving[0, 2] - moving[0, 0], moving[1, 2] - moving[1, 0], moving[2, 2] - moving[2, 0]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        above = (nx * (x - moving[0, 0]) + ny * (y - moving[1, 0]) + nz * (z - moving[2, 0])) / np.sqrt(
+            nx * nx + ny * ny + nz * nz
+        )
+        if abs(above) <= MARGIN or time >= 1.0:
+            break
+        if above > 0.0:
+            low, at_low = time, above
+        else:
+            high, at_high = time, above
+    return wa, wb, wc
+
+
+@inline_kernel
+def _swept_range(local: np.ndarray, last: np.ndarray, axis: int, a: int, b: int, c: int) -> tuple[float, float]:
+    """Least and greatest coordinate of a triangle between two queries, with a margin."""
+    low = min(min(local[axis, a], local[axis, b], local[axis, c]), min(last[axis, a], last[axis, b], last[axis, c]))
+    high = max(max(local[axis, a], local[axis, b], local[axis, c]), max(last[axis, a], last[axis, b], last[axis, c]))
+    return low - MARGIN, high + MARGIN
+
+
+@inline_kernel
+def gather_corners(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    room: int,
+    heights: np.ndarray,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    found: int,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append one constraint for each corner of the tool that came through a triangle or touches it.
+
+    Writes the least height of each corner (K,) over such a triangle's plane, infinite where there is none [u].
+    """
+    local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
+    plane_normals = tool.plane_normals
+    normal, last_normal = np.empty(3), np.empty(3)
+    heights[:] = np.inf
+    for k in range(found):
+        t = candidates[k]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        has_normals = False
+        low_x, high_x = _swept_range(local, last, 0, a, b, c)
+        low_y, high_y = _swept_range(local, last, 1, a, b, c)
+        low_z, high_z = _swept_range(local, last, 2, a, b, c)
+        for corner in range(corners.shape[0]):
+            outside = (corners[corner, 0] < low_x) | (corners[corner, 0] > high_x)
+            outside |= (corners[corner, 1] < low_y) | (corners[corner, 1] > high_y)
+            outside |= (corners[corner, 2] < low_z) | (corners[corner, 2] > high_z)
+            if outside:
+                continue
+            if not has_normals:
+                fill_local_normal(local, triangles[t], normal)
+                fill_local_normal(last, triangles[t], last_normal)
+                has_normals = True
+            x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
+            # Heights of the corner over the triangle's plane, on the organ's outer side.
+            height = normal[0] * (x - local[0, a]) + normal[1] * (y - local[1, a]) + normal[2] * (z - local[2, a])
+            last_height = (
+                last_normal[0] * (x - last[0, a])
+                + last_normal[1] * (y - last[1, a])
+                + last_normal[2] * (z - last[2, a])
+            )
+            if height > MARGIN or last_height < -SLACK or count == room:
+                continue
+            wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height)
+            if min(wa, wb, wc) < -OUTSIDE_TRIANGLE:
+                continue
+            heights[corner] = min(heights[corner], height)
+            count = append_constraint(
+                rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
+                (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+                best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
+                constraint_name(ON_CORNER, corner, first_vertex, t),
+            )  # fmt: skip
+    return count
+
+
+@inline_kernel
+def closest_weights(
+    local: np.ndarray, a: int, b: int, c: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Weights of the point of a triangle, vertices in local (3, V), that is closest to a point.
+
+    C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5: in which of the regions around the triangle the
+    point lies.
+    """
+    ux, uy, uz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
+    vx, vy, vz = local[0, c] - local[0, a], local[1, c] - local[1, a], local[2, c] - local[2, a]
+    px, py, pz = x - local[0, a], y - local[1, a], z - local[2, a]
+    d1, d2 = ux * px + uy * py + uz * pz, vx * px + vy * py + vz * pz
+    if d1 <= 0.0 and d2 <= 0.0:
+        return 1.0, 0.0, 0.0
+    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+    # The same two products from the second corner and from the third.
+    d3, d4 = d1 - uu, d2 - uv
+    if d3 >= 0.0 and d4 <= d3:
+        return 0.0, 1.0, 0.0
+    of_c = d1 * d4 - d3 * d2
+    if of_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        along = d1 / (d1 - d3)
+        return 1.0 - along, along, 0.0
+    d5, d6 = d1 - uv, d2 - vv
+    if d6 >= 0.0 and d5 <= d6:
+        return 0.0, 0.0, 1.0
+    of_b = d5 * d2 - d1 * d6
+    if of_b <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        along = d2 / (d2 - d6)
+        return 1.0 - along, 0.0, along
+    of_a = d3 * d6 - d5 * d4
+    if of_a <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        along = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return 0.0, 1.0 - along, along
+    total = of_a + of_b + of_c
+    if not total > 0.0:
+        return 1.0, 0.0, 0.0
+    return 1.0 - of_b / total - of_c / total, of_b / total, of_c / total
+
+
+@inline_kernel
+def find_nearest(
+    local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: float, reach: float, nearest: np.ndarray
+) -> int:
+    """The triangle of an organ that is nearest to a point.
+
+    Args:
+        local: (3, V) [u].
+        triangles: (T, 3).
+        x: The point.
+        y: The point.
+        z: The point.
+        reach: How far away it may be [u].
+        nearest: (4,) written: its distance, positive outside of the organ and negative inside [u]; weights of the
+            closest point.
+
+    Returns:
+        It; -1 if there is none.
+    """
+    best, least, steepest = -1, reach * reach, 0.0
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        away = 0.0
+        for axis in range(3):
+            at = x if axis == 0 else (y if axis == 1 else z)
+            first, second, third = local[axis, a], local[axis, b], local[axis, c]
+            outside = max(min(first, second, third) - at, at - max(first, second, third), 0.0)
+            away += outside * outside
+        if away > least * TIE:
+            continue
+        wa, wb, wc = closest_weights(local, a, b, c, x, y, z)
+        dx = x - wa * local[0, a] - wb * local[0, b] - wc * local[0, c]
+        dy = y - wa * local[1, a] - wb * local[1, b] - wc * local[1, c]
+        dz = z - wa * local[2, a] - wb * local[2, b] - wc * local[2, c]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared > least * TIE:
+            continue
+        ux, uy, uz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
+        vx, vy, vz = local[0, c] - local[0, a], local[1, c] - local[1, a], local[2, c] - local[2, a]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        height = (nx * dx + ny * dy + nz * dz) / np.sqrt(nx * nx + ny * ny + nz * nz)
+        # Where the closest point is on an edge or a vertex, the triangle that looks at the point the most tells its
+        # side.
+        if squared < least / TIE or best < 0 or abs(height) > steepest:
+            best, steepest = t, abs(height)
+            least = min(least, squared)
+            nearest[0] = np.sqrt(squared) if height >= 0.0 else -np.sqrt(squared)
+            nearest[1], nearest[2], nearest[3] = wa, wb, wc
+    return best
+
+
+@inline_kernel
+def _is_near(
+    local: np.ndarray,
+    triangles: np.ndarray,
+    candidates: np.ndarray,
+    found: int,
+    x: float,
+    y: float,
+    z: float,
+    reach: float,
+) -> bool:
+    """Whether a point is no farther than `reach` from the box around one of the first `found` candidates."""
+    for k in range(found):
+        t = candidates[k]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if (
+            min(local[0, a], local[0, b], local[0, c]) <= x + reach
+            and max(local[0, a], local[0, b], local[0, c]) >= x - reach
+            and min(local[1, a], local[1, b], local[1, c]) <= y + reach
+            and max(local[1, a], local[1, b], local[1, c]) >= y - reach
+            and min(local[2, a], local[2, b], local[2, c]) <= z + reach
+            and max(local[2, a], local[2, b], local[2, c]) >= z - reach
+        ):
+            return True
+    return False
+
+
+@inline_kernel
+def gather_sunk_corners(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    first_row: int,
+    room: int,
+    heights: np.ndarray,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    found: int,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+) -> int:
+    """Append a constraint for each corner of the tool that is in the organ and that nothing found so far pushes out.
+
+    A corner that slides over an edge of the organ's mesh may pass the plane of the triangle that it comes to while it
+    is still over the one that it leaves: its way goes through neither. Where it is then tells.
+    """
+    local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
+    reach = SUNK * tool.extent[7]
+    nearest, normal = np.empty(4), np.empty(3)
+    for corner in range(corners.shape[0]):
+        x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
+        if (
+            heights[corner] < -MARGIN
+            or count == room
+            or not _is_near(local, triangles, candidates, found, x, y, z, reach)
+        ):
+            continue
+        t = find_nearest(local, triangles, x, y, z, reach, nearest)
+        if t < 0 or nearest[0] > MARGIN:
+            continue
+        depth, wa, wb, wc = -nearest[0], nearest[1], nearest[2], nearest[3]
+        name = constraint_name(ON_CORNER, corner, first_vertex, t)
+        known = False
+        for row in range(first_row, count):
+            known = known or names[row] == name
+        # What was deep in it before may have another way out.
+        if known or find_nearest(last, triangles, x, y, z, np.inf, nearest) < 0 or nearest[0] < -reach:
+            continue
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        fill_local_normal(local, triangles[t], normal)
+        if depth > MARGIN:
+            # Straight to where it comes out, which may be an edge or a vertex.
+            normal[0] = (wa * local[0, a] + wb * local[0, b] + wc * local[0, c] - x) / depth
+            normal[1] = (wa * local[1, a] + wb * local[1, b] + wc * local[1, c] - y) / depth
+            normal[2] = (wa * local[2, a] + wb * local[2, b] + wc * local[2, c] - z) / depth
+        count = append_constraint(
+            rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
+            (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+            best_plane(tool.plane_normals, -normal[0], -normal[1], -normal[2]), name,
+        )  # fmt: skip
+    return count
