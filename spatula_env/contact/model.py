@@ -67,7 +67,7 @@ class ContactMemory:
     Attributes:
         flags: Of each tool (outer) and organ (inner).
         multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
-        ledger: (O, 4) of the energy that the tools put into each organ; see `response`.
+        ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
     """
 
@@ -162,13 +162,21 @@ class ContactModel:
             wrenches=self.wrenches.copy(),
         )
 
-    def restore(self, memory: ContactMemory) -> None:
-        """Go back to what was remembered, here or by another model of the same scene."""
+    def restore(self, memory: ContactMemory, nodes: FloatArray, velocities: FloatArray) -> None:
+        """Go back to what was remembered, here or by another model of the same scene.
+
+        Args:
+            memory: What was remembered.
+            nodes: (V, 3) where the organs' nodes are put [u].
+            velocities: (V, 3) how fast they are [u/s]. What energy they have more than when `memory` was saved, they
+                were given by hand.
+        """
         for row, saved in zip(self.detectors, memory.flags, strict=True):
             for detector, flags in zip(row, saved, strict=True):
                 detector.flags = flags
         self._world.restore_multipliers(memory.multipliers)
         self._world.ledger[:] = memory.ledger
+        self._world.admit_energy(nodes, velocities)
         self.wrenches = memory.wrenches.copy()
 
     def observe(self, vertices: FloatArray, motions: Motions) -> None:

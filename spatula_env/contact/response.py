@@ -35,10 +35,14 @@ from spatula_env.contact.structures import (
     WEIGHTS,
 )
 
-WORK, GREATEST_WORK, REST_HEIGHT, IS_COUNTING = 0, 1, 2, 3
-LEDGER_LENGTH = 4
-"""Columns of an organ's ledger: work of the tools on it so far and the greatest it was [kg u2/s2], the sum of mass
-times height where counting began [kg u], and whether it has begun."""
+WORK, GREATEST_WORK, REST_HEIGHT, STAGE, ENERGY = 0, 1, 2, 3, 4
+LEDGER_LENGTH = 5
+"""Columns of an organ's ledger: what it had when a tool first touched it and the tools' work on it since, and the
+greatest that was [kg u2/s2]; the sum of mass times height where counting began [kg u]; how far it has got, by the next
+names; and its energy of motion and height at the end of the last step [kg u2/s2]."""
+
+UNKNOWN, FREE, TOUCHED = 0.0, 1.0, 2.0
+"""Stages of a ledger: nothing is known of the organ, no tool has touched it yet, or one has."""
 
 OVER_RELAXATION = 1.4
 """Factor on what a sweep changes. Projected Gauss-Seidel converges with less than 2; where many constraints hold the
@@ -321,7 +325,7 @@ def passive_share(
         step_work: What they do [kg u2/s2]; it is in the ledger.
         gravity: [u/s2].
         mean_edge: Of the organ with the smallest [u].
-        ledger: (4,) the organ's, by the column names of this module.
+        ledger: (5,) the organ's, by the column names of this module.
 
     Returns:
         From 0 to 1; 1 unless energy would come from nothing.
@@ -393,7 +397,7 @@ def limit_energy(
         velocities: (V, 3); changed [u/s].
         gravity: [u/s2].
         mean_edge: Of the organ with the smallest [u].
-        ledger: (4,) the organ's, by the column names of this module.
+        ledger: (5,) the organ's, by the column names of this module.
 
     Returns:
         What was dissipated [kg u2/s2].
@@ -433,6 +437,26 @@ def limit_energy(
 
 
 @inline_kernel
+def energy_of(
+    first: int,
+    end: int,
+    inverse_mass: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    gravity: float,
+    rest_height: float,
+) -> float:
+    """An organ's energy of motion and height [kg u2/s2]; arguments as of `limit_energy`."""
+    squares, height = 0.0, -rest_height
+    for i in range(first, end):
+        if inverse_mass[i] > 0.0:
+            m = 1.0 / inverse_mass[i]
+            height += m * vertices[i, 2]
+            squares += m * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return 0.5 * squares + gravity * height
+
+
+@inline_kernel
 def sum_heights(first: int, end: int, inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
     """Sum of mass times height of an organ's free nodes [kg u]."""
     total = 0.0
@@ -467,16 +491,13 @@ def keep_ledger(
         positions: (N, 3) of the tools at the end of the step [u].
         linear_velocities: (N, 3) [u/s].
         angular_velocities: (N, 3) [rad/s].
-        ledger: (O, 4) written.
+        ledger: (O, 5) written.
     """
     organs = first_vertices.shape[0]
     for o in range(organs):
-        if ledger[o, IS_COUNTING] == 0.0:
+        if ledger[o, STAGE] == UNKNOWN:
             end = first_vertices[o + 1] if o + 1 < organs else start.shape[0]
-            ledger[o, REST_HEIGHT], ledger[o, IS_COUNTING] = (
-                sum_heights(first_vertices[o], end, inverse_mass, start),
-                1.0,
-            )
+            ledger[o, REST_HEIGHT], ledger[o, STAGE] = sum_heights(first_vertices[o], end, inverse_mass, start), FREE
     for c in range(count):
         owner = features[c, OWNER]
         if owner == GROUND:
@@ -484,6 +505,7 @@ def keep_ledger(
         row, o = rows[c], organs - 1
         while features[c, 0] < first_vertices[o]:
             o -= 1
+        ledger[o, STAGE] = TOUCHED
         v, w = linear_velocities[owner], angular_velocities[owner]
         x, y, z = (
             row[POINT] - positions[owner, 0],

@@ -21,10 +21,17 @@ from spatula_env.contact.motion import copy_points, largest_shift, tool_passes, 
 from spatula_env.contact.multipliers import add_passed, expect_vertices, keep_warm, note_passed, start_warm
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
+    ENERGY,
+    FREE,
     GREATEST_WORK,
     OVER_RELAXATION,
+    REST_HEIGHT,
+    STAGE,
+    TOUCHED,
+    UNKNOWN,
     WORK,
     count_lone,
+    energy_of,
     keep_ledger,
     limit_energy,
     measure_gaps,
@@ -33,6 +40,7 @@ from spatula_env.contact.response import (
     solve_positions,
     solve_velocities,
     start_pushed,
+    sum_heights,
     sum_impulses,
 )
 from spatula_env.contact.structures import (
@@ -89,6 +97,9 @@ the organ by displacement alone: a node cannot carry more speed than its springs
 
 EXPECTED_PART = 0.9
 """Greatest part of the last solve's displacements that is expected; see `multipliers.expect_vertices`."""
+
+ROUNDING = 1e-12
+"""Energies that differ by less, in their size, are the same."""
 
 FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
@@ -181,6 +192,14 @@ def keep_passive(
     for o in range(first_vertices.shape[0]):
         first = first_vertices[o]
         end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
+        if ledger[o, STAGE] != TOUCHED:
+            # What it does is its own.
+            ledger[o, ENERGY] = energy_of(
+                first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT]
+            )
+            ledger[o, WORK] = max(ledger[o, WORK], ledger[o, ENERGY])
+            ledger[o, GREATEST_WORK] = ledger[o, WORK]
+            continue
         work = ledger[o, WORK] - before[o, WORK]
         share = passive_share(
             first, end, inverse_mass, vertices, velocities, nodal_impulses, work, gravity, mean_edge, ledger[o]
@@ -194,6 +213,32 @@ def keep_passive(
             scale_impulses(count, rows, features, first, end, share)
             sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
         limit_energy(first, end, inverse_mass, vertices, velocities, gravity, mean_edge, ledger[o])
+        ledger[o, ENERGY] = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+
+
+@kernel(types.void(WORLD_CONTACTS, F8_2, F8_2))
+def admit_energy(world: Any, vertices: np.ndarray, velocities: np.ndarray) -> None:
+    """Enter into the ledgers what energy organs were given by hand, when they were put into a state.
+
+    Args:
+        world: `WorldContacts`; its ledgers have what they had when the state was saved.
+        vertices: (V, 3) nodes in the state [u].
+        velocities: (V, 3) [u/s].
+    """
+    first_vertices, inverse_mass, ledger = world.first_vertices, world.inverse_mass, world.ledger
+    gravity = world.settings[GRAVITY]
+    for o in range(first_vertices.shape[0]):
+        first = first_vertices[o]
+        end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
+        if ledger[o, STAGE] == UNKNOWN:
+            ledger[o, REST_HEIGHT], ledger[o, STAGE] = sum_heights(first, end, inverse_mass, vertices), FREE
+        energy = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+        given = energy - ledger[o, ENERGY]
+        # An unchanged state has exactly the same.
+        if given > ROUNDING * abs(energy):
+            ledger[o, WORK] += given
+            ledger[o, GREATEST_WORK] = max(ledger[o, GREATEST_WORK], ledger[o, WORK])
+        ledger[o, ENERGY] = energy
 
 
 @kernel(

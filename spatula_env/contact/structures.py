@@ -109,7 +109,7 @@ class WorldContacts(structref.StructRefProxy):
         friction (N,): coefficients.
         settings: See `step`.
         inverse_mass (V,): of the organs' nodes [1/kg].
-        ledger (O, 4): of the energy that the tools put into each organ; see `response`.
+        ledger (O, 5): of the energy that the tools put into each organ; see `response`.
     """
 
 

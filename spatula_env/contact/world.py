@@ -57,7 +57,7 @@ class World:
         friction: (N,) coefficients of the tools.
         settings: (7,) by the column names of `step`.
         inverse_masses: (V,) of the organs' nodes [1/kg].
-        ledger: (O, 4) of the energy that the tools put into each organ; see `response`.
+        ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
         workspace: Of a query.
         structure: For kernels.
     """
@@ -83,7 +83,7 @@ class World:
         """
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self.memories = tuple(memories)
-        self.friction = np.array([placed.friction for placed in scene.tools])
+        self.friction = np.array([placed.friction for placed in scene.tools], dtype=np.float64)
         self.inverse_masses = inverse_masses.copy()
         self.settings = np.zeros(step.SETTINGS_LENGTH)
         self.settings[step.DT] = scene.dt
@@ -133,6 +133,15 @@ class World:
         """Go back to what was copied."""
         restore_constraints(self._warm, *(part.copy() for part in multipliers))
         self._warm_count[0] = len(multipliers[0])
+
+    def admit_energy(self, vertices: FloatArray, velocities: FloatArray) -> None:
+        """Count what energy the organs were given when they were put into a state; the ledger is that of the state.
+
+        Args:
+            vertices: (V, 3) [u].
+            velocities: (V, 3) [u/s].
+        """
+        step.admit_energy(self.structure, vertices, velocities)
 
     def set_tool(self, index: int, shape: Any) -> None:
         """Give the world another tool, a `ToolShape` with as many nodes."""

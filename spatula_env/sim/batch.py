@@ -580,6 +580,7 @@ class BatchSimulation:
                 memory.states[0] = flags
             contacts.restore_multipliers(remembered.multipliers)
             contacts.ledger[:] = remembered.ledger
+            contacts.admit_energy(self._nodes[world], self._velocities[world])
 
     def close(self) -> None:
         """There is nothing to free; for the sake of those who close what they open."""

@@ -325,8 +325,8 @@ class Simulation:
         self._model.reset()
         for index in range(len(self._tool_positions)):
             self.place_tool(state.tool_positions[index], state.tool_orientations[index], index=index)
-        self._model.restore(state.contact)
         self._set_nodes(state.nodes, state.node_velocities)
+        self._model.restore(state.contact, self._nodes, self._velocities)
         self._motions = None
         self._time = state.time
 
@@ -423,8 +423,10 @@ class Simulation:
             raise SimulationDiverged(self._volumes.tell(self._volumes.measure(self._nodes[None])[0]))
 
     def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
-        self._nodes, self._velocities = nodes.copy(), velocities.copy()
-        self._world.set_state(nodes, velocities)
+        # Kernels take one type of array.
+        self._nodes = np.array(nodes, dtype=np.float64, order="C")
+        self._velocities = np.array(velocities, dtype=np.float64, order="C")
+        self._world.set_state(self._nodes, self._velocities)
 
     def _settle(self) -> FloatArray:
         """Let the organs come to rest on the ground, and return where their nodes are then.
@@ -458,7 +460,7 @@ class Simulation:
 def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> FloatArray:
     """A velocity for each tool (N, 3), from one for all (3,) or one for each."""
     try:
-        array = np.array(value, dtype=np.float64)
+        array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers, got {value!r}") from error
     if array.shape not in ((3,), shape):

@@ -7,6 +7,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from driving import everything, press, start_above
 
 from spatula_env import scenes
 from spatula_env.sim import Simulation
+from spatula_env.sim.batch import BatchSimulation
 
 EXACT = 1e-9
 
@@ -329,3 +331,115 @@ def test_saving_and_restoring_does_not_let_memory_grow(pair):
         simulation.restore(state)
         state = simulation.save()
     assert resident_bytes() - before < 4e6
+
+
+# Energy that a state was given by hand -------------------------------------------------------------------------------
+
+
+def spun(simulation, rate=1.0):
+    """The simulation's state with its organ turning about its middle."""
+    state = simulation.save()
+    arms = state.nodes - state.nodes.mean(axis=0)
+    return replace(state, node_velocities=np.cross([0.0, 0.0, rate], arms))
+
+
+def energy(simulation):
+    masses = np.where(np.isfinite(simulation.node_masses), simulation.node_masses, 0.0)
+    return 0.5 * float(masses @ (simulation.node_velocities**2).sum(axis=1))
+
+
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+@pytest.mark.parametrize("touched", [False, True])
+def test_a_state_keeps_the_energy_that_it_was_given(engine, touched):
+    simulation = Simulation(scenes.seed(), engine=engine)
+    try:
+        if touched:
+            # A tool has been there: its work is counted, and the organ's energy limited to that.
+            for _ in range(160):
+                report = simulation.step((0.0, 0.0, -5.0))
+            assert np.linalg.norm(report.force) > 0.0
+            simulation.place_tool((0.0, 0.0, 20.0))
+        # More than that work.
+        simulation.restore(spun(simulation, 8.0 if touched else 1.0))
+        before = energy(simulation)
+        simulation.step()
+        # It lost 99.99 % of it. Friction on the ground takes a little, and what was dented swings back.
+        assert energy(simulation) > 0.9 * before
+    finally:
+        simulation.close()
+
+
+def test_worlds_keep_the_energy_that_they_were_given():
+    worlds = BatchSimulation(scenes.seed(), 2)
+    state = worlds.save()
+    arms = state.nodes[1] - state.nodes[1].mean(axis=0)
+    velocities = state.node_velocities.copy()
+    velocities[1] = np.cross([0.0, 0.0, 1.0], arms)
+    worlds.restore(replace(state, node_velocities=velocities))
+    worlds.advance(np.zeros((2, 1, 3)), steps=1)
+    squares = (worlds.node_velocities**2).sum(axis=(1, 2))
+    assert squares[0] < 1e-3
+    assert squares[1] > 0.9 * (velocities[1] ** 2).sum()
+
+
+def test_a_tool_adds_its_work_to_what_a_state_was_given_and_no_more():
+    simulation = Simulation(scenes.seed(), engine="batch", precision="double")
+    try:
+        simulation.restore(spun(simulation, 0.5))
+        given = energy(simulation)
+        height = simulation.node_masses @ simulation.nodes[:, 2]
+        work = 0.0
+        for step in range(400):
+            velocity = np.array([0.0, 0.0, -20.0 if step < 48 else (0.0 if step < 96 else 40.0)])
+            report = simulation.step(velocity)
+            work -= float(report.force @ velocity) * simulation.dt
+            fallen = simulation.scene.gravity * (simulation.node_masses @ simulation.nodes[:, 2] - height)
+            assert energy(simulation) - fallen <= 1.01 * (given + max(work, 0.0)) + 1.0
+        assert work > 100.0
+    finally:
+        simulation.close()
+
+
+# What kernels are handed ---------------------------------------------------------------------------------------------
+
+
+def test_numbers_may_be_of_any_type_and_arrays_in_any_order():
+    scene = scenes.seed()
+    whole = replace(scene, tools=(replace(scene.tools[0], friction=1),))
+    outcomes = []
+    for chosen, order, kind in (
+        (replace(scene, tools=(replace(scene.tools[0], friction=1.0),)), "C", np.float64),
+        (whole, "F", np.float64),
+        (whole, "F", np.int64),
+    ):
+        simulation = Simulation(chosen, engine="batch")
+        try:
+            state = simulation.save()
+            simulation.restore(replace(state, nodes=np.asfortranarray(state.nodes)))
+            for _ in range(40):
+                report = simulation.step(
+                    np.array([[0.0, 0.0, -20.0]], dtype=kind, order=order), np.zeros((1, 3), dtype=kind, order=order)
+                )
+            outcomes.append(report.force)
+        finally:
+            simulation.close()
+    assert np.linalg.norm(outcomes[0]) > 0.0
+    np.testing.assert_array_equal(outcomes[1], outcomes[0])
+    np.testing.assert_array_equal(outcomes[2], outcomes[0])
+
+
+def test_velocities_of_several_tools_may_be_in_fortran_order():
+    simulation = Simulation(scenes.clamp(), engine="batch")
+    worlds = BatchSimulation(scenes.clamp(), 3)
+    velocities = np.array([[1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]])
+    try:
+        simulation.step(np.asfortranarray(velocities), np.asfortranarray(velocities))
+        turned = simulation.tool_orientations
+        simulation.reset()
+        simulation.step(velocities, velocities)
+        np.testing.assert_array_equal(simulation.tool_orientations, turned)
+        simulation.restore(replace(simulation.save(), nodes=simulation.nodes.astype(np.float32)))
+        simulation.step()
+        worlds.advance(np.asfortranarray(np.tile(velocities, (3, 1, 1))), steps=2)
+    finally:
+        simulation.close()
