@@ -73,7 +73,8 @@ class Episodes:
         goals: (W, G) what is asked in each world's episode.
         achieved: (W, G) what has been achieved of it.
         elapsed: (W,) control steps since each episode began.
-        situation: Of all worlds, as it was last looked at; None before anything has begun.
+        situation: Of all worlds, as it was last looked at; None before anything has begun. Where episodes begin its
+            rows are written, in place.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class Episodes:
     def forces(self) -> FloatArray:
         """(W, N, 3) on the tools of each world, averaged over the last control step [N]."""
         shape = (self.count, len(self.setting.tools), 3)
-        return np.zeros(shape) if self.situation is None else self.situation.contact_forces
+        return np.zeros(shape) if self.situation is None else self.situation.contact_forces.copy()
 
     @property
     def grips(self) -> FloatArray:
@@ -187,6 +188,17 @@ class Episodes:
     def info(self) -> Info:
         """What else there is to tell of all worlds; arrays of their own."""
         return {name: values.copy() for name, values in self._info.items()}
+
+    def info_of(self, worlds: IntArray) -> Info:
+        """The same of some worlds (n,): (n,) each."""
+        return {name: values[worlds] for name, values in self._info.items()}
+
+    def observations_of(self, worlds: IntArray) -> list[Observation]:
+        """The observations of some worlds (n,), one by one; arrays of their own."""
+        if isinstance(self._observation, dict):
+            whole = self._observation
+            return [{name: values[world].copy() for name, values in whole.items()} for world in worlds.tolist()]
+        return [self._observation[world].copy() for world in worlds.tolist()]
 
     def to_scene(self, points: FloatArray, world: int) -> FloatArray:
         """Points (K, 3) in the workspace frame of a world [m] in the scene [u]."""
@@ -281,7 +293,7 @@ class Episodes:
             tool_scale=scale,
             control=self.control.opening(positions, scale),
             control_rate=np.zeros((count, self.control.coordinates)),
-            nodes=self.frames.points_from_scene(self.worlds.nodes[worlds], worlds),
+            nodes=self.frames.points_from_scene(self.worlds.nodes_of(worlds), worlds),
             rest_nodes=self._variation.rest_of(worlds),
         )
         self._show(situation, worlds, first=True)
@@ -461,7 +473,7 @@ class Episodes:
             "within_tolerance": within,
             "diverged": np.zeros(len(worlds), dtype=np.bool_),
             "hold_time": self._held[worlds] * self.period,
-            "time": self.worlds.times[worlds],
+            "time": self.worlds.times_of(worlds),
             "force": situation.force,
             "peak_force": situation.peak_force,
             "peak_pressure": situation.peak_pressure,
@@ -486,11 +498,17 @@ class Episodes:
         if self.situation is None:
             blank = np.zeros(self.count, dtype=np.int64)
             self.situation = situation.rows(blank)
+        changes = {}
         for name, values in vars(situation).items():
-            whole = np.array(getattr(self.situation, name))
-            if len(whole) == self.count:
-                whole[worlds] = values
-            self.situation = replace(self.situation, **{name: whole})
+            whole = getattr(self.situation, name)
+            if len(whole) != self.count:
+                continue
+            if not whole.flags.writeable:
+                whole = changes[name] = whole.copy()
+            # In place: others must not be copied for the sake of a few.
+            whole[worlds] = values
+        if changes:
+            self.situation = replace(self.situation, **changes)
 
     def _observe(
         self, situation: Situation, goals: FloatArray, evaluation: Evaluation, worlds: IntArray, *, first: bool
@@ -502,7 +520,7 @@ class Episodes:
         frames = builder.build(situation, goals, evaluation, noise, pictures)
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
-            frames, worlds = self._frames.show(), np.arange(self.count)
+            frames = self._frames.show(worlds)
         if len(worlds) == self.count and (worlds[1:] > worlds[:-1]).all():
             self._observation = frames[""] if "" in frames else frames
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,7 +46,7 @@ class Frames:
         self._anchor = np.array(anchor, dtype=np.float64)
         self._center = np.tile(np.array(workspace.center, dtype=np.float64), (count, 1))
         self._turn = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        self._turned = False
+        self._turned = 0
         self.length = np.full(count, scale.length)
         self.force = np.full(count, scale.force)
         self.torque = np.full(count, scale.torque)
@@ -63,7 +64,7 @@ class Frames:
         """Say how the organs of some worlds differ from the scene's.
 
         Args:
-            worlds: (n,).
+            worlds: (n,) which, none of them twice.
             shift: (n, 2) by how much each is shifted along x and y [m].
             yaw: (n,) by how much it is turned about the vertical [rad].
             size: (n,) factor on its lengths.
@@ -75,8 +76,9 @@ class Frames:
         vector = np.zeros((count, 3))
         vector[:, 2] = yaw
         rotation = from_rotation_vector(vector)
+        self._turned -= int(np.count_nonzero(self._turn[worlds, 2]))
         self._turn[worlds] = rotation
-        self._turned = bool((self._turn[:, 2] != 0.0).any())
+        self._turned += int(np.count_nonzero(rotation[:, 2]))
         self.length[worlds] = length = self._scale.length * factor
         anchor = np.zeros((count, 3))
         anchor[:] = (self._anchor - self._workspace.center) * self._scale.length
@@ -85,6 +87,14 @@ class Frames:
         self.pressure[worlds] = pressure = self._scale.pressure * stiff
         self.force[worlds] = pressure * length**2
         self.torque[worlds] = pressure * length**3
+
+    def rows(self, worlds: IntArray) -> Frames:
+        """Those of some worlds (n,) alone, none of them twice; what is set there has no effect here."""
+        some = copy.copy(self)
+        for name in ("_center", "_turn", "length", "force", "torque", "pressure"):
+            setattr(some, name, getattr(self, name)[worlds])
+        some._turned = int(np.count_nonzero(some._turn[:, 2]))
+        return some
 
     def points_from_scene(self, points: FloatArray, worlds: IntArray) -> FloatArray:
         """Points (n, ..., 3) of the scene [u] in the workspace frames of worlds (n,) [m]."""

@@ -393,16 +393,16 @@ class FrameMemory:
                 self._frames[name] = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
             self._frames[name][worlds] = values
 
-    def show(self) -> dict[str, NDArray[Any]]:
-        """(W, ...) by name, or (W, history, ...), the oldest first; arrays of their own."""
+    def show(self, worlds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Of some worlds (n,): (n, ...) by name, or (n, history, ...), the oldest first; arrays of their own."""
         shown = {}
         for name, kept in self._frames.items():
             if name in GOAL_ENTRIES:
-                shown[name] = kept[:, -1].copy()
+                shown[name] = kept[worlds, -1]
             elif self._history == 1:
-                shown[name] = kept[:, 0].copy()
+                shown[name] = kept[worlds, 0]
             else:
-                shown[name] = kept[:, : self._history].copy()
+                shown[name] = kept[worlds, : self._history]
         return shown
 
 

@@ -169,6 +169,8 @@ class Variation:
         self.drawn["sensor_noise"][:] = noise
         self.settings = [setting] * count
         self.rest_nodes: FloatArray = setting.rest_nodes[None]
+        if ranges:
+            self.rest_nodes = np.repeat(self.rest_nodes, count, axis=0)
         self.tool_scale: FloatArray = np.ones(count)
 
     def draw(self, generators: Mapping[int, np.random.Generator]) -> None:
@@ -199,13 +201,16 @@ class Variation:
         Returns:
             The setting of each world, and how large its tools are (n,).
         """
+        worlds = np.fromiter(generators, dtype=np.int64)
+        # Only these worlds, so that it takes no longer where there are many others.
         trial = copy.copy(self)
-        trial._worlds, trial._frames = None, copy.deepcopy(self._frames)
-        trial._generators, trial.settings = list(self._generators), list(self.settings)
-        trial.drawn, trial.tool_scale = copy.deepcopy(self.drawn), self.tool_scale.copy()
-        trial.draw(generators)
-        worlds = list(generators)
-        return [trial.settings[world] for world in worlds], trial.tool_scale[worlds]
+        trial._worlds, trial._frames = None, self._frames.rows(worlds)
+        trial._generators = [None] * len(worlds)
+        trial.settings = [self.settings[world] for world in worlds.tolist()]
+        trial.drawn = {name: values[worlds] for name, values in self.drawn.items()}
+        trial.tool_scale, trial.rest_nodes = self.tool_scale[worlds], np.array(self.rest_of(worlds))
+        trial.draw(dict(enumerate(generators.values())))
+        return trial.settings, trial.tool_scale
 
     def save(self, worlds: IntArray) -> tuple[dict[str, FloatArray], tuple[np.random.Generator | None, ...]]:
         """What some worlds (n,) differ in, and where their errors of measurement come from, as copies."""
@@ -240,8 +245,8 @@ class Variation:
         if self._worlds is not None and {"friction", "tool_size", "organ_size"} & set(ranges):
             self._worlds.vary(drawn["friction"], drawn["tool_size"] / drawn["organ_size"], worlds)
         for world in worlds.tolist():
-            self.settings[world] = self._setting_in(world)
-        self.rest_nodes = np.stack([setting.rest_nodes for setting in self.settings])
+            self.settings[world] = setting = self._setting_in(world)
+            self.rest_nodes[world] = setting.rest_nodes
 
     def rest_of(self, worlds: IntArray) -> FloatArray:
         """(n, V, 3) the organs of some worlds (n,) at rest, or (1, V, 3) where nothing is drawn [m]."""

@@ -86,10 +86,10 @@ class Safety:
 
     def info(self, worlds: IntArray, limit: float | None) -> dict[str, NDArray[Any]]:
         """What there is to tell of some worlds (n,)."""
-        damaged = self.damaged(limit) if limit is not None else self._violation & False
+        cost = self._episode["cost"][worlds]
         return {
             **{name: values[worlds] for name, values in self._now.items()},
             "violation": self._violation[worlds],
-            "is_damaged": damaged[worlds],
+            "is_damaged": cost > (np.inf if limit is None else limit),
             **{f"episode_{name}": values[worlds] for name, values in self._episode.items()},
         }

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from spatula_env.envs.attributes import call_worlds, set_in_worlds
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_actions
-from spatula_env.envs.episodes import Episodes, Info
+from spatula_env.envs.episodes import Episodes
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
@@ -163,9 +163,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         for world, (generator, number) in fresh.items():
             self._generators[world], self._seeds[world] = generator, number
         self._begin(worlds, chosen)
-        begun = np.zeros(self.num_envs, dtype=np.bool_)
-        begun[worlds] = True
-        return self._episodes.observation, _with_masks(self._episodes.info, begun)
+        return self._episodes.observation, self._infos_of(worlds)
 
     def step(self, actions: NDArray[np.float32]) -> StepResult:
         """Move the tools of all worlds for one control step.
@@ -208,7 +206,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             ended = self._over
             infos = self._last_seen(ended)
             self._begin(np.flatnonzero(ended))
-        infos.update(_with_masks(episodes.info))
+        infos.update(self._infos_of(np.arange(self.num_envs)))
         observation = episodes.observation
         if lost.any():
             warnings.warn(
@@ -283,7 +281,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         if not self._begun[chosen].all():
             missing = chosen[~self._begun[chosen]].tolist()
             raise ResetNeeded(f"call reset() before save(): nothing has begun in worlds {missing}")
-        lost = self._episodes.info["diverged"][chosen]
+        lost = self._episodes.info_of(chosen)["diverged"]
         if lost.any():
             raise ValueError(
                 f"worlds must not have diverged, as {chosen[lost].tolist()} have: there is nothing to go on from"
@@ -324,9 +322,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         if state.count != len(chosen):
             state = state.rows(np.zeros(len(chosen), dtype=np.int64))
         self._put(state, chosen)
-        restored = np.zeros(self.num_envs, dtype=np.bool_)
-        restored[chosen] = True
-        return self._episodes.observation, _with_masks(self._episodes.info, restored)
+        return self._episodes.observation, self._infos_of(chosen)
 
     def _put(self, state: EnvState, worlds: IntArray) -> None:
         self._episodes.restore(state.physics, state.episodes, worlds)
@@ -404,15 +400,22 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     def _last_seen(self, ended: BoolArray) -> dict[str, Any]:
         """What Gymnasium tells of episodes that have ended where the next ones have begun already."""
-        observation, info = self._episodes.observation, self._episodes.info
-        last = np.full(self.num_envs, None, dtype=object)
-        for world in np.flatnonzero(ended).tolist():
-            if isinstance(observation, dict):
-                last[world] = {name: values[world].copy() for name, values in observation.items()}
-            else:
-                last[world] = observation[world].copy()
-        final = _with_masks(info, ended)
+        worlds, last = np.flatnonzero(ended), np.full(self.num_envs, None, dtype=object)
+        for world, observation in zip(worlds.tolist(), self._episodes.observations_of(worlds), strict=True):
+            last[world] = observation
+        final = self._infos_of(worlds)
         return {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
+
+    def _infos_of(self, worlds: IntArray) -> dict[str, Any]:
+        """Infos as Gymnasium lays them out: zeros but for some worlds (n,), and beside each name which those are."""
+        mask = np.zeros(self.num_envs, dtype=np.bool_)
+        mask[worlds] = True
+        infos: dict[str, Any] = {}
+        for name, values in self._episodes.info_of(worlds).items():
+            infos[name] = np.zeros(self.num_envs, dtype=values.dtype)
+            infos[name][worlds] = values
+            infos[f"_{name}"] = mask.copy()
+        return infos
 
     def _check_open(self) -> None:
         if self.closed:
@@ -424,14 +427,3 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
             raise ResetNeeded(
                 f"call reset() before {method}(): nothing has begun in worlds {np.flatnonzero(~self._begun).tolist()}"
             )
-
-
-def _with_masks(info: Info, mask: BoolArray | None = None) -> dict[str, Any]:
-    """Infos as Gymnasium lays them out: zeros where the mask (W,) is false, and the mask beside each name."""
-    infos: dict[str, Any] = {}
-    for name, values in info.items():
-        if mask is None:
-            infos[name], infos[f"_{name}"] = values, np.ones(len(values), dtype=np.bool_)
-        else:
-            infos[name], infos[f"_{name}"] = np.where(mask, values, values.dtype.type(0)), mask.copy()
-    return infos

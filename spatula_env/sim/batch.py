@@ -231,6 +231,14 @@ class BatchSimulation:
         """(W,) since each world's reset (a copy) [s]."""
         return self._times.copy()
 
+    def nodes_of(self, worlds: ArrayLike) -> FloatArray:
+        """(n, V, 3) positions of the organs' nodes in some worlds (n,), or where a mask (W,) is true (a copy) [u]."""
+        return self._nodes[self._body.indices(worlds)]
+
+    def times_of(self, worlds: ArrayLike) -> FloatArray:
+        """(n,) since the reset of each of some worlds (n,), or of those where a mask (W,) is true (a copy) [s]."""
+        return self._times[self._body.indices(worlds)]
+
     def reset(self, worlds: ArrayLike | None = None) -> None:
         """Start some worlds again: organs at rest, tools where the scene has them, no contact, time zero.
 

@@ -93,6 +93,12 @@ class Worlds(Protocol):
     def times(self) -> FloatArray:
         """(W,) since each world's reset (a copy) [s]."""
 
+    def nodes_of(self, worlds: IntArray) -> FloatArray:
+        """(n, V, 3) positions of the organs' nodes in some worlds (n,), others not being looked at (a copy) [u]."""
+
+    def times_of(self, worlds: IntArray) -> FloatArray:
+        """(n,) since the reset of each of some worlds (n,), others not being looked at (a copy) [s]."""
+
     def reset(self, worlds: IntArray) -> None:
         """Start some worlds again: organs at rest, tools where the scene has them, no contact, time zero.
 
@@ -216,6 +222,14 @@ class SeparateWorlds:
     def times(self) -> FloatArray:
         """See `Worlds`."""
         return np.array([simulation.time for simulation in self.simulations])
+
+    def nodes_of(self, worlds: IntArray) -> FloatArray:
+        """See `Worlds`."""
+        return np.stack([self.simulations[world].nodes for world in worlds.tolist()])
+
+    def times_of(self, worlds: IntArray) -> FloatArray:
+        """See `Worlds`."""
+        return np.array([self.simulations[world].time for world in worlds.tolist()])
 
     def reset(self, worlds: IntArray) -> None:
         """See `Worlds`."""

@@ -175,7 +175,7 @@ class Situation:
         action_size: int = 3,
         **changes: Any,
     ) -> Situation:
-        """Tools that hold still and touch nothing, over organs at rest.
+        """Tools that hold still and touch nothing, over organs at rest. No two attributes share an array.
 
         Args:
             setting: Organ and tools.
@@ -193,29 +193,28 @@ class Situation:
             tool_orientation = np.tile(tools[0].orientation, (count, 1))
         first = np.array(tool_orientation, dtype=np.float64)
         turned = multiply(first, conjugate(tools[0].orientation))
-        nothing, zeros = np.zeros((count, 3)), np.zeros(count)
         situation = Situation(
             tool_position=grip,
-            tool_velocity=nothing,
+            tool_velocity=np.zeros((count, 3)),
             tool_orientation=first,
-            tool_rotation_rate=nothing,
+            tool_rotation_rate=np.zeros((count, 3)),
             tool_positions=np.stack([grip + turn(turned, tool.offset) for tool in tools], axis=1),
             tool_orientations=np.stack([multiply(turned, tool.orientation) for tool in tools], axis=1),
             tool_scale=np.ones(count),
             control=np.zeros((count, 0)),
             control_rate=np.zeros((count, 0)),
             contact_forces=np.zeros((count, len(tools), 3)),
-            contact_force=nothing,
-            contact_torque=nothing,
-            peak_force=zeros,
-            peak_pressure=zeros,
-            mean_pressure=zeros,
+            contact_force=np.zeros((count, 3)),
+            contact_torque=np.zeros((count, 3)),
+            peak_force=np.zeros(count),
+            peak_pressure=np.zeros(count),
+            mean_pressure=np.zeros(count),
             contact_share=np.zeros((count, setting.face_count)),
-            contact_depth=zeros,
+            contact_depth=np.zeros(count),
             nodes=np.repeat(setting.rest_nodes[None], count, axis=0),
             rest_nodes=setting.rest_nodes[None],
             action=np.zeros((count, action_size)),
-            elapsed=zeros,
+            elapsed=np.zeros(count),
         )
         return replace(situation, **changes)
 

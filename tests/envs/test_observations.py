@@ -156,15 +156,16 @@ def test_frames_are_late_and_stacked() -> None:
     memory = FrameMemory(delay=1, history=2)
     worlds = np.arange(2)
     memory.push({"x": np.array([[1.0], [10.0]]), "desired_goal": np.array([[0.0], [0.0]])}, worlds, 2, first=True)
-    assert memory.show()["x"].tolist() == [[[1.0], [1.0]], [[10.0], [10.0]]]
+    assert memory.show(worlds)["x"].tolist() == [[[1.0], [1.0]], [[10.0], [10.0]]]
     for k in (2.0, 3.0, 4.0):
         memory.push({"x": np.array([[k], [10.0 * k]]), "desired_goal": np.array([[k], [k]])}, worlds, 2, first=False)
-    shown = memory.show()
+    shown = memory.show(worlds)
     assert shown["x"].tolist() == [[[2.0], [3.0]], [[20.0], [30.0]]]
     # Goals are neither late nor stacked.
     assert shown["desired_goal"].tolist() == [[4.0], [4.0]]
     memory.push({"x": np.array([[7.0]]), "desired_goal": np.array([[8.0]])}, np.array([1]), 2, first=True)
-    assert memory.show()["x"].tolist() == [[[2.0], [3.0]], [[7.0], [7.0]]]
+    assert memory.show(worlds)["x"].tolist() == [[[2.0], [3.0]], [[7.0], [7.0]]]
+    assert memory.show(np.array([1]))["x"].tolist() == [[[7.0], [7.0]]]
 
 
 @pytest.mark.parametrize(("obs_mode", "goal_interface"), MODES)
