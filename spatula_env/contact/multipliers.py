@@ -38,15 +38,27 @@ def start_warm(
     warm: Any,
     scale: float,
 ) -> None:
-    """Give constraints multipliers, in three columns from `column`: `scale` times the displacements kept by name."""
-    hint = 0
+    """Give constraints multipliers, in three columns from `column`: `scale` times the displacements kept by name.
+
+    Both come in the order of their owners, so each is looked for among its owner's.
+    """
+    hint, first, end = 0, 0, 0
     for c in range(count):
-        for k in range(known):
-            e = hint + k if hint + k < known else hint + k - known
-            if names[c] == warm.names[e] and features[c, OWNER] == warm.features[e, OWNER]:
+        owner = features[c, OWNER]
+        if c == 0 or owner != features[c - 1, OWNER]:
+            first = end
+            while first < known and warm.features[first, OWNER] < owner:
+                first += 1
+            end = first
+            while end < known and warm.features[end, OWNER] == owner:
+                end += 1
+            hint = first
+        for k in range(end - first):
+            e = hint + k if hint + k < end else hint + k - (end - first)
+            if names[c] == warm.names[e]:
                 for axis in range(3):
                     rows[c, column + axis] = scale * warm.rows[e, DISPLACEMENT + axis]
-                hint = e + 1 if e + 1 < known else 0
+                hint = e + 1 if e + 1 < end else first
                 break
 
 
@@ -188,8 +200,42 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
                 break
         if place == MOST_PASSED:
             continue
+        x, y, z = 0.0, 0.0, 0.0
+        if place < passed:
+            x, y, z = earlier.rows[place, IMPULSE], earlier.rows[place, IMPULSE + 1], earlier.rows[place, IMPULSE + 2]
         copy_constraint(rows, features, names, c, earlier, place)
+        earlier.rows[place, IMPULSE], earlier.rows[place, IMPULSE + 1], earlier.rows[place, IMPULSE + 2] = x, y, z
         for axis in range(3):
             earlier.rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
         passed = max(passed, place + 1)
     return passed
+
+
+@inline_kernel
+def sum_passed(passed: int, earlier: Any) -> None:
+    """Add up, in the columns of the impulse, what contacts have moved by in the queries so far; called after each."""
+    for e in range(passed):
+        for axis in range(3):
+            earlier.rows[e, IMPULSE + axis] += earlier.rows[e, DISPLACEMENT + axis]
+            earlier.rows[e, DISPLACEMENT + axis] = 0.0
+
+
+@inline_kernel
+def keep_for_next(count: int, trial: Any, passed: int, earlier: Any, warm: Any) -> None:
+    """Keep what a step's contacts have moved by in all of its queries, for the next step.
+
+    Args:
+        count: How many constraints acted in the last query.
+        trial: They.
+        passed: How many acted in the queries before; those that are not among them any more are left out.
+        earlier: They, see `sum_passed`.
+        warm: Written.
+    """
+    reserve(warm, 0, count)
+    for c in range(count):
+        copy_constraint(trial.rows, trial.features, trial.names, c, warm, c)
+        for e in range(passed):
+            if trial.names[c] == earlier.names[e] and trial.features[c, OWNER] == earlier.features[e, OWNER]:
+                for axis in range(3):
+                    warm.rows[c, DISPLACEMENT + axis] += earlier.rows[e, IMPULSE + axis]
+                break

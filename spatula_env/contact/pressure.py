@@ -3,7 +3,8 @@
 The response pushes at a few points: where the organ's vertices and edges meet the tool. Between them the organ is a
 flat triangle, and how the force is spread there is not decided by it. Here each push is spread over the nodes around
 it on the face that it acts on, no farther than a mean edge of the organ, in parts that fall off with the distance
-and grow with a node's share of the face. Nodes in contact come first; forces sum to the tool's force exactly.
+and grow with a node's share of the face. Nodes in contact come first, if they are not too few; forces sum to the tool's
+force exactly.
 """
 
 from __future__ import annotations
@@ -19,6 +20,11 @@ from spatula_env.contact.step import DT, MEAN_EDGE
 from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, POINT, WORLD_CONTACTS
 
 F8, F8_2, I4 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4"]
+
+LEAST_PART = 0.25
+"""A push is spread over nodes in contact if they are at least this part of the area over which it would be spread
+without regard to that. Less is not resolved by the organ's mesh: a pressure on the only node that happens to be in
+contact would be a matter of how densely the face is covered with nodes."""
 
 
 @kernel(F8_2(CONSTRAINTS, types.int64))
@@ -72,16 +78,14 @@ def share_push(
     Returns:
         Their sum.
     """
-    total, nearest, least = 0.0, 0, np.inf
-    for grade in range(3):
-        # First the flagged nodes of the face, then all of them, then those of any face.
-        low, high = first, end
-        if grade == 2:
-            low, high = 0, nodes.shape[0]
-        total = 0.0
+    total, touching, nearest, least = 0.0, 0.0, 0, np.inf
+    for grade in range(2):
+        # First the nodes of the face; where it has none, those of any.
+        low, high = (first, end) if grade == 0 else (0, nodes.shape[0])
+        total, touching = 0.0, 0.0
         for i in range(low, high):
             shares[i] = 0.0
-            if (grade < 2 and face[i] != plane) or (grade == 0 and not flags[i]):
+            if grade == 0 and face[i] != plane:
                 continue
             x, y, z = nodes[i, 0] - point[0], nodes[i, 1] - point[1], nodes[i, 2] - point[2]
             away = x * x + y * y + z * z
@@ -91,11 +95,20 @@ def share_push(
             if falloff > 0.0:
                 shares[i] = areas[i] * falloff * falloff
                 total += shares[i]
+                touching += shares[i] if flags[i] and grade == 0 else 0.0
         if least < np.inf:
             break
     if total == 0.0:
-        shares[nearest] = total = 1.0
-    return total
+        shares[nearest] = 1.0
+        return 1.0
+    if touching == 0.0:
+        return total
+    # Nodes in contact come first, the others only as far as those alone would be too small an area.
+    others = max(LEAST_PART * total - touching, 0.0) / (total - touching) if touching < total else 0.0
+    for i in range(low, high):
+        if not flags[i]:
+            shares[i] *= others
+    return max(touching, LEAST_PART * total)
 
 
 @kernel(types.void(F8_2, types.int64, F8, F8, F8_2, I4, F8, ARRAYS["b1"], types.float64, types.float64, F8_2))

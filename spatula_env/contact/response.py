@@ -142,37 +142,12 @@ def start_pushed(
 
 
 @inline_kernel
-def count_lone(count: int, features: np.ndarray, touched: np.ndarray) -> int:
-    """How many of the ground's constraints, which come first, share no vertex with a tool's: all of them or none.
-
-    Args:
-        count: How many constraints.
-        features: See `structures.Constraints`.
-        touched: (V,) workspace, all False; left so.
-
-    Returns:
-        How many.
-    """
-    ground = 0
-    while ground < count and features[ground, OWNER] == GROUND:
-        touched[features[ground, 0]] = True
-        ground += 1
-    alone = True
-    for c in range(ground, count):
-        alone = alone and not (touched[features[c, 0]] or touched[features[c, 1]] or touched[features[c, 2]])
-    for c in range(ground):
-        touched[features[c, 0]] = False
-    return ground if alone else 0
-
-
-@inline_kernel
 def solve_positions(
-    count: int,
+    order: np.ndarray,
     rows: np.ndarray,
     features: np.ndarray,
     inverse_mass: np.ndarray,
     vertices: np.ndarray,
-    lone: int,
     sweeps: int,
     tolerance: float,
     over_relaxation: float = OVER_RELAXATION,
@@ -180,12 +155,11 @@ def solve_positions(
     """Move the vertices until a sweep moves no constrained point by more than `tolerance`.
 
     Args:
-        count: How many constraints.
+        order: Which constraints are solved, in this order.
         rows: See `structures.Constraints`; displacements are added to, inertia must have been measured.
         features: See there.
         inverse_mass: (V,) [1/kg].
         vertices: (V, 3) positions; changed [u].
-        lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u].
         over_relaxation: Factor on what a sweep changes.
@@ -197,7 +171,7 @@ def solve_positions(
         # The first sweep settles what stands alone, and the last one leaves nothing overdone.
         relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
         moved = 0.0
-        for c in range(lone if sweep > 0 else 0, count):
+        for c in order:
             row = rows[c]
             i, j, k = features[c, 0], features[c, 1], features[c, 2]
             a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]
@@ -232,13 +206,12 @@ def solve_positions(
 
 @inline_kernel
 def solve_velocities(
-    count: int,
+    order: np.ndarray,
     rows: np.ndarray,
     features: np.ndarray,
     inverse_mass: np.ndarray,
     velocities: np.ndarray,
     dt: float,
-    lone: int,
     sweeps: int,
     tolerance: float,
     over_relaxation: float = OVER_RELAXATION,
@@ -246,13 +219,12 @@ def solve_velocities(
     """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`.
 
     Args:
-        count: How many constraints.
+        order: Which constraints are solved, in this order.
         rows: See `structures.Constraints`; impulses are added to, gap and inertia must have been measured.
         features: See there.
         inverse_mass: (V,) [1/kg].
         velocities: (V, 3) of the vertices; changed [u/s].
         dt: Length of the step [s].
-        lone: So many constraints at the beginning share no vertex with others; each is solved in one sweep.
         sweeps: Greatest number of sweeps.
         tolerance: [u/s].
         over_relaxation: Factor on what a sweep changes.
@@ -264,7 +236,7 @@ def solve_velocities(
         # The first sweep settles what stands alone, and the last one leaves nothing overdone.
         relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
         moved = 0.0
-        for c in range(lone if sweep > 0 else 0, count):
+        for c in order:
             row = rows[c]
             i, j, k = features[c, 0], features[c, 1], features[c, 2]
             a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]

@@ -17,8 +17,17 @@ from spatula_env.contact.flags import (
     lead_by_motion,
     remember_flags,
 )
+from spatula_env.contact.islands import find_islands, greatest_violation
 from spatula_env.contact.motion import copy_points, largest_shift, tool_passes, turn_between
-from spatula_env.contact.multipliers import add_passed, expect_vertices, keep_warm, note_passed, start_warm
+from spatula_env.contact.multipliers import (
+    add_passed,
+    expect_vertices,
+    keep_for_next,
+    keep_warm,
+    note_passed,
+    start_warm,
+    sum_passed,
+)
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
     ENERGY,
@@ -30,7 +39,6 @@ from spatula_env.contact.response import (
     TOUCHED,
     UNKNOWN,
     WORK,
-    count_lone,
     energy_of,
     keep_ledger,
     limit_energy,
@@ -88,7 +96,7 @@ PATH_PART = 0.5
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
-MOST_PARTS = 4
+MOST_PARTS = 1
 """An organ that would move farther than so many times `ORGAN_PART` is looked for where contact will about put it."""
 
 COURANT_LIMIT = 0.125
@@ -296,8 +304,8 @@ def resolve_step(
     Returns:
         0; otherwise what `raycast.cast_columns` returned.
     """
-    tools, memories, surfaces, constraints, earlier = (
-        world.tools, world.memories, world.surfaces, world.constraints, world.earlier,
+    tools, memories, surfaces, constraints, earlier, trial = (
+        world.tools, world.memories, world.surfaces, world.constraints, world.earlier, world.trial,
     )  # fmt: skip
     warm, warm_count = world.warm, world.warm_count
     first_vertices, friction, settings = world.first_vertices, world.friction, world.settings
@@ -360,8 +368,8 @@ def resolve_step(
             angular[k, axis] = limit * angular_velocities[k, axis]
             last_position[k, axis] = start_positions[k, axis]
         fill_rotation(start_orientations[k], 1.0, last_rotation[k])
-    touched = np.zeros(vertex_count, np.bool_)
-    count, passed = 0, 0
+    holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 1, np.int64)
+    count, passed, tried = 0, 0, 0
     organ_done = 0.0
     # In a step that is divided more may be asked than can be had, and what is overdone in one place is then missing in
     # another.
@@ -467,9 +475,11 @@ def resolve_step(
                         first, position[k], rotation[k], linear[k], angular[k], friction[k], k,
                     )  # fmt: skip
             rows, features = constraints.rows, constraints.features
-            violation = measure_gaps(count, rows, features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
+            measure_gaps(count, rows, features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
+            order = np.empty(count, np.int64)
+            islands = find_islands(count, features, inverse_mass, tool_count, holders, order, starts)
             # The first solve is there for friction too, which holds a surface that only touches.
-            if attempt > 0 and violation <= RESIDUAL_TOLERANCE:
+            if attempt > 0 and greatest_violation(order, rows) <= RESIDUAL_TOLERANCE:
                 break
             if attempt == 0 and query == queries - 1 and (predicts or queries == 1):
                 # From here on the organs are where they would be without contact, and what pushes them is known.
@@ -479,17 +489,27 @@ def resolve_step(
                 start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
             if attempt > 0:
                 # What has pushed already may give way again.
-                start_warm(count, rows, features, constraints.names, DISPLACEMENT, warm_count[0], warm, 1.0)
-            lone = count_lone(count, features, touched)
-            solve_positions(count, rows, features, inverse_mass, vertices, lone, sweeps, POSITION_TOLERANCE, relaxation)
-            warm_count[0] = keep_warm(count, rows, features, constraints.names, warm)
+                start_warm(count, rows, features, constraints.names, DISPLACEMENT, tried, trial, 1.0)
+            # What stands on the ground by itself is settled by one sweep.
+            solve_positions(order[: starts[0]], rows, features, inverse_mass, vertices, 1, POSITION_TOLERANCE)
+            for island in range(islands):
+                members = order[starts[island] : starts[island + 1]]
+                if attempt == 0 or greatest_violation(members, rows) > RESIDUAL_TOLERANCE:
+                    solve_positions(
+                        members, rows, features, inverse_mass, vertices, sweeps, POSITION_TOLERANCE, relaxation
+                    )
+            tried = keep_warm(count, rows, features, constraints.names, trial)
             if query < queries - 1:
                 passed = note_passed(count, passed, constraints, earlier, position)
+        if query < queries - 1:
+            sum_passed(passed, earlier)
         for k in range(tool_count):
             for axis in range(3):
                 last_position[k, axis] = position[k, axis]
             for entry in range(9):
                 last_rotation[k, entry] = rotation[k, entry]
+    keep_for_next(tried, trial, passed if parts == 1 else 0, earlier, warm)
+    warm_count[0] = tried
     result[RESIDUAL] = measure_gaps(
         count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices
     )
@@ -501,12 +521,18 @@ def resolve_step(
     if queries == 1:
         # A point that was on its plane, and was moved back by so much, came that far in the time step: the impulse that
         # stops it is the displacement over the time step.
-        start_warm(count, rows, features, constraints.names, IMPULSE, warm_count[0], warm, 1.0 / dt)
+        start_warm(count, rows, features, constraints.names, IMPULSE, tried, trial, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
-    lone = count_lone(count, features, touched)
     if queries == 1:
         sweeps = MOST_SWEEPS_VELOCITY
-    solve_velocities(count, rows, features, inverse_mass, velocities, dt, lone, sweeps, VELOCITY_TOLERANCE, relaxation)
+    order = np.empty(count, np.int64)
+    islands = find_islands(count, features, inverse_mass, tool_count, holders, order, starts)
+    solve_velocities(order[: starts[0]], rows, features, inverse_mass, velocities, dt, 1, VELOCITY_TOLERANCE)
+    for island in range(islands):
+        solve_velocities(
+            order[starts[island] : starts[island + 1]], rows, features, inverse_mass, velocities, dt, sweeps,
+            VELOCITY_TOLERANCE, relaxation,
+        )  # fmt: skip
     result[CONTACT_COUNT] = count
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:

@@ -103,7 +103,8 @@ class WorldContacts(structref.StructRefProxy):
         surfaces: Triangles (T, 3) of each organ, counting its own vertices.
         constraints: Workspace of a query.
         earlier: Workspace: constraints of queries before the last one.
-        warm: Displacements of the last position solve's constraints, from which solves start.
+        trial: Workspace: displacements of the last position solve's constraints, with which it is tried again.
+        warm: Displacements of the last step's constraints, from which solves start.
         warm_count (1,): how many.
         first_vertices (O,): index of each organ's first vertex among all.
         friction (N,): coefficients.
@@ -171,6 +172,7 @@ WORLD_FIELDS = [
     ("surfaces", SURFACES),
     ("constraints", CONSTRAINTS),
     ("earlier", CONSTRAINTS),
+    ("trial", CONSTRAINTS),
     ("warm", CONSTRAINTS),
     ("warm_count", ARRAYS["i8"]),
     ("first_vertices", ARRAYS["i8"]),
@@ -208,12 +210,12 @@ def _make_memory(
 
 @kernel(WORLD_CONTACTS(*[kind for _, kind in WORLD_FIELDS]))
 def make_world_contacts(
-    tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, warm: Any, warm_count: Any,
-    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, ledger: Any,
+    tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, trial: Any, warm: Any,
+    warm_count: Any,    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, ledger: Any,
 ) -> Any:  # fmt: skip
     """A `WorldContacts` of these fields."""
     return WorldContacts(
-        tools, memories, surfaces, constraints, earlier, warm, warm_count, first_vertices, friction,
+        tools, memories, surfaces, constraints, earlier, trial, warm, warm_count, first_vertices, friction,
         settings, inverse_mass, ledger,
     )  # fmt: skip
 

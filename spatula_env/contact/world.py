@@ -41,12 +41,14 @@ class Workspace:
     Attributes:
         constraints: Of the query.
         earlier: Of queries before it in the same step.
+        trial: Of the position solve before in the same query.
     """
 
     def __init__(self) -> None:
         """Make room."""
         self.constraints = make_constraints(FIRST_ROOM)
         self.earlier = make_constraints(MOST_PASSED)
+        self.trial = make_constraints(FIRST_ROOM)
 
 
 class World:
@@ -104,6 +106,7 @@ class World:
             surfaces,
             workspace.constraints,
             workspace.earlier,
+            workspace.trial,
             self._warm,
             self._warm_count,
             starts[:-1].astype(np.int64),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from loose import DT, LooseOrgans
 from reference_detector import random_rotation, rotation_matrix
 
-from spatula_env.contact.pressure import spread_forces
+from spatula_env.contact.pressure import LEAST_PART, spread_forces
 from spatula_env.geometry import Tool, box_surface
 
 seeds = st.integers(0, 2**32 - 1)
@@ -87,6 +87,29 @@ def test_nodes_in_contact_come_first():
     forces = spread([(on(BOTTOM, 0.1), (0.0, 0.0, -1.0), 0, BOTTOM)], flags=flags)
     assert forces[PLATE.face == BOTTOM].any()
     assert not forces[PLATE.face != BOTTOM].any()
+
+
+@pytest.mark.parametrize("nodes_per_edge", [5, 11, 41])
+def test_too_few_nodes_in_contact_do_not_get_all_of_it(nodes_per_edge):
+    """A pressure is no matter of how densely a face is covered with nodes, one of which is in contact."""
+    shape, reach = Tool.box((1.0, 0.8, 0.1), nodes_per_edge), 0.4
+    for x, y in ((0.0, 0.0), (0.47, 0.37)):
+        push = [(on(BOTTOM, x, y), (0.0, 0.0, -1.0), 0, BOTTOM)]
+        evenly = spread(push, shape=shape, reach=reach)[:, 2] / shape.areas
+        only = np.zeros(len(shape.nodes), dtype=np.bool_)
+        only[np.argmin(np.linalg.norm(shape.nodes - on(BOTTOM, x, y), axis=1))] = True
+        forces = spread(push, shape=shape, reach=reach, flags=only)
+        assert forces[only].any()
+        assert forces[:, 2].sum() == pytest.approx(1.0 / STEP)
+        assert (forces[:, 2] / shape.areas).max() <= (1.0 + 1e-9) / LEAST_PART * evenly.max()
+
+
+def test_a_push_stays_where_it_is_though_nodes_elsewhere_are_in_contact():
+    flags = (PLATE.face == BOTTOM) & (PLATE.nodes[:, 0] < -0.4)
+    forces = spread([(on(BOTTOM, 0.4, 0.1), (0.0, 0.0, -1.0), 0, BOTTOM)], flags=flags)
+    away = np.linalg.norm(PLATE.nodes - on(BOTTOM, 0.4, 0.1), axis=1)
+    assert forces.any()
+    assert not forces[away >= 0.4].any()
 
 
 def test_a_face_without_nodes_hands_on_to_the_nearest_ones():

@@ -85,7 +85,7 @@ class Constraints:
             self.rows[:, DISPLACEMENT : DISPLACEMENT + 3] = warm
             start_pushed(len(self.rows), self.rows, self.features, self.inverse_mass, DISPLACEMENT, self.vertices)
         self.sweeps = solve_positions(
-            len(self.rows), self.rows, self.features, self.inverse_mass, self.vertices, 0, sweeps, tolerance
+            np.arange(len(self.rows)), self.rows, self.features, self.inverse_mass, self.vertices, sweeps, tolerance
         )
         self.measure()
         return self.vertices - self.start
@@ -98,7 +98,7 @@ class Constraints:
             self.rows[:, IMPULSE : IMPULSE + 3] = warm
             start_pushed(len(self.rows), self.rows, self.features, self.inverse_mass, IMPULSE, after)
         self.sweeps = solve_velocities(
-            len(self.rows), self.rows, self.features, self.inverse_mass, after, DT, 0, sweeps, tolerance
+            np.arange(len(self.rows)), self.rows, self.features, self.inverse_mass, after, DT, sweeps, tolerance
         )
         return after
 

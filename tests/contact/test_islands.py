@@ -1,0 +1,97 @@
+"""Constraints of tools that share no vertex are solved apart."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from loose import LooseOrgans
+
+from spatula_env.contact.islands import find_islands, greatest_violation
+from spatula_env.contact.structures import GAP, GROUND, INERTIA, OWNER, ROW_LENGTH
+from spatula_env.geometry import Tool, box_surface
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def islands_of(features, inverse_mass, tools):
+    """What stands alone on the ground, and the islands, as lists of constraints."""
+    holders, order = np.full(len(inverse_mass), -1), np.full(len(features), -1)
+    starts = np.zeros(tools + 1, dtype=np.int64)
+    count = find_islands(len(features), features, inverse_mass, tools, holders, order, starts)
+    assert (holders == -1).all()
+    ends = starts[: count + 1].tolist()
+    assert ends[-1] == len(features)
+    return order[: ends[0]].tolist(), [order[a:b].tolist() for a, b in pairwise(ends)]
+
+
+def reference_islands(features, inverse_mass):
+    """The same by sets: owners that hold a free vertex in common are joined until none is left to join."""
+    groups = []
+    for owner in sorted({int(row[OWNER]) for row in features} - {GROUND}):
+        held = {int(v) for row in features if row[OWNER] == owner for v in row[:3] if inverse_mass[v] > 0.0}
+        joined = [group for group in groups if group[1] & held]
+        groups = [group for group in groups if group not in joined]
+        groups.append(({owner}.union(*(g[0] for g in joined)), held.union(*(g[1] for g in joined))))
+    lone, islands = [], {min(owners): [] for owners, _ in groups}
+    for c, row in enumerate(features):
+        mine = [g for g in groups if (row[OWNER] in g[0] if row[OWNER] != GROUND else int(row[0]) in g[1])]
+        (islands[min(mine[0][0])] if mine else lone).append(c)
+    return lone, [islands[first] for first in sorted(islands)]
+
+
+@given(seeds)
+def test_islands_are_what_is_connected_by_free_vertices(seed):
+    generator = np.random.default_rng(seed)
+    tools, vertices = int(generator.integers(1, 6)), int(generator.integers(3, 40))
+    inverse_mass = np.where(generator.uniform(size=vertices) < 0.2, 0.0, 1.0)
+    ground = generator.integers(0, vertices, size=generator.integers(0, 6))
+    rows = [[v, v, v, GROUND, -1] for v in ground.tolist() if inverse_mass[v] > 0.0]
+    for owner in range(tools):
+        for _ in range(generator.integers(0, 5)):
+            rows.append([*generator.integers(0, vertices, size=3).tolist(), owner, 0])
+    features = np.array(rows, dtype=np.int32).reshape(-1, 5)
+    assert islands_of(features, inverse_mass, tools) == reference_islands(features, inverse_mass)
+
+
+def test_the_greatest_violation_is_that_of_what_can_move():
+    rows = np.zeros((4, ROW_LENGTH))
+    rows[:, GAP], rows[:, INERTIA] = [-0.3, 0.2, -0.1, -0.5], [1.0, 1.0, 1.0, 0.0]
+    assert greatest_violation(np.array([0, 1]), rows) == 0.3
+    assert greatest_violation(np.array([1, 2]), rows) == 0.1
+    assert greatest_violation(np.array([1, 3]), rows) == 0.0
+
+
+def test_a_tool_on_another_organ_changes_nothing():
+    """To the last bit, however many sweeps the other one takes."""
+    organ, plate = box_surface((3.0, 3.0, 1.0), 0.5), Tool.box((1.0, 0.8, 0.1), 5, "all")
+    places = (np.zeros(3), np.array([10.0, 0.0, 0.0]))
+    tilted = (0.1, 0.0, 0.0, np.sqrt(1.0 - 0.1**2))
+
+    def press(which):
+        """Tools on some of the organs, the second one pressed by its edge and dragged aside; nodes and loads."""
+        organs = [shifted(organ, places[k]) for k in which]
+        tools = [(plate, places[k] + [0.1, 0.2, 0.56 + 0.1 * k], tilted if k else (0.0, 0.0, 0.0, 1.0)) for k in which]
+        loose = LooseOrgans(organs, tools, friction=0.3)
+        velocities = np.array([[0.0, 0.0, -2.0], [1.0, 0.5, -4.0]])[list(which)]
+        impulses = []
+        for _ in range(40):
+            loose.step(velocities, np.zeros_like(velocities))
+            impulses.append(loose.model.nodal_impulses.copy())
+        return loose.nodes, np.array(impulses), loose.model.wrenches
+
+    nodes, impulses, wrenches = press((0, 1))
+    for k in range(2):
+        alone = press((k,))
+        own = slice(k * len(organ.vertices), (k + 1) * len(organ.vertices))
+        np.testing.assert_array_equal(nodes[own], alone[0])
+        np.testing.assert_array_equal(impulses[:, own], alone[1])
+        np.testing.assert_array_equal(wrenches[k], alone[2][0])
+    assert np.abs(impulses).max(axis=(0, 2)).max() > 0.0
+
+
+def shifted(organ, by):
+    """An organ somewhere else."""
+    return type(organ)(organ.vertices + by, organ.triangles, organ.name)
