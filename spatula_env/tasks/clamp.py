@@ -13,6 +13,7 @@ from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path
+from spatula_env.tasks.organs import organ_with_parts
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start, ToolShape
 
 LEAST_LIFT, GREATEST_LIFT = -0.03, 0.08
@@ -119,15 +120,14 @@ class ClampTask(Task):
         Raises:
             ValueError: If the organ has no ridge, there are not two tools, or a goal or a start is out of reach.
         """
-        if not isinstance(setting.organ, RidgedBlock):
-            raise ValueError(f"setting.organ must be a RidgedBlock, got {setting.organ!r}")
+        organ = organ_with_parts(setting, RidgedBlock, "flanks", "crest")
         if len(setting.tools) != 2:
             raise ValueError(f"setting.tools must be two jaws, got {len(setting.tools)}")
         super().__init__(config, setting, [LEAST_LIFT, 0.0], [GREATEST_LIFT, GREATEST_SLIP])
         self.config = config
         self.extra_parts = (PartSpec("ridge_offset", "m", np.full(3, -GREATEST_OFFSET), np.full(3, GREATEST_OFFSET)),)
-        self._crest = setting.organ.crest.astype(np.int64)
-        self._flanks = np.concatenate(setting.organ.flanks).astype(np.int64)
+        self._crest = organ.crest.astype(np.int64)
+        self._flanks = np.concatenate(organ.flanks).astype(np.int64)
         first, second = setting.tools
         away = second.offset - first.offset
         away = away / np.linalg.norm(away)

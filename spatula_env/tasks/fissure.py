@@ -15,6 +15,7 @@ from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.exposure import visible_points
 from spatula_env.tasks.marks import Mark, Path
+from spatula_env.tasks.organs import organ_with_parts
 from spatula_env.tasks.situation import BoolArray, FloatArray, Setting, Situation, Start
 
 GREATEST_VIEW = 0.6
@@ -154,8 +155,7 @@ class FissureTask(Task):
         Raises:
             ValueError: If the organ has no fissure, there are several tools, or a goal or a start is out of reach.
         """
-        if not isinstance(setting.organ, FissuredBlock):
-            raise ValueError(f"setting.organ must be a FissuredBlock, got {setting.organ!r}")
+        organ = organ_with_parts(setting, FissuredBlock, "floor")
         if len(setting.tools) != 1:
             raise ValueError(f"setting.tools must be one blade, got {len(setting.tools)} tools")
         low, high = setting.workspace_low, setting.workspace_high
@@ -163,7 +163,7 @@ class FissureTask(Task):
         self.config = config
         self.extra_parts = (PartSpec("target_offset", "m", np.full(3, -GREATEST_OFFSET), np.full(3, GREATEST_OFFSET)),)
         self._triangles = np.array(setting.triangles)
-        floor = setting.organ.floor
+        floor = organ.floor
         along = setting.rest_nodes[floor, 0]
         self._ends = (int(floor[np.argmin(along)]), int(floor[np.argmax(along)]))
         blade = setting.tools[0]

@@ -14,6 +14,7 @@ from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path, Points
+from spatula_env.tasks.organs import organ_with_parts
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
 
 GREATEST_SHIFT = 0.03
@@ -118,13 +119,12 @@ class RetractTask(Task):
             ValueError: If the organ is another one, or a start is out of the tool's reach.
         """
         super().__init__(config, setting, np.full(2, -GREATEST_SHIFT), np.full(2, GREATEST_SHIFT))
-        if not isinstance(setting.organ, RidgedBlock):
-            raise ValueError(f"organ must be a RidgedBlock, which has a fold to retract, got {setting.organ!r}")
+        organ = organ_with_parts(setting, RidgedBlock, "flanks", "crest")
         self.config = config
-        first, second = (np.array(nodes, dtype=np.int64) for nodes in setting.organ.flanks)
+        first, second = (np.array(nodes, dtype=np.int64) for nodes in organ.flanks)
         self._flanks: tuple[IntArray, IntArray] = (first, second)
         middle, across, _ = self._fold(setting.rest_nodes)
-        crest = np.array(setting.organ.crest, dtype=np.int64)
+        crest = np.array(organ.crest, dtype=np.int64)
         place = (setting.rest_nodes[crest, :2] - middle) @ across
         # Where patches can be: a flank, and its half of the crest.
         self._sides = (np.union1d(first, crest[place > 0.0]), np.union1d(second, crest[place < 0.0]))
