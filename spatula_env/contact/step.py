@@ -96,9 +96,6 @@ PATH_PART = 0.5
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
-MOST_PARTS = 1
-"""An organ that would move farther than so many times `ORGAN_PART` is looked for where contact will about put it."""
-
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
@@ -327,8 +324,9 @@ def resolve_step(
     organ_parts = 1
     if tool_count > 0:
         organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
-    # An organ that is thrown far is expected where contact undoes that, about as it did in the last step.
-    predicts = organ_parts > MOST_PARTS and parts == 1 and warm_count[0] > 0
+    # An organ that is thrown so far that the step would be divided is expected where contact undoes that, about as it
+    # did in the last step.
+    predicts = organ_parts > 1 and parts == 1 and warm_count[0] > 0
     expected = vertices
     if predicts:
         expected = np.empty_like(vertices)
