@@ -53,7 +53,7 @@ def test_a_held_press_is_looked_at_once_a_step_however_many_tools_there_are(coun
 
 
 def test_tools_that_face_each_other_carry_loads_that_their_sum_does_not_show():
-    """Momentum balances with every tool's force, force is the pressure over the area, and no node has more than fits."""
+    """Momentum balances with every force, force is pressure over area, and no node has more than the mesh resolves."""
     simulation, reports = pressed(4, 90.0, 0.8, 60)
     scene, report = simulation.scene, reports[-1]
     forces = report.loads[:, :3]
