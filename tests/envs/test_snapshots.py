@@ -275,6 +275,18 @@ def test_many_go_on_as_they_did(envs: SpatulaVectorEnv) -> None:
     assert_alike(go_on(envs, actions[6:]), first, 0.0)
 
 
+@pytest.mark.parametrize("task", [task for task in spatula_env.TASKS if task != "Palpate"])
+def test_so_do_those_of_the_other_tasks(task: str) -> None:
+    many: Any = gym.make_vec(f"Spatula/{task}-v0", num_envs=2, max_episode_steps=9, **EVERYTHING)
+    actions = actions_of(many, 16)
+    episode_of(many, actions[:6])
+    state = many.save()
+    first = go_on(many, actions[6:])
+    assert any(result[3].any() for result in first[:-1])
+    many.restore(state)
+    assert_alike(go_on(many, actions[6:]), first, 0.0)
+
+
 def test_a_world_goes_on_in_another_world(envs: SpatulaVectorEnv) -> None:
     actions = actions_of(envs, 8)
     episode_of(envs, actions[:6])
