@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import sys
@@ -9,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from typing import Any, TypeVar
@@ -23,7 +25,7 @@ Result = TypeVar("Result")
 
 ENDINGS = ("closed", "dropped")
 ENVIRONMENTS, SETTLED = 200, 20
-"""How many environments are made, and after how many memory is read first."""
+"""How many environments are made, and after every how many memory is read."""
 WORLDS = 64
 """Of the batch engine in a long run."""
 LONG_STEPS = {"batch": 1_000_000, "bullet": 100_000}
@@ -41,6 +43,7 @@ class Left:
     """What environments leave behind.
 
     Attributes:
+        memory: After every `SETTLED` environments [MB].
         growth: Of memory, from the first reading to the last [MB].
         clients: Of PyBullet that are still connected.
         descriptors: More than at the first reading.
@@ -49,6 +52,7 @@ class Left:
         seconds: How long it took.
     """
 
+    memory: list[float]
     growth: float
     clients: int
     descriptors: int
@@ -99,23 +103,23 @@ def leave_environments(engine: str, ending: str, count: int = ENVIRONMENTS, sett
         engine: "batch" or "bullet".
         ending: "closed" or "dropped".
         count: How many.
-        settled: After how many memory is read first; at most `count`.
+        settled: After every so many of them memory is read.
     """
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TMPDIR"], tempfile.tempdir = folder, None
         start = time.perf_counter()
-        first: tuple[float, int, int] | None = None
+        held = []
         for number in range(count):
             _use(engine, ending, number)
-            if number + 1 == settled:
-                first = _held()
-        now = _held()
-        assert first is not None
+            if (number + 1) % settled == 0 or number + 1 == count:
+                held.append(_held())
+        memory, descriptors, threads = (list(column) for column in zip(*held, strict=True))
         return Left(
-            growth=now[0] - first[0],
+            memory=memory,
+            growth=memory[-1] - memory[0],
             clients=_clients(10 * count),
-            descriptors=now[1] - first[1],
-            threads=now[2] - first[2],
+            descriptors=int(descriptors[-1] - descriptors[0]),
+            threads=int(threads[-1] - threads[0]),
             files=len(os.listdir(folder)),
             seconds=time.perf_counter() - start,
         )
@@ -139,8 +143,15 @@ def _use(engine: str, ending: str, number: int) -> None:
 def _held() -> tuple[float, int, int]:
     """Memory [MB], descriptors and threads of this process; 0 where the system does not tell."""
     gc.collect()
+    _trim()
     counts = [len(os.listdir(place)) if os.path.isdir(place) else 0 for place in ("/proc/self/fd", "/proc/self/task")]
     return resident_megabytes(), counts[0], counts[1]
+
+
+def _trim() -> None:
+    """Let the allocator give back what nobody holds; it keeps 10 MB or 30, now and then, that Bullet has had."""
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _clients(most: int) -> int:

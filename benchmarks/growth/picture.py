@@ -50,9 +50,9 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         panel.set_axisbelow(True)
         if panel.lines:
             low, high = panel.get_ylim()
-            # A decade at least: what is flat is to look flat.
+            # Some decades at least: what is flat is to look flat.
             middle = (low * high) ** 0.5
-            panel.set_ylim(min(low, middle / 5.0), max(high, middle * 5.0))
+            panel.set_ylim(min(low, middle / 30.0), max(high, middle * 30.0))
             panel.legend(frameon=False, fontsize=8)
     figure.suptitle("Growth of what users do: an exponent of 1 is in proportion, of 2 quadratic", fontsize=11)
     figure.savefig(path)
