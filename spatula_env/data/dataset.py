@@ -9,7 +9,7 @@ metadata. There are links to more episodes than there are, so that they need not
 Any number of programs may write to a dataset: an episode is added under a lock.
 
 Minari's own `DataCollector` needs JAX for no more than to append to lists, and stores pictures as JPEG by default; here
-they are lossless.
+they are lossless, see `pictures`.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from spatula_env.data.index import (
 )
 from spatula_env.data.layout import KEY, Layout
 from spatula_env.data.origin import Origin
+from spatula_env.data.pictures import ENCODED, can_be_encoded, reads_plain_pictures
 from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ class DatasetWriter:
         Raises:
             ImportError: If Minari, h5py or filelock is missing.
             ValueError: If the id is malformed, there is such a dataset of another environment or with other options,
-                or `env` has a specification that cannot be kept.
+                or `env` has a specification, or pictures, that cannot be kept.
             DatasetDamaged: If there is a link in its folder, or its metadata cannot be read.
             DatasetWriteError: If it cannot be written.
         """
@@ -119,9 +120,11 @@ class DatasetWriter:
         self._metadata_file, self._main_file = self._data / METADATA_FILE, self._data / MAIN_FILE
         origin = Origin.of(env, layout)
         self._spec = origin.spec.to_json()
+        self._spaces = {"observations": env.observation_space, "actions": env.action_space}
         _check_own(self.path)
         if self._metadata_file.exists():
             origin.check(read_metadata(self._data), dataset_id, self.path, several_settings=several_settings)
+        encodes = check_pictures(env)
         try:
             # Before anything is made.
             check_can_write(self._data / EPISODES)
@@ -140,7 +143,7 @@ class DatasetWriter:
                             "total_episodes": 0,
                             "total_steps": 0,
                             "data_format": "hdf5",
-                            "jpeg_encoding": False,
+                            ENCODED: encodes,
                             **origin.spaces,
                             "env_spec": self._spec,
                             "dataset_id": dataset_id,
@@ -190,7 +193,7 @@ class DatasetWriter:
         # The first author of a dataset without episodes is who has made it, and may not have done any.
         metadata["author"], _ = _with(metadata.get("author", []) if number else [], author)
         known = replace(episode, attributes={**episode.attributes, "author": author, "spec": spec})
-        content = episode_image(known, number)
+        content = episode_image(known, number, self._spaces if metadata.get(ENCODED) else {})
         write_file(episode_file(self._data, number), content)
         if number >= own[LINKS]:
             own[LINKS] = max(FIRST_LINKS, 2 * number)
@@ -282,11 +285,28 @@ def check_target(dataset_id: str, env: gymnasium.Env[Any, Any], root: str | Path
     require_minari()
     check_dataset_id(dataset_id)
     origin = Origin.of(env)
+    check_pictures(env)
     folder = dataset_folder(dataset_id, root)
     _check_own(folder)
     if (folder / "data" / METADATA_FILE).exists():
         origin.check(read_metadata(folder / "data"), dataset_id, folder)
     check_can_write(folder / "data" / EPISODES)
+
+
+def check_pictures(env: gymnasium.Env[Any, Any]) -> bool:
+    """Whether the pictures of an environment are kept encoded.
+
+    Raises:
+        ValueError: If they cannot be, and the Minari that is installed reads no others.
+    """
+    if can_be_encoded(env.observation_space, env.action_space):
+        return True
+    if not reads_plain_pictures():
+        raise ValueError(
+            "pictures must have 2 to 4 channels, or no axis for channels: those of "
+            f"{env.observation_space} are read by Minari 0.5.4 only, which needs Python 3.11"
+        )
+    return False
 
 
 def check_dataset_id(dataset_id: str) -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import zlib
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 
 from spatula_env.data.episode import Episode
+from spatula_env.data.pictures import encode_pictures, is_picture
 
 COMPRESSION = 4
 """Of arrays of numbers, lossless."""
@@ -25,7 +28,9 @@ LEAF = "value"
 """What a value is called that has the name of a group: an `info` with both "reward" and "reward/term"."""
 
 
-def episode_image(episode: Episode, number: int) -> bytes:
+def episode_image(
+    episode: Episode, number: int, encoded: Mapping[str, spaces.Space[Any]] = MappingProxyType({})
+) -> bytes:
     """The bytes of an episode's file.
 
     Made in memory first: then only plain writes can fail, and those say why.
@@ -33,6 +38,7 @@ def episode_image(episode: Episode, number: int) -> bytes:
     Args:
         episode: What to encode.
         number: Of the episode in its dataset.
+        encoded: Spaces of "observations" and "actions" whose pictures are kept as PNG.
     """
     import h5py
 
@@ -49,21 +55,24 @@ def episode_image(episode: Episode, number: int) -> bytes:
         for name, value in episode.attributes.items():
             file.attrs[name] = _as_attribute(value)
         for name in ("observations", "actions", "rewards", "terminations", "truncations", "infos"):
-            _put(file, name, getattr(episode, name))
+            _put(file, name, getattr(episode, name), encoded.get(name))
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
 
 
-def _put(group: Any, name: str, value: Any) -> None:
+def _put(group: Any, name: str, value: Any, space: spaces.Space[Any] | None = None) -> None:
     # A slash in a name is a path to HDF5, and a group of groups to Minari. `info` has such keys.
     if isinstance(value, Mapping):
         inner = group.require_group(name)
         for key, each in value.items():
             is_group = not isinstance(each, Mapping) and any(str(other).startswith(f"{key}/") for other in value)
-            _put(inner, f"{key}/{LEAF}" if is_group else str(key), each)
+            of = space.spaces[key] if isinstance(space, spaces.Dict) else None
+            _put(inner, f"{key}/{LEAF}" if is_group else str(key), each, of)
     elif isinstance(value, list):
         _put_array(group, name, np.array([text.encode() for text in value], dtype=np.bytes_), text=True)
+    elif space is not None and is_picture(space):
+        _put_array(group, name, encode_pictures(np.asarray(value)))
     else:
         _put_array(group, name, np.asarray(value))
 

@@ -17,6 +17,7 @@ from spatula_env.data.episode import STATE, physics_state
 from spatula_env.data.files import DatasetDamaged
 from spatula_env.data.index import SPECS, EpisodeEntry, check_harmless, read_index, read_metadata
 from spatula_env.data.layout import KEY
+from spatula_env.data.pictures import ENCODED, has_pictures, reads_plain_pictures
 from spatula_env.data.specs import make_recorded, spec_from_json
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     Raises:
         ImportError: If Minari is missing.
         FileNotFoundError: If there is no such dataset.
+        ValueError: If it has pictures that the Minari that is installed does not read.
         DatasetDamaged: If it cannot be read without more than reading it. So do reading an episode of it, and asking
             for its metadata, if that is so of the episode.
     """
@@ -77,6 +79,9 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     # It raises whatever it meets.
     except Exception as error:
         raise DatasetDamaged(f"{data} cannot be read: {error}") from error
+    if not found.storage.metadata.get(ENCODED, True) and not reads_plain_pictures():
+        if has_pictures(found.observation_space, found.action_space):
+            raise ValueError(f"{dataset_id!r} has pictures that Minari 0.5.4 reads, which needs Python 3.11")
     if not unchecked:
         return found
     from spatula_env.data.reading import CheckedStorage

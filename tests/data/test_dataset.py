@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import random
 import re
@@ -248,11 +247,6 @@ def test_killed_between_any_two_files(root, env, monkeypatch):
     DatasetWriter(ID, env).add(do_episode(env, 1))
     found = list(minari.load_dataset(ID).iterate_episodes())
     same(found[1].actions, do_episode(env, 1).actions)
-
-
-def test_metadata_are_those_of_lossless_pictures(root, env):
-    writer = DatasetWriter(ID, env)
-    assert json.loads((writer.path / "data" / "metadata.json").read_text())["jpeg_encoding"] is False
 
 
 def test_an_episode_that_was_cut_is_truncated(env):
