@@ -85,6 +85,15 @@ def _height_over(warm: Any, e: int, vertices: np.ndarray) -> float:
 
 
 @inline_kernel
+def greatest_kept_depth(known: int, warm: Any, vertices: np.ndarray) -> float:
+    """How deep behind their planes the kept constraints have left the surface of vertices (V, 3), at most [u]."""
+    deepest = 0.0
+    for e in range(known):
+        deepest = max(deepest, -_height_over(warm, e, vertices))
+    return deepest
+
+
+@inline_kernel
 def expect_vertices(
     known: int,
     warm: Any,

@@ -22,6 +22,7 @@ from spatula_env.contact.motion import copy_points, largest_shift, tool_passes, 
 from spatula_env.contact.multipliers import (
     add_passed,
     expect_vertices,
+    greatest_kept_depth,
     keep_for_next,
     keep_warm,
     note_passed,
@@ -95,6 +96,12 @@ PATH_PART = 0.5
 
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
+
+MOST_PARTS = 4
+"""Most parts of a step, by the organ's motion, in which contacts are not expected that did not hold in the last one."""
+
+GREATEST_DEPTH_KEPT = 2e-3
+"""Contacts that left the surface deeper than this at the end of a step have not held it [u]."""
 
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
@@ -325,8 +332,10 @@ def resolve_step(
     if tool_count > 0:
         organ_parts = max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
     # An organ that is thrown so far that the step would be divided is expected where contact undoes that, about as it
-    # did in the last step.
+    # did in the last step. What pushed in vain, against held nodes, is no measure unless the organ is thrown far.
     predicts = organ_parts > 1 and parts == 1 and warm_count[0] > 0
+    if predicts and organ_parts <= MOST_PARTS:
+        predicts = greatest_kept_depth(warm_count[0], warm, start) <= GREATEST_DEPTH_KEPT
     expected = vertices
     if predicts:
         expected = np.empty_like(vertices)

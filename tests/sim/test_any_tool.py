@@ -212,18 +212,7 @@ def test_a_sheet_may_turn_ever_so_fast(simulations, name, speed):
     assert max(driver.record.excess_energies) < 0.01 * max(driver.record.work, 100.0)
 
 
-@pytest.mark.parametrize(
-    "speed",
-    [
-        pytest.param(
-            100.0,
-            marks=pytest.mark.xfail(
-                strict=True, reason="solves of a divided step end 0.034 u deep before they converge"
-            ),
-        ),
-        300.0,
-    ],
-)
+@pytest.mark.parametrize("speed", [100.0, 300.0])
 def test_a_wedge_may_turn_fast(simulations, speed):
     driver = turned(simulations, "wedge", "pressed", (0.0, 0.0, 1.0), speed, 60)
     assert driver.deepest <= RESIDUAL
