@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+import weakref
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,6 +63,10 @@ class Window:
             RuntimeError: If there is no display, or no OpenGL 3.3 on it.
         """
         self._window, painter = _open(width, height, title, visible)
+        # Whoever drops an environment without closing it sees its window go, too. At the end of the program the system
+        # takes it.
+        self._finish = weakref.finalize(self, self._window.close)
+        self._finish.atexit = False
         self._painter = painter()
         self._model = SceneModel(scene, triangles)
         self._orbit = Orbit(camera or default_camera(scene, width / height))
@@ -134,7 +139,7 @@ class Window:
         """Close the window. Closing twice is allowed."""
         if not self._closed:
             self._closed = True
-            self._window.close()
+            self._finish()
 
     def _draw(self, *, flip: bool = True) -> None:
         assert self._composition is not None

@@ -128,6 +128,30 @@ def test_an_episode_can_be_watched(session: tuple[dict[str, Any], dict[str, np.n
     assert seen["closed_with_env"] is True
 
 
+DROP = """
+import gc
+import gymnasium
+import pyglet
+import spatula_env
+for closed in (True, False, False):
+    env = gymnasium.make("Spatula/Press-v0", engine="batch", render_mode="human", width=64, height=64)
+    env.reset(seed=0)
+    env.render()
+    opened = len(list(pyglet.app.windows))
+    if closed:
+        env.close()
+    del env
+    gc.collect()
+    print(opened, len(list(pyglet.app.windows)))
+"""
+
+
+def test_a_window_goes_with_an_environment_that_is_dropped(display: str) -> None:
+    done = run(["-c", DROP], DISPLAY=display)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["1", "0"] * 3
+
+
 OPEN = """
 import numpy as np
 from spatula_env import scenes

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import weakref
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
@@ -35,6 +36,18 @@ OPENED = 0.25e-3
 """Jaws that are so near to what the slider says are there [m]."""
 BUTTON_KEYS: Mapping[str, str] = MappingProxyType({"Enter": FINISH, "Backspace": DISCARD, "Escape": QUIT})
 """Buttons, by the place of a key as browsers name it."""
+
+
+def weakly(method: Callable[..., None]) -> Callable[..., None]:
+    """A method for the page's thread, that keeps nothing alive: a device that is dropped takes its page with it."""
+    held = weakref.WeakMethod(method)
+
+    def call(*arguments: Any) -> None:
+        found = held()
+        if found is not None:
+            found(*arguments)
+
+    return call
 
 
 class WebDevice(TeleopDevice):
@@ -119,22 +132,23 @@ class WebDevice(TeleopDevice):
         """
         if self.page is not None:
             return
-        self.page = Page(**self._where, keys=tuple(self._shortcuts), on_key=self._key)
+        self.page = Page(**self._where, keys=tuple(self._shortcuts), on_key=weakly(self._key))
+        self._finish = weakref.finalize(self, self.page.close)
+        self._finish.atexit = False
         self.panel = panel = Panel(self.page.server)
         self._viewers = Viewers(self.page.server, panel)
         self._pressed.clear()
         self._stage = self._env = None
         if self._own:
-            panel.add_command(
-                "Finish", partial(self.press, FINISH), color="green", hint="The episode ends here (Enter)"
-            )
-            panel.add_command("Discard", partial(self.press, DISCARD), hint="It counts for nothing (Backspace)")
-            panel.add_command("Quit", partial(self.press, QUIT), hint="Nor does any other (Escape)")
+            press = weakly(self.press)
+            panel.add_command("Finish", partial(press, FINISH), color="green", hint="The episode ends here (Enter)")
+            panel.add_command("Discard", partial(press, DISCARD), hint="It counts for nothing (Backspace)")
+            panel.add_command("Quit", partial(press, QUIT), hint="Nor does any other (Escape)")
             panel.hint((("Enter", "finish"), ("Backspace", "discard"), ("Escape", "quit")))
-        panel.gizmo.on_update(lambda _: self._stage and self._stage.set_gizmo(panel.gizmo.value))
-        panel.see_through.on_update(lambda _: self._stage and self._stage.set_see_through(panel.see_through.value))
-        panel.home.on_click(self._look)
-        panel.jaws.on_update(self._slid)
+        panel.gizmo.on_update(weakly(self._set_gizmo))
+        panel.see_through.on_update(weakly(self._set_see_through))
+        panel.home.on_click(weakly(self._look))
+        panel.jaws.on_update(weakly(self._slid))
 
     def calibrate(self, progress: Progress | None = None) -> None:
         """Wait until somebody has opened the page.
@@ -188,7 +202,7 @@ class WebDevice(TeleopDevice):
             page.hands.let_go()
             self._env = made
             assert self._viewers is not None
-            self._stage = Stage(page.server, self._viewers, made, self._drag, self._turn)
+            self._stage = Stage(page.server, self._viewers, made, weakly(self._drag), weakly(self._turn))
             self._stage.set_gizmo(panel.gizmo.value)
             self._stage.set_see_through(panel.see_through.value)
             self._explain(env)
@@ -236,7 +250,7 @@ class WebDevice(TeleopDevice):
         page, self.page, self.panel = self.page, None, None
         self._stage = self._env = self._viewers = None
         if page is not None:
-            page.close()
+            self._finish()
 
     def now(self) -> float:
         """See `TeleopDevice`."""
@@ -265,6 +279,14 @@ class WebDevice(TeleopDevice):
             return
         if page is not None:
             page.hands.turn(orientation)
+
+    def _set_gizmo(self, event: Any) -> None:
+        if self._stage is not None:
+            self._stage.set_gizmo(event.target.value)
+
+    def _set_see_through(self, event: Any) -> None:
+        if self._stage is not None:
+            self._stage.set_see_through(event.target.value)
 
     def _look(self, event: Any) -> None:
         if self._viewers is not None and event.client is not None:
