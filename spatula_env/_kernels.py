@@ -16,6 +16,7 @@ from numba import types
 from numba.core import event
 
 from spatula_env._compilation import COMPILE, Announcer, find_cache
+from spatula_env._kernel_cache import KernelCache
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -43,7 +44,7 @@ class Kernel:
     """A function that Numba compiles when it is first needed: called, or compiled into another kernel that calls it.
 
     Attributes:
-        function: As it is written.
+        py_func: The function as it is written; Numba's own have it by the same name.
     """
 
     def __init__(self, function: Callable[..., object], signatures: Sequence[Any], nogil: bool) -> None:
@@ -55,15 +56,21 @@ class Kernel:
             nogil: Whether other threads run meanwhile.
         """
         functools.update_wrapper(self, function)
-        self.function = function
+        self.py_func = function
         self._signatures = list(signatures)
         self._nogil = nogil
 
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Numba's function, compiled for the signatures."""
-        signatures: Any = self._signatures or None
-        return numba.njit(signatures, cache=CACHE.kept, error_model="numpy", nogil=self._nogil)(self.function)
+        made: Any = numba.njit(error_model="numpy", nogil=self._nogil)(self.py_func)
+        if CACHE.kept:
+            made._cache = KernelCache(self.py_func)
+        for signature in self._signatures:
+            made.compile(signature)
+        if self._signatures:
+            made.disable_compile()
+        return made
 
     def compile(self) -> None:
         """Compile it now, if that has not been done; nothing is to be done where there are no signatures."""

@@ -132,6 +132,63 @@ def test_loading_is_not_announced(site):
     assert run_copy(site) == first[1:]
 
 
+HELPER = """
+from spatula_env._kernels import inline_kernel
+
+STEP = {step}
+
+@inline_kernel
+def next_number(number):
+    return {factor} * number + STEP
+"""
+
+CALLER = """
+from spatula_env._kernels import kernel
+from spatula_env.helper import next_number
+
+@kernel("f8(f8)")
+def twice(number):
+    return next_number(next_number(number))
+"""
+
+
+@pytest.mark.parametrize(("step", "factor"), [(0.5, 2.0), (0.0, 3.0)], ids=["a constant", "a function"])
+def test_what_is_compiled_into_a_kernel_from_another_file_may_change(site, step, factor):
+    package = site / "spatula_env"
+    (package / "made.py").write_text(CALLER.replace("twice", "double"), encoding="utf-8")
+    for index, (told, factor_, step_) in enumerate([("4.0", 1.0, 1.0), (None, factor, step), (None, factor, step)]):
+        (package / "helper.py").write_text(HELPER.format(step=step_, factor=factor_), encoding="utf-8")
+        # Python looks at whole seconds.
+        for stale in (package / "__pycache__").glob("helper.*.pyc"):
+            stale.unlink()
+        said = run_copy(site)
+        wanted = told or str(factor * (factor * 2.0 + step) + step)
+        assert said[-1].split()[0] == wanted
+        # It is compiled anew if something has changed, and only then.
+        assert (len(said) > 1) == (index < 2)
+
+
+def test_a_fingerprint_is_the_same_in_every_process():
+    script = """
+from spatula_env._kernel_cache import fingerprint
+from spatula_env.contact.step import resolve_step
+from spatula_env.sim.batch_step import advance_blocks
+print(fingerprint(resolve_step), fingerprint(advance_blocks))
+"""
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", script],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(said) == 1
+
+
 # Where it is kept --------------------------------------------------------------------------------------------------
 
 
