@@ -215,14 +215,56 @@ def closest_weights(
 
 
 @inline_kernel
+def list_near(extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reach: float, near: np.ndarray) -> int:
+    """List the triangles whose boxes are no farther than `reach` from a tool's box.
+
+    Args:
+        extent: (8,) of the tool.
+        local: (3, V) [u].
+        triangles: (T, 3).
+        reach: [u].
+        near: (T,) written.
+
+    Returns:
+        How many there are.
+    """
+    codes = np.empty(local.shape[1], np.uint8)
+    low_x, low_y, low_z = extent[0] - reach, extent[1] - reach, extent[2] - reach
+    high_x, high_y, high_z = extent[3] + reach, extent[4] + reach, extent[5] + reach
+    for i in range(local.shape[1]):
+        x, y, z = local[0, i], local[1, i], local[2, i]
+        codes[i] = (
+            (x < low_x) | ((y < low_y) << 1) | ((z < low_z) << 2)
+            | ((x > high_x) << 3) | ((y > high_y) << 4) | ((z > high_z) << 5)
+        )  # fmt: skip
+    found = 0
+    for t in range(triangles.shape[0]):
+        a, b, c = np.uint32(triangles[t, 0]), np.uint32(triangles[t, 1]), np.uint32(triangles[t, 2])
+        if codes[a] & codes[b] & codes[c] == 0:
+            near[found] = t
+            found += 1
+    return found
+
+
+@inline_kernel
 def find_nearest(
-    local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: float, reach: float, nearest: np.ndarray
+    local: np.ndarray,
+    triangles: np.ndarray,
+    near: np.ndarray,
+    found: int,
+    x: float,
+    y: float,
+    z: float,
+    reach: float,
+    nearest: np.ndarray,
 ) -> int:
     """The triangle of an organ that is nearest to a point.
 
     Args:
         local: (3, V) [u].
         triangles: (T, 3).
+        near: Which of them to look at.
+        found: How many those are; all triangles if it is negative.
         x: The point.
         y: The point.
         z: The point.
@@ -234,14 +276,26 @@ def find_nearest(
         It; -1 if there is none.
     """
     best, least, steepest = -1, reach * reach, 0.0
-    for t in range(triangles.shape[0]):
+    for k in range(found if found >= 0 else triangles.shape[0]):
+        t = near[k] if found >= 0 else k
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        away = 0.0
-        for axis in range(3):
-            at = x if axis == 0 else (y if axis == 1 else z)
-            first, second, third = local[axis, a], local[axis, b], local[axis, c]
-            outside = max(min(first, second, third) - at, at - max(first, second, third), 0.0)
-            away += outside * outside
+        # Most are apart along the first axis that is asked.
+        outside = max(
+            min(local[0, a], local[0, b], local[0, c]) - x, x - max(local[0, a], local[0, b], local[0, c]), 0.0
+        )
+        away = outside * outside
+        if away > least * TIE:
+            continue
+        outside = max(
+            min(local[1, a], local[1, b], local[1, c]) - y, y - max(local[1, a], local[1, b], local[1, c]), 0.0
+        )
+        away += outside * outside
+        if away > least * TIE:
+            continue
+        outside = max(
+            min(local[2, a], local[2, b], local[2, c]) - z, z - max(local[2, a], local[2, b], local[2, c]), 0.0
+        )
+        away += outside * outside
         if away > least * TIE:
             continue
         wa, wb, wc = closest_weights(local, a, b, c, x, y, z)
@@ -266,33 +320,6 @@ def find_nearest(
 
 
 @inline_kernel
-def _is_near(
-    local: np.ndarray,
-    triangles: np.ndarray,
-    candidates: np.ndarray,
-    found: int,
-    x: float,
-    y: float,
-    z: float,
-    reach: float,
-) -> bool:
-    """Whether a point is no farther than `reach` from the box around one of the first `found` candidates."""
-    for k in range(found):
-        t = candidates[k]
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        if (
-            min(local[0, a], local[0, b], local[0, c]) <= x + reach
-            and max(local[0, a], local[0, b], local[0, c]) >= x - reach
-            and min(local[1, a], local[1, b], local[1, c]) <= y + reach
-            and max(local[1, a], local[1, b], local[1, c]) >= y - reach
-            and min(local[2, a], local[2, b], local[2, c]) <= z + reach
-            and max(local[2, a], local[2, b], local[2, c]) >= z - reach
-        ):
-            return True
-    return False
-
-
-@inline_kernel
 def gather_sunk_corners(
     rows: np.ndarray,
     features: np.ndarray,
@@ -304,7 +331,6 @@ def gather_sunk_corners(
     tool: Any,
     memory: Any,
     triangles: np.ndarray,
-    found: int,
     first_vertex: int,
     position: np.ndarray,
     rotation: np.ndarray,
@@ -318,18 +344,16 @@ def gather_sunk_corners(
     A corner that slides over an edge of the organ's mesh may pass the plane of the triangle that it comes to while it
     is still over the one that it leaves: its way goes through neither. Where it is then tells.
     """
-    local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
+    local, last, corners = memory.local, memory.last_local, tool.corners
     reach = SUNK * tool.extent[7]
     nearest, normal = np.empty(4), np.empty(3)
+    near = np.empty(triangles.shape[0], np.int32)
+    found = list_near(tool.extent, local, triangles, reach, near)
     for corner in range(corners.shape[0]):
         x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
-        if (
-            heights[corner] < -MARGIN
-            or count == room
-            or not _is_near(local, triangles, candidates, found, x, y, z, reach)
-        ):
+        if heights[corner] < -MARGIN or count == room:
             continue
-        t = find_nearest(local, triangles, x, y, z, reach, nearest)
+        t = find_nearest(local, triangles, near, found, x, y, z, reach, nearest)
         if t < 0 or nearest[0] > MARGIN:
             continue
         depth, wa, wb, wc = -nearest[0], nearest[1], nearest[2], nearest[3]
@@ -338,7 +362,7 @@ def gather_sunk_corners(
         for row in range(first_row, count):
             known = known or names[row] == name
         # What was deep in it before may have another way out.
-        if known or find_nearest(last, triangles, x, y, z, np.inf, nearest) < 0 or nearest[0] < -reach:
+        if known or find_nearest(last, triangles, near, found, x, y, z, np.inf, nearest) < 0 or nearest[0] < -reach:
             continue
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         fill_local_normal(local, triangles[t], normal)

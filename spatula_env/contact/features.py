@@ -528,8 +528,8 @@ def gather_features(
         position, rotation, linear_velocity, angular_velocity, friction, owner,
     )  # fmt: skip
     count = gather_sunk_corners(
-        rows, features, names, count, first, first + 9 * corners, heights, tool, memory, triangles, found,
-        first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+        rows, features, names, count, first, first + 9 * corners, heights, tool, memory, triangles, first_vertex,
+        position, rotation, linear_velocity, angular_velocity, friction, owner,
     )  # fmt: skip
     return gather_edges(
         rows, features, names, count, tool, memory, triangles, found, first_vertex, position, rotation,

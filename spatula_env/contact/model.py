@@ -83,7 +83,8 @@ class ContactModel:
     Attributes:
         detectors: One for each tool (outer) and organ (inner): flags are remembered per pair.
         penetration: Greatest depth of a contact node in the last step, before correction [u].
-        residual: How far the tools are still in the organs after correction [u].
+        residual: Greatest depth that is left after correction: of any point of an organ's surface in a tool, and of a
+            tool's corners in an organ; see `contact.depth` [u].
         queries: How many times each detector was asked in the last step.
         nodal_impulses: (V, 3) what the tools gave the organs' nodes in the last step [kg u/s].
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
@@ -194,7 +195,10 @@ class ContactModel:
                 )
                 deepest = max(deepest, float(found.depth.max()))
         self.queries = 1
-        self.residual = self.penetration = deepest
+        self.penetration = deepest
+        self.residual = float(
+            step.measure_depth(self._world.structure, motions.positions, motions.orientations, vertices)
+        )
         self._contact_count = 0
 
     def resolve(

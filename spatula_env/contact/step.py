@@ -8,6 +8,7 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.features import find_candidates, gather_features, gather_ground, gather_nodes
 from spatula_env.contact.flags import (
     decide_flags,
@@ -226,6 +227,30 @@ def keep_passive(
             sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
         limit_energy(first, end, inverse_mass, vertices, velocities, gravity, mean_edge, ledger[o])
         ledger[o, ENERGY] = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+
+
+@kernel(types.float64(WORLD_CONTACTS, F8_2, F8_2, F8_2))
+def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, vertices: np.ndarray) -> float:
+    """How deep the tools and the organs are in each other, see `depth.pair_depth`.
+
+    Args:
+        world: `WorldContacts`.
+        positions: (N, 3) of the tools [u].
+        orientations: (N, 4).
+        vertices: (V, 3) nodes [u].
+
+    Returns:
+        The greatest depth [u].
+    """
+    deepest, rotation = 0.0, np.empty(9)
+    organ_count = len(world.surfaces)
+    for k in range(len(world.tools)):
+        fill_rotation(orientations[k], 1.0, rotation)
+        for o in range(organ_count):
+            memory = world.memories[k * organ_count + o]
+            fill_local(positions[k], rotation, vertices, world.first_vertices[o], memory.local)
+            deepest = pair_depth(world.tools[k], memory, world.surfaces[o], deepest)
+    return deepest
 
 
 @kernel(types.void(WORLD_CONTACTS, F8_2, F8_2))
@@ -517,9 +542,13 @@ def resolve_step(
                 last_rotation[k, entry] = rotation[k, entry]
     keep_for_next(tried, trial, passed if parts == 1 else 0, earlier, warm)
     warm_count[0] = tried
-    result[RESIDUAL] = measure_gaps(
-        count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices
-    )
+    measure_gaps(count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
+    for k in range(tool_count):
+        for o in range(organ_count):
+            if passes[k] and not quiet[k * organ_count + o]:
+                memory = memories[k * organ_count + o]
+                fill_local(position[k], rotation[k], vertices, first_vertices[o], memory.local)
+                result[RESIDUAL] = pair_depth(tools[k], memory, surfaces[o], result[RESIDUAL])
     if passed > 0:
         reserve(constraints, count, count + passed)
         count = add_passed(count, passed, constraints, earlier, positions)

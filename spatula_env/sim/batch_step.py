@@ -22,8 +22,8 @@ FORCE, TORQUE, PEAK, LOAD_LENGTH = 0, 3, 6, 7
 """Columns of a tool's loads: force [kg u/s2] and torque [kg u2/s2], averaged, and the greatest force [kg u/s2]."""
 
 DEEPEST, WORST_RESIDUAL, GROUND_FORCE, PEAK_PRESSURE, OVERPRESSURE, RESTRAINED, SUMMARY_LENGTH = 0, 1, 2, 5, 6, 7, 8
-"""Columns of a world's summary: greatest depth of a contact node in the last step, before correction, and how far tools
-were in organs after correction, at most in any step [u]; mean force of the ground on the organs [kg u/s2]; greatest
+"""Columns of a world's summary: greatest depth of a contact node in the last step, before correction, and
+greatest depth left after it, at most in any step [u]; mean force of the ground on the organs [kg u/s2]; greatest
 pressure on a contact node in any step [kg/(u s2)], and the integral over time of what the greatest pressure exceeds the
 world's limit by [kg/(u s)]; share of the steps in which too great a force kept tools from pushing on."""
 

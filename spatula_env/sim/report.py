@@ -53,7 +53,8 @@ class Report:
         all_contacts: What the detector of each tool (outer) and organ (inner) found, before correction.
         table: (C, 8) all points where something pushed; see `contact.pressure`. None with `contact="bullet"`.
         penetration: Greatest depth of a contact node before correction [u].
-        residual: How far the tools are still in the organs after correction [u].
+        residual: Greatest depth that is left after correction: of any point of an organ's surface in a tool, and of a
+            tool's corners in an organ; see `contact.depth` [u].
         queries: How many times each detector was asked: more than once where something moved too far at once.
         reach: How far a push is spread over contact nodes [u].
     """

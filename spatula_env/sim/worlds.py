@@ -35,7 +35,7 @@ class Loads:
         peak_forces: (W, N) greatest magnitude of the force in a physics step [kg u/s2].
         flags: (W, n) for each tool: which of its n contact nodes are in contact with any organ at the end.
         penetrations: (W,) greatest depth of a contact node in the last physics step, before correction [u].
-        residuals: (W,) how far tools were still in organs after correction, at most in any physics step [u].
+        residuals: (W,) greatest depth left after correction, as in `Report`, at most in any physics step [u].
         ground_forces: (W, 3) what the ground does to the organs, averaged [kg u/s2].
         peak_pressures: (W,) greatest contact pressure on a node of a tool in a physics step [kg/(u s2)]. Zero with
             `contact="bullet"`, where Bullet does not tell; so are the next three.

@@ -1,0 +1,153 @@
+"""How deep tools and organs are in each other after a step, wherever that is.
+
+Contacts keep certain points of a surface apart; this looks at all of it. What no contact was found for is seen as well.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spatula_env._kernels import inline_kernel
+from spatula_env.contact.corners import SUNK, find_nearest, list_near
+
+PRECISION = 1e-5
+"""To which a depth is found [u]."""
+
+
+@inline_kernel
+def _reaches(under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray) -> float:
+    """Whether a part of a triangle is this deep under all faces of a tool, and how deep it is at most.
+
+    Args:
+        under: (P, 3) how deep its corners are under each face [u].
+        depth: [u].
+        weights: (P + 4, 3) workspace.
+        clipped: (P + 4, 3) workspace.
+
+    Returns:
+        A bound on the depth of that part, from its corners: no point of it is deeper under the face that it is least
+        deep under [u]; 0 if there is none.
+    """
+    count = 3
+    for i in range(3):
+        for k in range(3):
+            weights[i, k] = 1.0 if i == k else 0.0
+    for p in range(under.shape[0]):
+        a, b, c = under[p, 0] - depth, under[p, 1] - depth, under[p, 2] - depth
+        if a >= 0.0 and b >= 0.0 and c >= 0.0:
+            continue
+        left = 0
+        last = count - 1
+        before = weights[last, 0] * a + weights[last, 1] * b + weights[last, 2] * c
+        for i in range(count):
+            here = weights[i, 0] * a + weights[i, 1] * b + weights[i, 2] * c
+            if (here >= 0.0) != (before >= 0.0):
+                part = before / (before - here)
+                for k in range(3):
+                    clipped[left, k] = weights[last, k] + part * (weights[i, k] - weights[last, k])
+                left += 1
+            if here >= 0.0:
+                for k in range(3):
+                    clipped[left, k] = weights[i, k]
+                left += 1
+            last, before = i, here
+        if left == 0:
+            return 0.0
+        count = left
+        weights, clipped = clipped, weights
+    bound = np.inf
+    for p in range(under.shape[0]):
+        deepest = 0.0
+        for i in range(count):
+            at = weights[i, 0] * under[p, 0] + weights[i, 1] * under[p, 1] + weights[i, 2] * under[p, 2]
+            deepest = max(deepest, at)
+        bound = min(bound, deepest)
+    return bound
+
+
+@inline_kernel
+def surface_depth(
+    tool: Any, local: np.ndarray, triangles: np.ndarray, near: np.ndarray, found: int, known: float
+) -> float:
+    """Greatest depth of an organ's surface in a tool: of any point of it from the nearest of the tool's faces.
+
+    Args:
+        tool: `ToolShape`.
+        local: (3, V) the organ's vertices in the tool's frame [u].
+        triangles: (T, 3).
+        near: Which of them come near the tool.
+        found: How many those are.
+        known: A depth that there is elsewhere [u].
+
+    Returns:
+        It, to `PRECISION`, or `known` if that is more.
+    """
+    plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
+    planes = plane_offsets.shape[0]
+    under = np.empty((planes, 3))
+    first, second = np.empty((planes + 4, 3)), np.empty((planes + 4, 3))
+    greatest = known
+    for k in range(found):
+        t = near[k]
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        apart = False
+        for axis in range(3):
+            x, y, z = local[axis, a], local[axis, b], local[axis, c]
+            apart |= (min(x, y, z) > extent[3 + axis]) | (max(x, y, z) < extent[axis])
+        if apart:
+            continue
+        most = np.inf
+        for p in range(planes):
+            nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
+            under[p, 0] = offset - nx * local[0, a] - ny * local[1, a] - nz * local[2, a]
+            under[p, 1] = offset - nx * local[0, b] - ny * local[1, b] - nz * local[2, b]
+            under[p, 2] = offset - nx * local[0, c] - ny * local[1, c] - nz * local[2, c]
+            most = min(most, max(under[p, 0], under[p, 1], under[p, 2]))
+            if most <= greatest:
+                break
+        if most <= greatest + PRECISION:
+            continue
+        low, high = greatest, _reaches(under, greatest + PRECISION, first, second)
+        # Often one face is the nearest for all of that part. Then the bound is its depth.
+        middle = high - PRECISION
+        while high - low > PRECISION:
+            bound = _reaches(under, middle, first, second)
+            if bound > 0.0:
+                low, high = middle, min(high, bound)
+            else:
+                high = middle
+            middle = 0.5 * (low + high)
+        greatest = max(greatest, low)
+    return greatest
+
+
+@inline_kernel
+def pair_depth(tool: Any, memory: Any, triangles: np.ndarray, known: float) -> float:
+    """Greatest depth of an organ's surface in a tool and of the tool's corners in the organ.
+
+    A corner's depth is its distance from the organ's surface, by the side of the nearest point of that.
+
+    Args:
+        tool: `ToolShape`.
+        memory: `PairMemory`; `local` is where the organ is.
+        triangles: (T, 3).
+        known: A depth that there is elsewhere [u].
+
+    Returns:
+        It, to `PRECISION`, or `known` if that is more.
+    """
+    local, corners, extent = memory.local, tool.corners, tool.extent
+    greatest, reach = known, SUNK * extent[7]
+    nearest, near = np.empty(4), np.empty(triangles.shape[0], np.int32)
+    found = list_near(extent, local, triangles, reach, near)
+    for k in range(corners.shape[0]):
+        x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
+        t = find_nearest(local, triangles, near, found, x, y, z, np.inf, nearest)
+        # Beyond `reach` another triangle than those near the tool may be the nearest.
+        if t < 0 or nearest[0] < -reach:
+            t = find_nearest(local, triangles, near, -1, x, y, z, np.inf, nearest)
+        if t >= 0:
+            greatest = max(greatest, -nearest[0])
+    return surface_depth(tool, local, triangles, near, found, greatest)
