@@ -320,6 +320,43 @@ def find_nearest(
 
 
 @inline_kernel
+def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: float) -> bool:
+    """Whether a point is inside an organ: whether a line from it leaves the surface more often than it enters.
+
+    An organ that was flattened or turned inside out has a nearest point that says otherwise.
+
+    Args:
+        local: (3, V) [u].
+        triangles: (T, 3), counter-clockwise from outside.
+        x: The point.
+        y: The point.
+        z: The point.
+
+    Returns:
+        Whether it is.
+    """
+    # Along (0.36, 0.48, 0.8), which nothing that lies along the tool's axes meets at a corner or an edge.
+    count = local.shape[1]
+    u, v, w = np.empty(count), np.empty(count), np.empty(count)
+    for i in range(count):
+        px, py, pz = local[0, i] - x, local[1, i] - y, local[2, i] - z
+        u[i] = 0.8 * px - 0.6 * py
+        v[i] = 0.48 * px + 0.64 * py - 0.6 * pz
+        w[i] = 0.36 * px + 0.48 * py + 0.8 * pz
+    leaves = 0
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if max(w[a], w[b], w[c]) <= 0.0:
+            continue
+        of_a, of_b, of_c = u[b] * v[c] - v[b] * u[c], u[c] * v[a] - v[c] * u[a], u[a] * v[b] - v[a] * u[b]
+        if of_a > 0.0 and of_b > 0.0 and of_c > 0.0:
+            leaves += of_a * w[a] + of_b * w[b] + of_c * w[c] > 0.0
+        elif of_a < 0.0 and of_b < 0.0 and of_c < 0.0:
+            leaves -= of_a * w[a] + of_b * w[b] + of_c * w[c] < 0.0
+    return leaves > 0
+
+
+@inline_kernel
 def gather_sunk_corners(
     rows: np.ndarray,
     features: np.ndarray,
@@ -354,7 +391,7 @@ def gather_sunk_corners(
         if heights[corner] < -MARGIN or count == room:
             continue
         t = find_nearest(local, triangles, near, found, x, y, z, reach, nearest)
-        if t < 0 or nearest[0] > MARGIN:
+        if t < 0 or nearest[0] > MARGIN or (nearest[0] < -MARGIN and not encloses(local, triangles, x, y, z)):
             continue
         depth, wa, wb, wc = -nearest[0], nearest[1], nearest[2], nearest[3]
         name = constraint_name(ON_CORNER, corner, first_vertex, t)

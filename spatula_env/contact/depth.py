@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spatula_env._kernels import inline_kernel
-from spatula_env.contact.corners import SUNK, find_nearest, list_near
+from spatula_env.contact.corners import SUNK, encloses, find_nearest, list_near
 
 PRECISION = 1e-5
 """To which a depth is found [u]."""
@@ -127,7 +127,7 @@ def surface_depth(
 def pair_depth(tool: Any, memory: Any, triangles: np.ndarray, known: float) -> float:
     """Greatest depth of an organ's surface in a tool and of the tool's corners in the organ.
 
-    A corner's depth is its distance from the organ's surface, by the side of the nearest point of that.
+    A corner that the organ encloses is as deep as it is far from the organ's surface.
 
     Args:
         tool: `ToolShape`.
@@ -145,9 +145,9 @@ def pair_depth(tool: Any, memory: Any, triangles: np.ndarray, known: float) -> f
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
         t = find_nearest(local, triangles, near, found, x, y, z, np.inf, nearest)
-        # Beyond `reach` another triangle than those near the tool may be the nearest.
-        if t < 0 or nearest[0] < -reach:
-            t = find_nearest(local, triangles, near, -1, x, y, z, np.inf, nearest)
-        if t >= 0:
-            greatest = max(greatest, -nearest[0])
+        if (t < 0 or nearest[0] < -greatest) and encloses(local, triangles, x, y, z):
+            # Beyond `reach` another triangle than those near the tool may be the nearest.
+            if t < 0 or nearest[0] < -reach:
+                find_nearest(local, triangles, near, -1, x, y, z, np.inf, nearest)
+            greatest = max(greatest, abs(nearest[0]))
     return surface_depth(tool, local, triangles, near, found, greatest)

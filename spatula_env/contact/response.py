@@ -150,6 +150,7 @@ def solve_positions(
     vertices: np.ndarray,
     sweeps: int,
     tolerance: float,
+    frictional: int,
     over_relaxation: float = OVER_RELAXATION,
 ) -> int:
     """Move the vertices until a sweep moves no constrained point by more than `tolerance`.
@@ -162,6 +163,7 @@ def solve_positions(
         vertices: (V, 3) positions; changed [u].
         sweeps: Greatest number of sweeps.
         tolerance: [u].
+        frictional: After so many sweeps friction stays as it is, and what keeps surfaces apart is solved for alone.
         over_relaxation: Factor on what a sweep changes.
 
     Returns:
@@ -170,6 +172,7 @@ def solve_positions(
     for sweep in range(sweeps):
         # The first sweep settles what stands alone, and the last one leaves nothing overdone.
         relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
+        sticks = sweep < frictional
         moved = 0.0
         for c in order:
             row = rows[c]
@@ -186,13 +189,15 @@ def solve_positions(
             if (violation <= 0.0 and before <= 0.0) or inertia == 0.0:
                 continue
             along = max(before + relaxation * violation * inertia, 0.0)
-            if row[FRICTION] > 0.0:
+            if row[FRICTION] > 0.0 and sticks:
                 x, y, z = _project_onto_cone(
                     ox - relaxation * (sx - row[ORIGIN]) * inertia,
                     oy - relaxation * (sy - row[ORIGIN + 1]) * inertia,
                     oz - relaxation * (sz - row[ORIGIN + 2]) * inertia,
                     nx, ny, nz, along, row[FRICTION],
                 )  # fmt: skip
+            elif row[FRICTION] > 0.0 and along > 0.0:
+                x, y, z = ox + (along - before) * nx, oy + (along - before) * ny, oz + (along - before) * nz
             else:
                 x, y, z = along * nx, along * ny, along * nz
             dx, dy, dz = x - ox, y - oy, z - oz

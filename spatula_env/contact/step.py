@@ -74,6 +74,10 @@ RESIDUAL_TOLERANCE = 1e-3
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
+PASSES_WITH_FRICTION = 2
+"""Of later ones the second half of the sweeps leaves friction as it is. Sweeps of friction at more points than there
+are vertices may go in circles, pass after pass; those of what keeps surfaces apart converge."""
+
 MOST_SWEEPS = 200
 """Most sweeps in one solve of positions under a tool that holds still. Where these are too few, friction at more points
 than the organ has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
@@ -523,13 +527,15 @@ def resolve_step(
                 # What has pushed already may give way again.
                 start_warm(count, rows, features, constraints.names, DISPLACEMENT, tried, trial, 1.0)
             # What stands on the ground by itself is settled by one sweep.
-            solve_positions(order[: starts[0]], rows, features, inverse_mass, vertices, 1, POSITION_TOLERANCE)
+            solve_positions(order[: starts[0]], rows, features, inverse_mass, vertices, 1, POSITION_TOLERANCE, 1)
+            frictional = sweeps if attempt < PASSES_WITH_FRICTION else sweeps // 2
             for island in range(islands):
                 members = order[starts[island] : starts[island + 1]]
                 if attempt == 0 or greatest_violation(members, rows) > RESIDUAL_TOLERANCE:
                     solve_positions(
-                        members, rows, features, inverse_mass, vertices, sweeps, POSITION_TOLERANCE, relaxation
-                    )
+                        members, rows, features, inverse_mass, vertices, sweeps, POSITION_TOLERANCE, frictional,
+                        relaxation,
+                    )  # fmt: skip
             tried = keep_warm(count, rows, features, constraints.names, trial)
             if query < queries - 1:
                 passed = note_passed(count, passed, constraints, earlier, position)

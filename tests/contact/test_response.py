@@ -78,15 +78,16 @@ class Constraints:
             len(self.rows), self.rows, self.features, self.inverse_mass, self.mean_inverse_mass, self.vertices
         )
 
-    def move(self, sweeps=MANY, tolerance=EXACT, warm=None):
+    def move(self, sweeps=MANY, tolerance=EXACT, warm=None, frictional=MANY):
         """Solve for positions; returns the displacements of the vertices."""
         self.measure()
         if warm is not None:
             self.rows[:, DISPLACEMENT : DISPLACEMENT + 3] = warm
             start_pushed(len(self.rows), self.rows, self.features, self.inverse_mass, DISPLACEMENT, self.vertices)
         self.sweeps = solve_positions(
-            np.arange(len(self.rows)), self.rows, self.features, self.inverse_mass, self.vertices, sweeps, tolerance
-        )
+            np.arange(len(self.rows)), self.rows, self.features, self.inverse_mass, self.vertices, sweeps, tolerance,
+            frictional,
+        )  # fmt: skip
         self.measure()
         return self.vertices - self.start
 
@@ -569,3 +570,15 @@ def test_work_is_counted_for_the_organ_that_it_is_done_on(seed):
     np.testing.assert_allclose(ledger[:, WORK], 0.0, atol=1e-12)
     np.testing.assert_allclose(ledger[:, GREATEST_WORK], np.maximum(expected, 0.0), atol=1e-12)
     np.testing.assert_allclose(ledger[:, REST_HEIGHT], heights, atol=1e-12)
+
+
+@pytest.mark.parametrize("frictional", [0, 1, MANY])
+def test_friction_is_left_as_it_is_after_so_many_sweeps(frictional):
+    # A vertex 0.1 below the plane that has slipped by 0.02: the normal part is solved for all the same.
+    constraints = single(friction=0.5, origin=(0.28, 0.4, -0.1))
+    moved = constraints.move(frictional=frictional)
+    np.testing.assert_allclose(moved, [(-0.02 if frictional else 0.0, 0.0, 0.1)], atol=1e-9)
+    # What friction there is already stays: 0.06 kg u move 2 kg by 0.03 u.
+    constraints = single(friction=0.5, origin=(0.28, 0.4, -0.1))
+    moved = constraints.move(frictional=0, warm=np.array([0.06, 0.0, 0.2]))
+    np.testing.assert_allclose(moved, [(0.03, 0.0, 0.1)], atol=1e-9)

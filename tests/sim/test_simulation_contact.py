@@ -415,7 +415,7 @@ def test_bullets_own_contact_ends_inside():
     for _ in range(240):
         report = simulation.step()
     # The detector watches, and sees the tool deep in the organ.
-    assert report.residual == report.penetration
+    assert report.penetration > 0.5
     assert report.residual > 0.5
     assert depths_inside(simulation, simulation.tool_position, simulation.nodes).max() > 0.5
     assert simulation.nodes[:, 2].max() > simulation.tool_position[2] + 0.5

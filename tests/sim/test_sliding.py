@@ -32,8 +32,9 @@ def test_a_corner_that_slides_over_an_edge_of_the_mesh_stays_out(engine):
     assert seen.depth <= seen.reported + 1e-6
 
 
-@pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 6])
+@pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 5, 6])
 def test_slides_and_turns_stay_out(number):
+    # In the fifth, with a friction of 1.8, sweeps went in circles: 0.017 u deep after ten passes.
     slide = slides.draw(slides.SEED, number)
     outcome = slides.run(slide)
     assert outcome.seen.touching > 50
