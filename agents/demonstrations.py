@@ -240,6 +240,8 @@ def read_minari(
 ) -> tuple[list[Demonstration], str, dict[str, Any]]:
     """Read a Minari data set, recorded in an environment of this package or built on it.
 
+    What is learnt from it acts in the bare environment, so it must show what is seen and done there.
+
     Args:
         name: Its id.
         parts: Of the observation that are kept; None: all.
@@ -250,7 +252,8 @@ def read_minari(
 
     Raises:
         ImportError: If the extra "data" is not installed.
-        ValueError: If it was recorded elsewhere, or does not say where.
+        ValueError: If it was recorded elsewhere, or does not say where; or in wrappers that change observations or
+            actions.
     """
     dataset = _open_minari(name)
     env_id, kwargs, _ = recorded_in(name, env)
@@ -294,8 +297,27 @@ def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any],
         env_id = registered_id(spec.id, env)
     except ValueError as error:
         raise ValueError(f"dataset {name!r}: {error}") from error
+    _check_wrappers(name)
     kwargs = {key: value for key, value in spec.kwargs.items() if key != "engine"}
     return env_id, kwargs, int(dataset.total_episodes)
+
+
+def _check_wrappers(name: str) -> None:
+    """Check that no episode of a data set was recorded in wrappers that change what is seen or done."""
+    from spatula_env.data.replaying import recorded_specs
+    from spatula_env.data.wrappers import is_neutral, is_of_gymnasium
+
+    points = [each.entry_point for spec in recorded_specs(name) for each in spec.additional_wrappers]
+    found = [point for point in dict.fromkeys(points) if not is_neutral(point)]
+    if not found:
+        return
+    names = ", ".join(dict.fromkeys(point.partition(":")[2] or point for point in found))
+    several = "s" if len(found) > 1 else ""
+    verb = f"change{'' if several else 's'}" if all(map(is_of_gymnasium, found)) else "may change"
+    raise ValueError(
+        f"dataset {name!r} was recorded with the wrapper{several} {names}, which {verb} what is seen or done: a policy "
+        "cannot be cloned from it"
+    )
 
 
 def _open_minari(name: str) -> Any:

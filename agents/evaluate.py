@@ -16,6 +16,7 @@ from typing import Any
 
 from agents.command_line import add_overwrite_option, check_free, run_command
 from agents.configuration import ENGINES, changed
+from spatula_env.data.files import check_can_write
 from spatula_env.naming import find_environment
 
 PROGRAM = "python -m agents.evaluate"
@@ -74,6 +75,7 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
     if chosen.video is not None:
         check_free(chosen.video, chosen.overwrite)
         require_moviepy()
+        check_can_write(chosen.video.parent)
     source = find_policy(chosen.policy, env_id)
     kwargs = changed(source.kwargs, chosen.changes)
     plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)

@@ -144,9 +144,11 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
 
 def _export(chosen: argparse.Namespace) -> None:
     from agents.saving import export_saved
+    from spatula_env.data.files import check_can_write
 
     for file in (chosen.output, chosen.output.with_suffix(".json")):
         check_free(file, chosen.overwrite)
+    check_can_write(chosen.output.parent)
     episodes = {engine: chosen.episodes for engine in chosen.engines}
     export_saved(chosen.run, chosen.output, episodes, chosen.env)
     print(f"{chosen.output}: {chosen.output.stat().st_size / 1024:.0f} KiB")

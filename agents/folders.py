@@ -26,6 +26,7 @@ from agents.saving import (
     checkpoints_in,
     read_curve,
 )
+from spatula_env.data.files import check_can_write
 from spatula_env.naming import find_environment, registered_id
 
 try:
@@ -168,9 +169,11 @@ def check_place(folder: Path, overwrite: bool) -> None:
     Raises:
         FileExistsError: If something is there that must not be replaced.
         NotADirectoryError: If a file is in the way.
+        OSError: If nothing can be written there.
     """
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"{folder} is a file")
+    check_can_write(folder)
     if overwrite:
         return
     if holds_training(folder):

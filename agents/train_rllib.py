@@ -18,6 +18,7 @@ from agents.command_line import choose_run, run_parser
 from agents.configuration import to_mapping
 from agents.rllib_configuration import read_rllib
 from agents.saving import write_text
+from spatula_env.data.files import check_can_write
 from spatula_env.installing import install_hint
 
 
@@ -39,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--resume goes on as the run began: it takes neither --set nor --output")
     try:
         output, config = choose_run(chosen, read_rllib, chosen.changes, "env_runners")
-    except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
+        check_can_write(output)
+    except (OSError, ValueError, yaml.YAMLError) as error:
         return _fail(str(error))
     try:
         import ray

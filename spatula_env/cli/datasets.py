@@ -296,12 +296,14 @@ def _copied(chosen: argparse.Namespace, summary: DatasetSummary) -> int:
 
 
 def _statistics(chosen: argparse.Namespace) -> int:
+    from spatula_env.data.plots import check_plot, plot_statistics
     from spatula_env.data.statistics import statistics
 
+    if chosen.plot is not None:
+        # Before all episodes are read.
+        check_plot(chosen.plot)
     found = statistics(chosen.dataset, chosen.root)
     if chosen.plot is not None:
-        from spatula_env.data.plots import plot_statistics
-
         plot_statistics(found, chosen.plot)
         note(f"drew {chosen.plot}")
     if chosen.json:

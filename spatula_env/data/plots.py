@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.data.files import check_can_write
 from spatula_env.data.statistics import Curve, DatasetStatistics
 from spatula_env.installing import install_hint
 
@@ -28,6 +29,28 @@ CELLS = 40
 NOTHING = "not recorded"
 
 
+def check_plot(path: Path) -> None:
+    """Check that a picture can be drawn into a file, before anything is done for it.
+
+    Args:
+        path: Of the picture; it must end with .png, .svg or .pdf.
+
+    Raises:
+        ImportError: If Matplotlib is missing.
+        OSError: If nothing can be written there.
+        ValueError: If the ending is unknown.
+    """
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"plots need Matplotlib: {install_hint('viz')}", name=error.name) from error
+    if path.suffix not in (".png", ".svg", ".pdf"):
+        raise ValueError(f"path must end with .png, .svg or .pdf, got {path}")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder")
+    check_can_write(path.parent)
+
+
 def plot_statistics(found: DatasetStatistics, path: str | Path) -> None:
     """Draw the statistics of a dataset on one page.
 
@@ -37,16 +60,14 @@ def plot_statistics(found: DatasetStatistics, path: str | Path) -> None:
 
     Raises:
         ImportError: If Matplotlib is missing.
+        OSError: If nothing can be written there.
         ValueError: If the dataset is empty, or the ending is unknown.
     """
-    try:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError(f"plots need Matplotlib: {install_hint('viz')}", name=error.name) from error
     file = Path(path)
-    if file.suffix not in (".png", ".svg", ".pdf"):
-        raise ValueError(f"path must end with .png, .svg or .pdf, got {file}")
+    check_plot(file)
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
     if not len(found.returns):
         raise ValueError(f"dataset {found.summary.dataset_id!r} has no episodes, there is nothing to draw")
     with rc_context(

@@ -15,7 +15,7 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec, load_env_creator
 
 from spatula_env.data.checking import check_spec, read_json
 from spatula_env.data.files import DatasetDamaged
-from spatula_env.data.wrappers import allowed_wrapper
+from spatula_env.data.wrappers import allowed_wrapper, is_of_gymnasium
 from spatula_env.naming import bare_id, registered_id
 
 UNSEEN = ("render_mode",)
@@ -157,8 +157,7 @@ def make_recorded(
 
 def _only_looks_on(wrapper: WrapperSpec) -> bool:
     # By what it is made by: its name is only said.
-    module, _, name = wrapper.entry_point.partition(":")
-    return name in ONLOOKERS and module.partition(".")[0] == "gymnasium"
+    return wrapper.entry_point.partition(":")[2] in ONLOOKERS and is_of_gymnasium(wrapper.entry_point)
 
 
 def _options(spec: EnvSpec) -> dict[str, Any]:

@@ -47,6 +47,22 @@ OWN = (
     "spatula_env.envs.adapters.safety_gymnasium:SafetyGymnasiumWrapper",
 )
 """This package's."""
+NEUTRAL = (
+    "Autoreset",
+    "ClipReward",
+    "HumanRendering",
+    "NormalizeReward",
+    "OrderEnforcing",
+    "PassiveEnvChecker",
+    "RecordEpisodeStatistics",
+    "RecordVideo",
+    "RenderCollection",
+    "TimeLimit",
+    "TransformReward",
+)
+"""Gymnasium's that change neither observations nor actions, nor their spaces."""
+NEUTRAL_OWN = (*OWN, "spatula_env.teleop.wrapper:FalconTeleop")
+"""This package's likewise. In teleoperation actions are the operator's, but of the same kind."""
 
 Wrapper = type[gymnasium.Wrapper[Any, Any, Any, Any]]
 
@@ -77,6 +93,22 @@ def allowed_wrapper(entry_point: str, named: Sequence[Wrapper] = ()) -> str:
         "dataset gives it. If you trust the dataset, allow it: replay(..., wrappers=[THE_CLASS]), or --wrapper "
         f"{entry_point} on the command line"
     )
+
+
+def is_of_gymnasium(entry_point: str) -> bool:
+    """Whether a wrapper that a dataset names is one of Gymnasium's own; nothing is imported."""
+    return entry_point.partition(":")[0].partition(".")[0] == "gymnasium"
+
+
+def is_neutral(entry_point: str) -> bool:
+    """Whether a wrapper that a dataset names is known to leave observations, actions and their spaces as they are.
+
+    Args:
+        entry_point: As the dataset has it, "module:class"; nothing is imported.
+    """
+    # By what it is made by: its name is only said.
+    name = entry_point.partition(":")[2]
+    return (is_of_gymnasium(entry_point) and name in NEUTRAL) or entry_point in NEUTRAL_OWN
 
 
 def import_wrapper(name: str) -> Wrapper:

@@ -261,6 +261,35 @@ def test_nothing_else_is_replaced_either(run, tmp_path, capsys):
             assert after[str(file.relative_to(tmp_path))] > before[str(file.relative_to(tmp_path))]
 
 
+@pytest.mark.parametrize("command", ["evaluate", "export", "clone", "train"])
+def test_places_that_cannot_be_written_are_refused_before_anything_is_done(
+    command, request, tmp_path, monkeypatch, capsys
+):
+    there = request.getfixturevalue("run") if command == "export" else tmp_path
+
+    def fail(*_, **__):
+        pytest.fail("something was done first")
+
+    monkeypatch.setattr("agents.evaluation.require_moviepy", lambda: None)
+    monkeypatch.setattr("agents.evaluation.evaluate", fail)
+    monkeypatch.setattr("agents.demonstrations.collect_successes", fail)
+    monkeypatch.setattr("agents.checks.rehearse_clone", fail)
+    monkeypatch.setattr("agents.checks.check_training", fail)
+    (tmp_path / "file").write_text("in the way")
+    below = tmp_path / "file" / "below"
+    words = {
+        "evaluate": ["--env", "press", "--policy", "random", "--video", str(below / "x.mp4")],
+        "export": [str(there), str(below / "x.npz"), "--episodes", "1"],
+        "clone": ["--env", "press", "--expert", "1", "--output", str(below)],
+        "train": ["--config", str(write_small(tmp_path / "small.yaml")), "--output", str(below)],
+    }
+    capsys.readouterr()
+    assert cli.main([command, *words[command]]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith(f"spatula {command}: {below} cannot be written to: ") and len(said.splitlines()) == 1
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
 def test_a_clone_does_not_replace_a_run(run, capsys):
     before = listing(run)
     assert clone.main(["--env", "press", "--expert", "1", "--output", str(run)]) == 1

@@ -142,6 +142,20 @@ def test_statistics(capsys, root) -> None:
     assert run_json(capsys, root, "statistics", ID)["peak_force"]["greatest"] == 4.0
 
 
+@pytest.mark.parametrize(
+    ("name", "message"), [("file/plot.png", "cannot be written to"), ("plot.bmp", "must end with .png")]
+)
+def test_a_plot_that_cannot_be_drawn_is_refused_before_episodes_are_read(
+    capsys, root, monkeypatch, name, message
+) -> None:
+    from spatula_env.data import statistics
+
+    (root / "file").write_text("in the way")
+    monkeypatch.setattr(statistics, "statistics", lambda *_: pytest.fail("episodes were read"))
+    _, noted = run(capsys, root, "statistics", ID, "--plot", str(root / name), status=1)
+    assert message in noted and len(noted.splitlines()) == 1
+
+
 def test_scripted_demonstrations(capsys, tmp_path, monkeypatch) -> None:
     from spatula_env.data import scripted
 
