@@ -134,7 +134,10 @@ def check_can_write(folder: Path) -> None:
             pass
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise OSError(error.errno, f"{folder} cannot be written to: {reason} in {there}") from error
+        told = type(error)(f"{folder} cannot be written to: {reason} in {there}")
+        # Not given above, where it would come before the sentence, as "[Errno 13]".
+        told.errno = error.errno
+        raise told from error
 
 
 @contextmanager

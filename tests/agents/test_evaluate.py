@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 from dataclasses import dataclass
 
@@ -160,6 +161,18 @@ def test_impossible_numbers_are_refused(arguments, capsys):
     with pytest.raises(SystemExit):
         main(["--env", PRESS, "--policy", "random", *arguments])
     assert arguments[0] in capsys.readouterr().err
+
+
+def test_a_film_that_may_not_be_written_is_told_in_a_line(tmp_path, monkeypatch, capsys):
+    def refuse(**_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    # Not by the folder's mode, which root may ignore.
+    monkeypatch.setattr("spatula_env.data.files.tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr("agents.evaluation.require_moviepy", lambda: None)
+    monkeypatch.setattr("agents.evaluation.evaluate", lambda *_, **__: pytest.fail("an episode was run"))
+    assert main(["--env", PRESS, "--policy", "random", "--video", str(tmp_path / "x.mp4")], "evaluate") == 1
+    assert capsys.readouterr().err == f"evaluate: {tmp_path} cannot be written to: permission denied in {tmp_path}\n"
 
 
 def test_a_film_is_written(tmp_path):
