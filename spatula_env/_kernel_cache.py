@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -32,6 +33,16 @@ class KernelCache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=(self._impl.locator.get_source_stamp(), fingerprint(function)),
         )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What was compiled for a signature, None if there is none, or nothing that can be read; see Numba."""
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        # What is damaged, after a power cut for example, is read as bytes of anything: it may raise whatever it likes.
+        except Exception:
+            with suppress(OSError):
+                self.flush()  # type: ignore[no-untyped-call]
+            return None
 
 
 def fingerprint(function: Callable[..., object]) -> str:

@@ -168,6 +168,18 @@ def test_what_is_compiled_into_a_kernel_from_another_file_may_change(site, step,
         assert (len(said) > 1) == (index < 2)
 
 
+@pytest.mark.parametrize("damage", [bytes(400), b"garbage\n", b"\x80\x05\x95\xff\xfe\xfd", b""], ids=str)
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_what_is_damaged_is_compiled_anew(site, damage, ending):
+    first = run_copy(site)
+    kept = list((site / "spatula_env" / "__pycache__").glob(f"made.double-*.{ending}"))
+    assert kept
+    for file in kept:
+        file.write_bytes(damage)
+    assert run_copy(site) == first
+    assert run_copy(site) == first[1:]
+
+
 def test_a_fingerprint_is_the_same_in_every_process():
     script = """
 from spatula_env._kernel_cache import fingerprint

@@ -250,8 +250,10 @@ def _inspect(chosen: argparse.Namespace) -> int:
         names = list(dict.fromkeys(name for each in episodes for name in each))
         print_table([names, *([_cell(each.get(name)) for name in names] for each in episodes)], right=(0, 1, 2))
         for number, spec in enumerate(specs[1:], start=1):
+            apart = differences(spec, specs[0], ("there", "in spec 0"))
             say(
-                f"spec {number} differs from spec 0 in {'; '.join(differences(spec, specs[0], ('there', 'in spec 0')))}"
+                f"spec {number} "
+                + (f"differs from spec 0 in {'; '.join(apart)}" if apart else "means the same as spec 0")
             )
     return 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numba
 import numpy as np
@@ -17,7 +17,8 @@ from spatula_env.contact.world import Workspace, World
 from spatula_env.geometry.transforms import as_quaternion
 from spatula_env.sim import batch_step
 from spatula_env.sim.batch_body import NARROW, WIDE, BatchBody
-from spatula_env.sim.simulation import LONGEST_SETTLING, SETTLED_SPEED, Simulation, SimulationDiverged
+from spatula_env.sim.clock import later
+from spatula_env.sim.simulation import LONGEST_SETTLING, NO_COPY, SETTLED_SPEED, Simulation, SimulationDiverged
 from spatula_env.sim.soft_body import join, soft_body
 from spatula_env.sim.threads import share_out
 from spatula_env.sim.volumes import Volumes
@@ -244,8 +245,11 @@ class BatchSimulation:
 
         Args:
             worlds: (n,) which, or (W,) a mask; all by default.
+
+        Raises:
+            ValueError: If there is no such world, or one is named twice.
         """
-        indices = self._body.indices(worlds)
+        indices = self._each_once(worlds)
         self._set_nodes(indices, self._rest[indices], 0.0)
         for index, placed in enumerate(self._scene.tools):
             self._tool_positions[indices, index] = placed.position
@@ -449,7 +453,7 @@ class BatchSimulation:
         ]
         self._advance(linear, angular, int(steps), limits[0], limits[1], with_tools=True)
         ok = ~self._diverged
-        self._times[ok] += steps * self.dt
+        self._times[ok] = later(self._times[ok], int(steps), self.dt)
         loads, summaries = self._loads * ok[:, None, None], self._summaries * ok[:, None]
         return Loads(
             forces=loads[:, :, batch_step.FORCE : batch_step.TORQUE],
@@ -565,10 +569,10 @@ class BatchSimulation:
             worlds: (n,) which worlds get it, or (W,) a mask; all by default.
 
         Raises:
-            ValueError: If the state is of another number of worlds, or does not fit the scene or is not finite; nothing
-                has then changed.
+            ValueError: If the state is of another number of worlds, or does not fit the scene or is not finite, or a
+                world is named twice; nothing has then changed.
         """
-        indices = self._body.indices(worlds)
+        indices = self._each_once(worlds)
         for name in ("nodes", "node_velocities", "tool_positions", "tool_orientations", "tool_forces"):
             mine = (len(indices), *getattr(self, f"_{name}" if name != "node_velocities" else "_velocities").shape[1:])
             self._rows(getattr(state, name), f"state.{name}", mine, indices)
@@ -605,6 +609,16 @@ class BatchSimulation:
                 memory.states[:] = False
         self._tool_forces[indices] = 0.0
         self._diverged[indices] = False
+
+    def _each_once(self, worlds: ArrayLike | None) -> IntArray:
+        """Indices of worlds that are written to: what was to become of one that is named twice?"""
+        indices = self._body.indices(worlds)
+        if len(np.unique(indices)) < len(indices):
+            raise ValueError(f"worlds must be named once each, got {indices.tolist()}")
+        return indices
+
+    def __reduce__(self) -> Any:
+        raise TypeError(NO_COPY.format(type(self).__name__))
 
     def _rows(self, value: ArrayLike, name: str, shape: tuple[int, ...], worlds: IntArray) -> FloatArray:
         """Finite numbers of a shape, a row for each of some worlds."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from spatula_env.engines import ENGINES, choose_engine
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.batch_world import BatchWorld
 from spatula_env.sim.bullet import BulletWorld
+from spatula_env.sim.clock import later
 from spatula_env.sim.report import Report
 from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
 from spatula_env.sim.volumes import Volumes
@@ -38,6 +39,8 @@ PRECISIONS = {"single": np.float32, "double": np.float64}
 
 SETTLED_SPEED = 1e-3
 """An organ none of whose nodes is faster is at rest [u/s]."""
+
+NO_COPY = "a {} can be neither copied nor pickled: make another one of its scene, and restore there what save() gives"
 
 LONGEST_SETTLING = 4.0
 """Settling ends after this time even if something still moves [s]."""
@@ -254,7 +257,7 @@ class Simulation:
             model.nodal_impulses = np.full_like(self._nodes, np.nan)
         self._tool_positions, self._tool_orientations = motions.positions, motions.orientations
         self._motions = motions
-        self._time += self.dt
+        self._time = float(later(self._time, 1, self.dt))
         report = Report(
             scene=self.scene,
             motions=motions,
@@ -392,6 +395,9 @@ class Simulation:
     def dt(self) -> float:
         """Length of a step [s]."""
         return self.scene.dt
+
+    def __reduce__(self) -> Any:
+        raise TypeError(NO_COPY.format(type(self).__name__))
 
     @property
     def time(self) -> float:
