@@ -56,6 +56,14 @@ def start(words, folder):
     )  # fmt: skip
 
 
+def wait_for_end(family):
+    """Wait until no process is left: the last one to go, which watches over shared memory, goes after its parents."""
+    deadline = time.monotonic() + PATIENCE
+    while any(map(is_alive, family)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(map(is_alive, family))
+
+
 def interrupt(process, *, group):
     """Send the signal, and return what the command says then; nothing may be left."""
     family = descendants(process.pid)
@@ -66,10 +74,7 @@ def interrupt(process, *, group):
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
-    deadline = time.monotonic() + PATIENCE
-    while any(map(is_alive, family)) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not any(map(is_alive, family))
+    wait_for_end(family)
     assert process.returncode == 130, said
     assert "Traceback" not in said and "Exception" not in said, said
     return said
@@ -110,4 +115,4 @@ def test_a_benchmark_in_processes_is_ended(tmp_path):
     family = descendants(process.pid)
     _, said = process.communicate(timeout=PATIENCE)
     assert "not all cases were run: interrupted" in said and "Traceback" not in said
-    assert not any(map(is_alive, family))
+    wait_for_end(family)

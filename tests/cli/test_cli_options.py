@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from films import opened_film
 
 from spatula_env import cli
 from spatula_env.cli.common import CommandError, print_json, read_changes, resolve_env
@@ -180,15 +181,13 @@ class TestFilm:
                 np.testing.assert_array_equal(np.asarray(found), self.frames(5)[-1])
         assert [each.name for each in (tmp_path / name).parent.iterdir()] == [name.rpartition("/")[2]]
 
-    # The reader leaves its pipes to the garbage collector.
-    @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::ResourceWarning")
     def test_as_mp4(self, tmp_path) -> None:
-        moviepy = pytest.importorskip("moviepy")
+        pytest.importorskip("moviepy")
         film = Film(tmp_path / "film.mp4", 20.0)
         for picture in self.frames(5):
             film.add(picture)
         film.write()
-        with moviepy.VideoFileClip(str(tmp_path / "film.mp4")) as clip:
+        with opened_film(tmp_path / "film.mp4") as clip:
             # The encoder wants even numbers.
             assert tuple(clip.size) == (46, 32)
 

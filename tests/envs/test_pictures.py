@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from films import opened_film
 from gymnasium.wrappers import RecordVideo
 from gymnasium.wrappers.vector import RecordVideo as RecordVideos
 
@@ -148,9 +149,7 @@ def test_there_is_nothing_to_draw_before_the_first_episode() -> None:
 
 def frames_of(path: Path) -> int:
     """How many frames a video has."""
-    from moviepy import VideoFileClip
-
-    with VideoFileClip(str(path)) as clip:
+    with opened_film(path) as clip:
         assert tuple(clip.size) == (64, 56)
         return round(clip.fps * clip.duration)
 

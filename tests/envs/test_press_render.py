@@ -6,6 +6,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from films import opened_film
 
 from spatula_env.envs import PressEnv, PressVectorEnv
 from spatula_env.envs.pictures import in_scene
@@ -138,8 +139,6 @@ def test_the_rate_of_pictures_is_that_of_control(frequency: float, rate: float) 
 @pytest.mark.parametrize("frequency", [7.5, 0.5])
 def test_slow_episodes_can_be_filmed(frequency: float, tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
-    from moviepy import VideoFileClip
-
     made = gym.make(
         "Spatula/Press-v0", engine="batch", control_frequency=frequency, max_episode_steps=3, render_mode="rgb_array",
         width=64, height=48,
@@ -149,6 +148,6 @@ def test_slow_episodes_can_be_filmed(frequency: float, tmp_path: Path) -> None:
         for _ in range(3):
             env.step(np.zeros(3))
     (film,) = tmp_path.glob("films/*.mp4")
-    with VideoFileClip(str(film)) as clip:
+    with opened_film(film) as clip:
         assert clip.fps == pytest.approx(frequency, rel=1e-3)
         assert clip.duration == pytest.approx(4 / frequency, rel=0.3)

@@ -20,6 +20,7 @@ which is the law of cosines in the triangle hip, knee, grip. theta = 0 is a thig
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 from spatula_env.teleop.falcon.vector import Matrix, Vector, norm, solve, transpose
 
@@ -140,15 +141,19 @@ def forward(angles: Vector, start: Vector | None = None) -> Vector:
     Raises:
         UnreachableError: If the angles are no position's.
     """
-    first, second, third = angles
     if not (LEAST_ANGLE <= min(angles) and max(angles) <= GREATEST_ANGLE):
         raise _impossible(angles)
-    position = start if start is not None else _on_axis(angles)
-    try:
-        current, jacobian = inverse_with_jacobian(position)
-    except UnreachableError:
-        position = _on_axis(angles)
-        current, jacobian = inverse_with_jacobian(position)
+    if start is not None:
+        # From far away it may end at the edge of the workspace; then it begins anew.
+        with suppress(UnreachableError):
+            return _newton(angles, start)
+    return _newton(angles, _on_axis(angles))
+
+
+def _newton(angles: Vector, position: Vector) -> Vector:
+    """The grip at these angles, found from a position; see `forward`."""
+    first, second, third = angles
+    current, jacobian = inverse_with_jacobian(position)
     missing = (first - current[0], second - current[1], third - current[2])
     for _ in range(MOST_ITERATIONS):
         try:
