@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, open_browser, wait_for
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, wait_for
 
 from spatula_env.teleop.web import WebSession
 from spatula_env.teleop.web.session import task_ids
@@ -68,7 +68,7 @@ def session(tmp_path_factory):
 
 def visit(browser, session, size="large", **options):
     width, height = SIZES[size]
-    opened = browser.new_context(viewport={"width": width, "height": height}, **options).new_page()
+    opened = new_page(browser, viewport={"width": width, "height": height}, **options)
     opened.set_default_timeout(1000.0 * PATIENCE)
     opened.goto(session.url)
     wait_for(opened, lambda: mesh(opened, "/organ"), "the organ in the page")

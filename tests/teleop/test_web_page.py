@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, open_browser, until, wait_for
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, until, wait_for
 
 from spatula_env.teleop.web import WebDevice, WebSession
 
@@ -37,7 +37,7 @@ def session(folder):
 
 @pytest.fixture
 def page(browser, session):
-    opened = browser.new_page(viewport=SIZE)
+    opened = new_page(browser, viewport=SIZE)
     opened.set_default_timeout(1000.0 * PATIENCE)
     errors, dropped = [], session.device.page.messages.dropped
     opened.on("pageerror", lambda error: errors.append(str(error)))
@@ -186,7 +186,7 @@ def test_another_task_is_chosen_on_the_page(page, session):
 
 
 def test_a_page_that_is_closed_stops_the_tool(browser, session):
-    page = browser.new_page(viewport=SIZE)
+    page = new_page(browser, viewport=SIZE)
     page.goto(session.url)
     wait_for(page, lambda: mesh(page, "/organ"), "the organ in the page")
     place = session.device._grip.copy()
@@ -202,7 +202,7 @@ def test_a_page_that_is_closed_stops_the_tool(browser, session):
 
 def test_the_page_asks_for_its_token(browser):
     with WebDevice(port=0, token="open sesame!") as device:
-        page = browser.new_page(viewport=SIZE)
+        page = new_page(browser, viewport=SIZE)
         page.set_default_timeout(1000.0 * PATIENCE)
         page.goto(device.url.partition("?")[0])
         page.get_by_placeholder("token").fill("open sesame?")

@@ -63,6 +63,21 @@ def open_browser(*switches: str):
             browser.close()
 
 
+# A renderer in software draws as often as it can, and takes a core from all other tests.
+SELDOM = """(() => {
+  const next = window.requestAnimationFrame.bind(window);
+  window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 100);
+  window.cancelAnimationFrame = (request) => window.clearTimeout(request);
+})()"""
+
+
+def new_page(browser, **options):
+    """A page of its own that draws no more than a few pictures a second."""
+    page = browser.new_page(**options)
+    page.add_init_script(SELDOM)
+    return page
+
+
 class Script:
     """What the script in a page does, without a page: says all the time which keys are held."""
 
