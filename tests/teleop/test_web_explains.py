@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 import pytest
-from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, wait_for
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, steady, wait_for
 
 from spatula_env.teleop.web import WebSession
 from spatula_env.teleop.web.session import task_ids
@@ -119,18 +119,6 @@ def resize(page, size):
         return fits and len(seen) > 3 and seen[-1] == seen[-2] == seen[-3]
 
     wait_for(page, settled, "a picture of that size")
-
-
-def steady(page):
-    """Wait until the camera has come to where it goes."""
-    seen = []
-
-    def still():
-        page.wait_for_timeout(300)
-        seen.append(page.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.slice()"))
-        return len(seen) > 3 and seen[-1] == seen[-2] == seen[-3]
-
-    wait_for(page, still, "a camera that stands still")
 
 
 def info(session):

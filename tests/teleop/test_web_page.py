@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, until, wait_for
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, steady, until, wait_for
 
 from spatula_env.teleop.web import WebDevice, WebSession
 
@@ -107,6 +107,8 @@ def test_a_key_presses_the_organ_and_the_page_shows_it(page, session):
 
 def test_keys_do_not_move_the_camera_and_text_moves_no_tool(page, session):
     camera = "() => window.__viserMutable.camera.matrixWorld.elements.slice()"
+    # It goes to its first view when the page has told its size.
+    steady(page)
     before = page.evaluate(camera)
     place = session.device._grip.copy()
     page.keyboard.down("KeyD")
@@ -127,6 +129,7 @@ def test_the_mouse_drags_the_tool(page, session):
     place = session.device._grip.copy()
     page.get_by_text("View and speed").click()
     page.get_by_text("Handles to drag by").click()
+    steady(page)
     x, y = page.evaluate(SEEN_AT, "/tool/0")
     page.mouse.move(x, y)
     wait_for(page, lambda: mesh(page, "/tool/0"), "the tool in the page")

@@ -171,3 +171,15 @@ def mesh(page, name, count=0):
 
 def click(page, label):
     page.get_by_role("button", name=label).click()
+
+
+def steady(page):
+    """Wait until the camera has come to where it goes."""
+    seen = []
+
+    def still():
+        page.wait_for_timeout(300)
+        seen.append(page.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.slice()"))
+        return len(seen) > 3 and seen[-1] == seen[-2] == seen[-3]
+
+    wait_for(page, still, "a camera that stands still")
