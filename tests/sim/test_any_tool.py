@@ -212,8 +212,9 @@ def test_a_sheet_may_turn_ever_so_fast(simulations, name, speed):
     assert max(driver.record.excess_energies) < 0.01 * max(driver.record.work, 100.0)
 
 
-@pytest.mark.parametrize("speed", [95.0, 100.0, 105.0, 300.0])
-def test_a_wedge_may_turn_fast(simulations, speed):
-    driver = turned(simulations, "wedge", "pressed", (0.0, 0.0, 1.0), speed, 60)
-    # Between 80 and 300 rad/s it is 0.001 to 0.045 u, and another processor's rounding is enough to make it another.
-    assert driver.deepest <= 2.0 * RESIDUAL
+# Around 100 rad/s it is 0.001 to 0.045 u, and another processor's rounding is enough to make it another.
+@pytest.mark.parametrize(
+    ("speed", "deepest"), [(95.0, 2.0 * RESIDUAL), (100.0, 2.0 * RESIDUAL), (105.0, 2.0 * RESIDUAL), (300.0, RESIDUAL)]
+)
+def test_a_wedge_may_turn_fast(simulations, speed, deepest):
+    assert turned(simulations, "wedge", "pressed", (0.0, 0.0, 1.0), speed, 60).deepest <= deepest
