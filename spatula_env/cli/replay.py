@@ -58,6 +58,12 @@ def add_parser(commands: Parsers) -> None:
         "--tolerance", type=float, help="greatest difference that counts as the same, scene units (default: 1e-9)"
     )
     parser.add_argument(
+        "--mean-actions",
+        action="store_true",
+        help="do what learners see of an operator who steered by hand, the mean of each control step, and tell how far "
+        "that leads away",
+    )
+    parser.add_argument(
         "--env",
         metavar="MODULE:ID",
         help="the environment, if it is one of your own, with the module that registers it",
@@ -88,6 +94,8 @@ def run(chosen: argparse.Namespace) -> int:
         raise CommandError(f"{chosen.dataset!r} has {total} episodes, there is no {missing[0]}")
     if not numbers:
         raise CommandError(f"{chosen.dataset!r} has no episodes")
+    if chosen.mean_actions and chosen.by != "actions":
+        raise CommandError("--mean-actions goes with --by actions: states are shown as they were recorded")
     if chosen.by == "states":
         return _by_states(chosen, dataset, numbers)
     return _by_actions(chosen, numbers)
@@ -118,6 +126,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             render_mode=render_mode(chosen),
             env_id=chosen.env,
             wrappers=[import_wrapper(name) for name in chosen.wrapper],
+            steering=not chosen.mean_actions,
             after_step=after_step,
             progress=told.append,
         )
@@ -161,6 +170,8 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
         print_table(rows, right=(0, 1, 2, 3))
         found = "no states were recorded" if not differences else f"greatest difference {greatest:.3g} u"
         say(f"{found}; {len(results)} episodes, tolerance {tolerance:g} u")
+    if chosen.mean_actions:
+        return 0
     if not good:
         differing = sum(not each.matches for each in results)
         return fail(f"{differing} of {len(results)} episodes differ", FAILURE, chosen.command)

@@ -19,6 +19,7 @@ from spatula_env.data.index import SPECS, EpisodeEntry, check_harmless, read_ind
 from spatula_env.data.layout import KEY
 from spatula_env.data.pictures import ENCODED, has_pictures, reads_plain_pictures
 from spatula_env.data.specs import make_recorded, spec_from_json
+from spatula_env.envs.steering import STEERING
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
@@ -127,6 +128,7 @@ def replay(
     render_mode: str | None = None,
     env_id: str | None = None,
     wrappers: Sequence[type[gymnasium.Wrapper[Any, Any, Any, Any]]] = (),
+    steering: bool = True,
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None = None,
     progress: Callable[[EpisodeReplay], None] | None = None,
 ) -> list[EpisodeReplay]:
@@ -144,6 +146,8 @@ def replay(
         env_id: The environment as "module:id", if it is one of your own that is not registered yet.
         wrappers: Wrappers in which it may be put with whatever arguments the dataset gives, beside those of Gymnasium
             and of this package that write nothing.
+        steering: Whether to do what was done in each physics step, where that was recorded. False: only the actions
+            that learners see, the means of it in each control step, which leads a little elsewhere.
         after_step: Called with the environment and the step's number after the reset (0) and every step.
         progress: Called after each episode with how it compares.
 
@@ -175,7 +179,9 @@ def replay(
             (recorded,) = dataset.iterate_episodes([number])
             _check_states(recorded, number)
             results.append(
-                _repeat(env, number, recorded, {**metadata, "seed": entries[number].seed}, tolerance, after_step)
+                _repeat(
+                    env, number, recorded, {**metadata, "seed": entries[number].seed}, tolerance, after_step, steering
+                )
             )
             if progress is not None:
                 progress(results[-1])
@@ -239,6 +245,7 @@ def _repeat(
     metadata: dict[str, Any],
     tolerance: float,
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None,
+    steering: bool,
 ) -> EpisodeReplay:
     if metadata.get("seed") is None:
         raise ValueError(f"episode {number} has no seed, it cannot be repeated")
@@ -249,8 +256,10 @@ def _repeat(
     rewards = []
     if after_step is not None:
         after_step(env, 0)
+    tracks = _tracks(recorded, env) if steering else None
     for step, action in enumerate(recorded.actions, start=1):
-        _, reward, _, _, info = env.step(action)
+        track = None if tracks is None or np.isnan(tracks[step]).any() else tracks[step]
+        _, reward, _, _, info = env.step(action) if track is None else _steered(env, action, track)
         rewards.append(float(reward))
         difference = max(difference, _difference(simulation, states, step))
         if after_step is not None:
@@ -264,6 +273,29 @@ def _repeat(
         matches=difference <= tolerance and apart <= tolerance,
         success=bool(info.get("is_success", False)),
     )
+
+
+def _tracks(recorded: Any, env: gymnasium.Env[Any, Any]) -> NDArray[np.float32] | None:
+    """(T + 1, S, A) what was done in each physics step, if that was recorded."""
+    tracks = (recorded.infos or {}).get(STEERING)
+    if tracks is None or not hasattr(env.unwrapped, "steer"):
+        return None
+    made: Any = env.unwrapped
+    wanted = (len(recorded.rewards) + 1, made.steps_per_action, made.control.size)
+    if np.shape(tracks) != wanted:
+        raise DatasetDamaged(f"{STEERING} must have shape {wanted}, it has {np.shape(tracks)}")
+    return np.asarray(tracks, dtype=np.float32)
+
+
+def _steered(env: gymnasium.Env[Any, Any], action: Any, track: NDArray[np.float32]) -> tuple[Any, ...]:
+    """A control step in which the tools do in each physics step what was recorded."""
+    rows = iter(track)
+    made: Any = env.unwrapped
+    stop = made.steer(lambda _: next(rows))
+    try:
+        return env.step(action)
+    finally:
+        stop()
 
 
 def _difference(simulation: Any, states: Any, step: int) -> float:

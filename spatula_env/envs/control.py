@@ -236,8 +236,9 @@ class VelocityControl:
         after: FloatArray,
         period: float,
         tool_scale: FloatArray,
+        held: NDArray[np.bool_] | None = None,
     ) -> Motion:
-        """What has become of a motion where too great a force kept tools from pushing on.
+        """What has become of a motion where tools did not simply do what was asked for all the time.
 
         Args:
             motion: What was asked for.
@@ -246,11 +247,12 @@ class VelocityControl:
             after: (W, N, 3) after it [m].
             period: Length of a control step [s].
             tool_scale: (W,) how large the tools are.
+            held: (W,) where that is so; None: where too great a force kept them from pushing on.
 
         Returns:
-            Mean velocities in the control step; the motion asked for where nothing was in its way.
+            Mean velocities in the control step; the motion asked for elsewhere.
         """
-        held = restrained > 0.0
+        held = restrained > 0.0 if held is None else held
         linear = np.where(held[:, None, None], (after - before) / period, motion.linear)
         # Tools either turn as they are asked to, or not at all.
         turning = 1.0 - restrained

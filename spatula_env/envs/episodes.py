@@ -20,6 +20,7 @@ from spatula_env.envs.safety import COST_PRESSURE, Safety
 from spatula_env.envs.settings import Definition, EnvSettings
 from spatula_env.envs.snapshots import EpisodesState, restore_physics, save_physics
 from spatula_env.envs.start_options import check_free, chosen_starts
+from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situation, Start
@@ -27,8 +28,9 @@ from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situati
 if TYPE_CHECKING:
     from spatula_env.envs.control import Motion
     from spatula_env.envs.snapshots import Physics
+    from spatula_env.envs.steering import Pilot
     from spatula_env.scenes import Scene
-    from spatula_env.sim.worlds import Loads, Worlds
+    from spatula_env.sim.worlds import Loads, SeparateWorlds, Worlds
     from spatula_env.tasks.marks import Mark
     from spatula_env.tasks.situation import Setting
 
@@ -149,7 +151,8 @@ class Episodes:
         self._safety = Safety(count)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
         longest = round(settings.randomization.get("action_delay", (0.0, 0.0))[1] / self.period)
-        self._asked: FloatArray = np.zeros((count, longest + 1, self.control.size))
+        # By physics step: who steers changes its mind between two of them.
+        self._asked: FloatArray = np.zeros((count, longest + 1, self.steps_per_action, self.control.size))
         self._frames = FrameMemory(round(settings.observation.delay / self.period), settings.observation.history)
         # Gymnasium's return type covers all spaces; of these it is an array, or a dictionary of arrays.
         self._observation = cast("Observation", create_empty_array(self.observation_builder.space, count))
@@ -298,11 +301,12 @@ class Episodes:
         )
         self._show(situation, worlds, first=True)
 
-    def step(self, actions: FloatArray) -> Outcome:
+    def step(self, actions: FloatArray, pilot: Pilot | None = None) -> Outcome:
         """Move all tools for one control step.
 
         Args:
             actions: (W, A) in [-1, 1].
+            pilot: Who is asked before every physics step instead, for one world only.
 
         Returns:
             What that led to. Where physics has diverged, observation and info stay those of the step before, but for
@@ -310,22 +314,35 @@ class Episodes:
         """
         worlds, frames = self.worlds, self.frames
         every = np.arange(self.count)
-        positions = frames.points_from_scene(worlds.tool_positions, every)
-        orientations = frames.orientations_from_scene(worlds.tool_orientations, every)
+        positions, orientations = self._poses()
         scale = self._variation.tool_scale
-        motion = self.control.motion(
-            self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
-        )
-        loads = worlds.advance(
-            frames.velocities_to_scene(motion.linear),
-            frames.rates_to_scene(motion.angular),
-            self.steps_per_action,
-            COST_PRESSURE / frames.pressure,
-            None if self.settings.max_force is None else self.settings.max_force / frames.force,
-        )
-        if loads.restrained.any():
+        pressure_limits = COST_PRESSURE / frames.pressure
+        force_limits = None if self.settings.max_force is None else self.settings.max_force / frames.force
+        if pilot is None:
+            motion = self.control.motion(
+                self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
+            )
+            loads = worlds.advance(
+                frames.velocities_to_scene(motion.linear),
+                frames.rates_to_scene(motion.angular),
+                self.steps_per_action,
+                pressure_limits,
+                force_limits,
+            )
+            held = loads.restrained > 0.0
+        else:
+            # Steering is for one simulation of its own.
+            single = cast("SeparateWorlds", worlds)
+            steering = Steering(self, pilot)
+            nowhere = np.zeros_like(positions)
+            loads = single.advance(
+                nowhere, nowhere, self.steps_per_action, pressure_limits, force_limits, steering.velocities
+            )
+            motion, actions = steering.motion(), mean_of_track(steering.track)[None]
+            held = np.ones(self.count, dtype=np.bool_)
+        if held.any():
             reached = frames.points_from_scene(worlds.tool_positions, every)
-            motion = self.control.carried_out(motion, loads.restrained, positions, reached, self.period, scale)
+            motion = self.control.carried_out(motion, loads.restrained, positions, reached, self.period, scale, held)
         lost = loads.diverged
         going = np.flatnonzero(~lost)
         situation = self._situation(motion, actions, loads)
@@ -406,14 +423,45 @@ class Episodes:
         if self._asked.shape[1] == 1:
             return actions
         self._asked[:, :-1] = self._asked[:, 1:]
-        self._asked[:, -1] = actions
-        late = np.rint(self._variation.drawn["action_delay"] / self.period).astype(np.int64)
-        return np.asarray(self._asked[np.arange(self.count), self._asked.shape[1] - 1 - late])
+        self._asked[:, -1] = actions[:, None]
+        return mean_of_track(self._asked[np.arange(self.count), self._asked.shape[1] - 1 - self._lateness()])
+
+    def delayed_within(self, action: FloatArray, step: int) -> FloatArray:
+        """What is carried out in a physics step of a control step (A,), after what is asked in it (A,); one world."""
+        if self._asked.shape[1] == 1:
+            return action
+        if step == 0:
+            self._asked[:, :-1] = self._asked[:, 1:]
+        self._asked[0, -1, step] = action
+        return np.asarray(self._asked[0, self._asked.shape[1] - 1 - self._lateness()[0], step].copy())
+
+    def _lateness(self) -> IntArray:
+        """(W,) by how many control steps actions are late."""
+        return np.asarray(np.rint(self._variation.drawn["action_delay"] / self.period).astype(np.int64))
+
+    def motion_now(self, action: FloatArray) -> Motion:
+        """What the tools do in the coming physics step for an action (A,); for one world."""
+        positions, orientations = self._poses()
+        return self.control.motion(
+            action[None],
+            positions.mean(axis=1),
+            positions,
+            orientations,
+            self.period / self.steps_per_action,
+            self._variation.tool_scale,
+        )
+
+    def _poses(self) -> tuple[FloatArray, FloatArray]:
+        """Where the tools are, workspace frames: positions (W, N, 3) [m] and orientations (W, N, 4)."""
+        every = np.arange(self.count)
+        return (
+            self.frames.points_from_scene(self.worlds.tool_positions, every),
+            self.frames.orientations_from_scene(self.worlds.tool_orientations, every),
+        )
 
     def _situation(self, motion: Motion, actions: FloatArray, loads: Loads) -> Situation:
         frames, worlds, every = self.frames, self.worlds, np.arange(self.count)
-        positions = frames.points_from_scene(worlds.tool_positions, every)
-        orientations = frames.orientations_from_scene(worlds.tool_orientations, every)
+        positions, orientations = self._poses()
         grip = positions.mean(axis=1)
         forces = frames.vectors_from_scene(loads.forces, frames.force)
         torques = frames.vectors_from_scene(loads.torques, frames.torque)

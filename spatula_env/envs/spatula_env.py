@@ -30,6 +30,7 @@ from spatula_env.sim.worlds import SeparateWorlds
 from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
+    from spatula_env.envs.steering import Pilot
     from spatula_env.render.moment import Moment
     from spatula_env.scenes import Scene
     from spatula_env.sim.report import Report
@@ -239,6 +240,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         self._step_limit = steps_in(settings.episode_time, self._episodes.period)
         self._closed = False
         self._started = False
+        self._pilot: Pilot | None = None
         self.constructed_names = frozenset({*dir(SpatulaEnv), *vars(self)} - before)
 
     def reset(
@@ -285,7 +287,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         self._check_started("step")
         episodes = self._episodes
-        outcome = episodes.step(as_action(action, episodes.control.size)[None])
+        outcome = episodes.step(as_action(action, episodes.control.size)[None], self._pilot)
         if outcome.diverged[0]:
             self._started = False
             raise SimulationDiverged(
@@ -410,6 +412,27 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
                 listeners.remove(hear)
 
         listeners.append(hear)
+        return stop
+
+    def steer(self, pilot: Pilot) -> Callable[[], None]:
+        """Have someone asked before every physics step how the tools are to move, instead of what `step` is given.
+
+        Observation, reward and `info` are those of the control step, whose action is the mean of what was asked for.
+
+        Args:
+            pilot: Takes where the grip is (3,), workspace frame [m], and gives the action (A,) of the coming physics
+                step; what is asked for is rounded to float32, as actions are, so that a recording of it can be done
+                again to the last bit. An exception of it ends the control step in the middle and is passed on.
+
+        Returns:
+            What ends the calls. Calling it twice is allowed.
+        """
+        self._pilot = pilot
+
+        def stop() -> None:
+            if self._pilot is pilot:
+                self._pilot = None
+
         return stop
 
     @property

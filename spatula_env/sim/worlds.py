@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+Steer = Callable[[int, int], tuple[FloatArray, FloatArray]]
+"""Tells for a world and a physics step of a control step how its tools are to move: linear (N, 3) [u/s] and angular
+(N, 3) [rad/s] velocities, contiguous."""
 IntArray = NDArray[np.int64]
 
 
@@ -259,8 +262,9 @@ class SeparateWorlds:
         steps: int,
         pressure_limits: FloatArray | None = None,
         force_limits: FloatArray | None = None,
+        steer: Steer | None = None,
     ) -> Loads:
-        """See `Worlds`."""
+        """See `Worlds`; with `steer` the velocities are asked anew before every physics step."""
         tools = self._scene.tools
         count = (self.count, len(tools))
         loads = Loads(
@@ -291,6 +295,7 @@ class SeparateWorlds:
                     pressure_limits[world],
                     force_limits[world],
                     loads,
+                    steer,
                 )
             except SimulationDiverged:
                 self._diverged[world] = True
@@ -309,13 +314,16 @@ class SeparateWorlds:
         pressure_limit: float,
         force_limit: float,
         loads: Loads,
+        steer: Steer | None,
     ) -> None:
         simulation = self.simulations[world]
         reports, pressures = [], []
         asked_linear, asked_angular = np.ascontiguousarray(asked_linear), np.ascontiguousarray(asked_angular)
         linear, angular = np.empty_like(asked_linear), np.empty_like(asked_angular)
         restrained = 0
-        for _ in range(steps):
+        for step in range(steps):
+            if steer is not None:
+                asked_linear, asked_angular = steer(world, step)
             restrained += restrain(
                 simulation.tool_positions,
                 asked_linear,

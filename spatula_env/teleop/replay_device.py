@@ -8,13 +8,16 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.envs.steering import STEERING
 from spatula_env.teleop.device import DeviceError, DeviceSample, TeleopDevice
 
 
 class ReplayDevice(TeleopDevice):
-    """Recorded actions as a rate device, one for each control step; afterwards it rests and holds "finish".
+    """Recorded actions as a rate device; afterwards it rests and holds "finish".
+
+    Where the tool was steered in every physics step, that is done again, and not the mean of it in each control step.
 
     Attributes:
         operator: Who acted in the recording, "human" or "scripted".
@@ -23,20 +26,25 @@ class ReplayDevice(TeleopDevice):
     kind = "rate"
     button_names = ("finish",)
 
-    def __init__(self, actions: ArrayLike, operator: str = "human") -> None:
+    def __init__(self, actions: ArrayLike, operator: str = "human", tracks: ArrayLike | None = None) -> None:
         """Describe it.
 
         Args:
             actions: (T, A) fractions of the greatest velocities.
             operator: Who acted.
+            tracks: (T, S, A) the same for each physics step, NaN in control steps without steering; None: no steering.
 
         Raises:
-            ValueError: If the actions have another shape.
+            ValueError: If actions or tracks have another shape.
         """
         array = np.array(actions, dtype=np.float64)
         if array.ndim != 2 or array.shape[1] < 3:
             raise ValueError(f"actions must have shape (T, A) with three columns at least, got {array.shape}")
+        steered = None if tracks is None else np.array(tracks, dtype=np.float32)
+        if steered is not None and (steered.ndim != 3 or steered[:, 0].shape != array.shape):
+            raise ValueError(f"tracks must have shape (T, S, A) and fit actions {array.shape}, got {steered.shape}")
         self.name = "recording"
+        self._tracks = steered
         self.operator = operator
         self._actions = array
         self._names: tuple[str, ...] = ()
@@ -62,7 +70,8 @@ class ReplayDevice(TeleopDevice):
         dataset = open_dataset(dataset_id, root)
         (recorded,) = dataset.iterate_episodes([episode])
         (metadata,) = dataset.storage.get_episode_metadata([episode])
-        return cls(recorded.actions, str(metadata.get("operator", "human")))
+        tracks = (recorded.infos or {}).get(STEERING)
+        return cls(recorded.actions, str(metadata.get("operator", "human")), None if tracks is None else tracks[1:])
 
     @property
     def is_open(self) -> bool:
@@ -89,6 +98,13 @@ class ReplayDevice(TeleopDevice):
         buttons = frozenset({"finish"} if self._step >= len(self._actions) - 1 else ())
         rate = np.zeros(3) if over else self._actions[self._step, :3]
         return DeviceSample("rate", self._time, self._step + 1, None, rate, np.zeros(3), buttons)
+
+    def steering(self) -> NDArray[np.float32] | None:
+        """See `HasSteering`."""
+        if self._tracks is None or self._step >= len(self._tracks) or np.isnan(self._tracks[self._step]).any():
+            return None
+        track: NDArray[np.float32] = self._tracks[self._step]
+        return track
 
     def extra_rates(self) -> Mapping[str, float]:
         """See `HasExtraRates`."""

@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.envs.steering import STEERING, Pilot, mean_of_track
 from spatula_env.tasks.plain import as_plain
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
 from spatula_env.teleop.haptics.device import HapticDevice
@@ -38,6 +39,14 @@ class HasExtraRates(Protocol):
 
 
 @runtime_checkable
+class HasSteering(Protocol):
+    """A device, such as a recording, that knows what it wants in each physics step."""
+
+    def steering(self) -> NDArray[np.float32] | None:
+        """(S, A) for the S physics steps of the coming control step; None: what `read` tells, all the time."""
+
+
+@runtime_checkable
 class Watching(Protocol):
     """A device, such as a scripted operator, that acts on what it sees."""
 
@@ -55,8 +64,10 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     *Position mode*: the grip is where the tool is to be, one to one (`scale`). At the beginning of an episode, and when
     the operator takes over from a policy, the two are matched where they are, so that nothing jumps. While the clutch
-    is held the tool stands still and the grip can be moved to a more comfortable place. The action is the velocity
-    that brings the tool to the grip's place within one control step, clipped.
+    is held the tool stands still, nothing is felt, and the grip can be moved to a more comfortable place. The tool
+    follows the grip in every physics step, with the velocity that brings it to the grip's place within that step,
+    clipped: a hand that is followed late is pushed late, and a late spring gives more energy than it took. What the
+    hand did in a control step is ``info["steering"]``, its mean ``info["action"]``.
 
     *Rate mode*: the deflection is the velocity. A position device then has a stick's zone of rest around its middle.
 
@@ -70,7 +81,9 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
     given to `step` counts, until the operator holds a button or moves.
 
     `info` has, besides what it has: ``acted_by`` ("human", "policy" or "scripted"), ``intervened`` (whether an action
-    of a policy was replaced), ``action`` (what was done), after `reset` too.
+    of a policy was replaced), ``action`` (what was done; the mean of it, where it changed within the control step),
+    after `reset` too. In position mode there is ``steering`` as well, (S, A) float32: what was done in each of the S
+    physics steps, NaN where the tool was not steered. `SpatulaEnv.steer` does it again, to the last bit.
 
     Example:
         >>> import gymnasium as gym
@@ -177,6 +190,9 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._extra = 0
         self._operator = str(getattr(device, "operator", "human"))
         self._offset: FloatArray | None = None
+        self._sample: DeviceSample | None = None
+        self._track: list[NDArray[np.float32]] = []
+        self._lost = False
         self._acting = False
         self._still_for = math.inf
         self._due: float | None = None
@@ -185,7 +201,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         """See `gymnasium.Env.reset`. The force is zero, and grip and tool are matched where they are."""
         self._let_go()
         observation, info = self.env.reset(seed=seed, options=options)
-        self._offset, self._due = None, None
+        self._offset, self._due, self._lost, self._track = None, None, False, []
         self._extra, self._still_for = 0, math.inf
         self._acting = self._intervention == "always"
         self._show(observation)
@@ -211,6 +227,9 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._let_go()
             self._offset = None
             raise
+        if self._lost:
+            # Matched anew: the hand may be anywhere by now.
+            self._offset, self._lost = None, False
         rates = self._rates(sample)
         acting = self._who(sample, rates)
         if acting and not self._acting:
@@ -218,20 +237,24 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._acting = acting
         by = self._operator if acting else "policy"
         if acting:
-            chosen = self._operate(sample, rates)
+            chosen = np.asarray(np.clip(rates, -1.0, 1.0), dtype=np.float32)
         elif action is None:
             raise ValueError(f"action must be given, as intervention is {self._intervention!r} and nobody intervenes")
         else:
             chosen = np.asarray(action, dtype=np.float32)
-        self.pressed = sample.buttons
+        self._sample, self.pressed = sample, sample.buttons
+        pilot = self._pilot() if acting else None
+        self._track = []
         try:
-            self._tap.install(self._after_physics)
+            self._tap.install(self._after_physics, pilot)
             observation, reward, terminated, truncated, info = self.env.step(chosen)
         except BaseException:
             self._let_go()
             raise
         finally:
             self._tap.remove()
+        if pilot is not None:
+            chosen = np.asarray(mean_of_track(np.array(self._track, dtype=np.float64)), dtype=np.float32)
         if terminated or truncated:
             self._let_go()
         self._show(observation)
@@ -259,17 +282,45 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._still_for = 0.0 if moves else self._still_for + self._tap.period
         return self._still_for < self._release_time
 
-    def _operate(self, sample: DeviceSample, rates: FloatArray) -> NDArray[np.float32]:
-        """The operator's action."""
-        chosen = rates.copy()
+    def _pilot(self) -> Pilot | None:
+        """Who steers in the coming control step."""
         if self.mode == "position":
-            assert sample.position is not None
-            grip = self._tap.grip()
+            return self._steer
+        track = self.device.steering() if isinstance(self.device, HasSteering) else None
+        if track is None:
+            return None
+        rows = iter(track)
+
+        def repeat(_: FloatArray) -> NDArray[np.float32]:
+            self._track.append(next(rows))
+            return self._track[-1]
+
+        return repeat
+
+    def _steer(self, grip: FloatArray) -> NDArray[np.float32]:
+        """The operator's action for the coming physics step."""
+        if self._track:
+            # The first physics step goes by what the control step was decided by.
+            try:
+                self._sample = self.device.read()
+            except DeviceError:
+                # The control step is finished without it; the next one tells.
+                self._let_go()
+                self._lost = True
+        sample = self._sample
+        assert sample is not None
+        assert sample.position is not None
+        chosen = np.zeros(3 + len(self._extras))
+        if not self._lost:
+            self.pressed |= sample.buttons
+            chosen[3:] = self._extra_rates(sample)
             if self._offset is None or self._clutch in sample.buttons:
                 self._offset = grip - self._scale * sample.position
             wanted = self._scale * sample.position + self._offset
-            chosen[:3] = (wanted - grip) / (self._tap.period * self._tap.control.max_speed)
-        return np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
+            chosen[:3] = (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
+        action = np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
+        self._track.append(action)
+        return action
 
     def _rates(self, sample: DeviceSample) -> FloatArray:
         """(A,) what the device commands as rates, fractions of the greatest."""
@@ -278,13 +329,19 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             rates[:3] = sample.rate
         elif self.mode == "rate":
             rates[:3] = _as_stick(sample, self.device)
+        if self._extras and "forward" in sample.buttons and "forward" not in self.pressed:
+            self._extra = (self._extra + 1) % len(self._extras)
+        rates[3:] = self._extra_rates(sample)
+        return rates
+
+    def _extra_rates(self, sample: DeviceSample) -> FloatArray:
+        """What turns and opens, fractions of the greatest."""
+        rates = np.zeros(len(self._extras))
         if isinstance(self.device, HasExtraRates):
             named = self.device.extra_rates()
-            rates[3:] = [named.get(name, 0.0) for name in self._extras]
+            rates[:] = [named.get(name, 0.0) for name in self._extras]
         elif self._extras:
-            if "forward" in sample.buttons and "forward" not in self.pressed:
-                self._extra = (self._extra + 1) % len(self._extras)
-            rates[3 + self._extra] = float("plus" in sample.buttons) - float("minus" in sample.buttons)
+            rates[self._extra] = float("plus" in sample.buttons) - float("minus" in sample.buttons)
         return rates
 
     # What the operator gets.
@@ -294,10 +351,11 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         device = self.device
         try:
             if isinstance(device, HapticDevice):
-                coupled = self._acting and self.mode == "position" and self._clutch not in self.pressed
-                offset = self._offset if coupled else None
+                clutched = self._sample is not None and self._clutch in self._sample.buttons
+                felt = self._acting and not (clutched and self.mode == "position")
+                offset = self._offset if felt and self.mode == "position" else None
                 place = None if offset is None else (grip - offset) / self._scale
-                device.tell(place, force if self._acting else np.zeros(3))
+                device.tell(place, force if felt else np.zeros(3))
             elif device.has_force:
                 device.send_force(force if self._acting else np.zeros(3))
         except DeviceError:
@@ -332,7 +390,12 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self.device.watch(observation, self)
 
     def _inform(self, info: dict[str, Any], by: str, intervened: bool, action: NDArray[np.float32]) -> dict[str, Any]:
-        return {**info, "acted_by": by, "intervened": intervened, "action": action.copy()}
+        told = {**info, "acted_by": by, "intervened": intervened, "action": action.copy()}
+        if self.mode == "position" or isinstance(self.device, HasSteering):
+            steering = np.full((self._tap.steps, self._tap.control.size), np.nan, dtype=np.float32)
+            steering[: len(self._track)] = np.array(self._track).reshape(-1, self._tap.control.size)
+            told[STEERING] = steering
+        return told
 
 
 def _as_stick(sample: DeviceSample, device: TeleopDevice) -> FloatArray:

@@ -81,6 +81,20 @@ def test_the_engine_repeats_what_was_recorded(recorded):
         assert result.steps == STEPS
 
 
+def test_a_hand_is_repeated_exactly_and_its_mean_nearly(recorded, env):
+    root, _ = recorded
+    episode = next(iter(open_dataset(ID, root).iterate_episodes([0])))
+    tracks = episode.infos["steering"]
+    assert tracks.shape == (STEPS + 1, env.unwrapped.steps_per_action, 3)
+    assert np.isnan(tracks[0]).all()
+    np.testing.assert_allclose(tracks[1:].mean(axis=1), episode.actions, atol=1e-6)
+    assert tracks[1:].std(axis=1).max() > 0.01
+    exact, mean = (replay(ID, root=root, episodes=[0], steering=steering)[0] for steering in (True, False))
+    assert exact.difference == 0.0
+    # Tools are where they were at the end of each control step; the organ has felt another way there.
+    assert 0.0 < mean.difference < 1.0
+
+
 def test_a_recording_that_was_changed_does_not_match(recorded, monkeypatch):
     root, _ = recorded
     from spatula_env.data import replaying

@@ -118,7 +118,8 @@ def test_a_falcon_goes_further_than_it_reaches_by_its_clutch(press):
 def test_buttons_are_right_on_average(clamp):
     with ScriptedFalcon(lambda _: np.array([0.0, 0.0, 0.0, -0.3])) as device:
         found = actions(clamp, device, 20)[:, 3]
-    assert set(found.tolist()) <= {0.0, -1.0}
+    # A button is seen a packet later, and so a physics step into the control step.
+    assert ((found <= 0.0) & (found >= -1.0)).all()
     assert found.mean() == pytest.approx(-0.3, abs=0.06)
 
 

@@ -1,4 +1,4 @@
-"""What the tool feels, from every physics step of an environment, and where it is."""
+"""Between a hand and an environment's physics steps: how the tool is to move, what it feels, and where it is."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ if TYPE_CHECKING:
 
     from spatula_env.envs.control import VelocityControl
     from spatula_env.envs.listening import PhysicsStep
+    from spatula_env.envs.steering import Pilot
 
 AfterStep = Callable[[FloatArray, FloatArray], None]
 """Takes the grip (3,) in the workspace frame [m] and the force (3,) of the organ on the tools [N]."""
 
 
 class EnvironmentTap:
-    """Looks into a `SpatulaEnv` between its physics steps.
+    """Reaches into a `SpatulaEnv` between its physics steps.
 
     Attributes:
         control: What an action means.
+        steps: How many physics steps make a control step.
         period: Length of a control step [s].
         time_step: Length of a physics step [s].
     """
@@ -42,7 +44,8 @@ class EnvironmentTap:
         if not isinstance(made, SpatulaEnv):
             raise TypeError(f"env must be one of the Spatula environments for one agent, got {env}")
         self._env = made
-        self._stop: Callable[[], None] | None = None
+        self._stops: list[Callable[[], None]] = []
+        self.steps = made.steps_per_action
         self.control: VelocityControl = made.control
         self.time_step = made.simulation.dt
         self.period = made.steps_per_action * made.simulation.dt
@@ -51,21 +54,23 @@ class EnvironmentTap:
         """(3,) where the grip is now, workspace frame [m]."""
         return self._env.grip
 
-    def install(self, after_step: AfterStep) -> None:
-        """Have something called after every physics step, until `remove`.
+    def install(self, after_step: AfterStep, pilot: Pilot | None = None) -> None:
+        """Have something called around every physics step, until `remove`. An exception of it ends the control step.
 
         Args:
-            after_step: What; an exception of it ends the control step.
+            after_step: What is called after it.
+            pilot: Who steers the tool in it; None: what the environment's `step` is given.
         """
 
         def tell(step: PhysicsStep) -> None:
             after_step(step.grip, step.force)
 
         self.remove()
-        self._stop = self._env.listen(tell)
+        self._stops.append(self._env.listen(tell))
+        if pilot is not None:
+            self._stops.append(self._env.steer(pilot))
 
     def remove(self) -> None:
         """Call nothing any more. Removing twice is allowed."""
-        if self._stop is not None:
-            self._stop()
-            self._stop = None
+        while self._stops:
+            self._stops.pop()()
