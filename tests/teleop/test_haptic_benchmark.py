@@ -26,3 +26,23 @@ def test_the_target_goes_from_top_to_bottom_and_waits_first():
     heights = [motion(0.1 * index)[1] for index in range(60)]
     assert heights[0] == heights[9] == pytest.approx(0.02)
     assert min(heights) == pytest.approx(-0.02)
+
+
+def test_a_hold_is_true_and_passive():
+    found = haptics.run(haptics.Cell("hold", "light", True, 5.0, depth=0.004, seconds=2.1))
+    assert 0.95 < found["shown_over_true_least"] <= found["shown_over_true_greatest"] < 1.05
+    assert found["hold_step_n_per_ms"] < 0.1
+    assert found["energy_to_hand_mj"] < 1.0
+
+
+def test_the_worst_of_all_cells_is_told():
+    cells = [
+        {"scale": 1.0, "peak_ratio": 0.5, "shown_over_true_least": 0.9},
+        {"scale": 1.0, "peak_ratio": 0.7},
+        {"scale": 5.0, "peak_ratio": float("nan"), "shown_over_true_least": 0.8},
+    ]
+    assert haptics.summarize(cells) == {
+        "shown_over_true_least x1": 0.9,
+        "peak_ratio x1": 0.7,
+        "shown_over_true_least x5": 0.8,
+    }

@@ -19,7 +19,7 @@ from spatula_env.teleop.haptics import HapticDevice, HapticSettings
 from spatula_env.teleop.haptics.board import Board
 from spatula_env.teleop.scripted import EmulatedFalcon
 
-RIGID = HapticSettings(tank_start=1.0)
+RIGID = HapticSettings()
 
 
 def held_falcon(position=(0.0, 0.0, 0.0)) -> EmulatedFalcon:
@@ -75,7 +75,7 @@ def test_the_period_is_a_millisecond_and_time_passes_as_asked():
     assert found.median_period == pytest.approx(1e-3)
 
 
-def test_a_stalled_simulation_ends_the_force_within_20_ms():
+def test_a_stalled_simulation_ends_the_force_within_50_ms():
     device, falcon = here()
     with device:
         for _ in range(40):
@@ -83,19 +83,21 @@ def test_a_stalled_simulation_ends_the_force_within_20_ms():
             device.sleep(0.005)
         told = device.now() - 0.005
         assert any(motors(falcon))
-        device.sleep(0.02 - (device.now() - told))
+        device.sleep(0.05 - (device.now() - told))
         assert not any(motors(falcon))
         assert device.statistics().stalls == 1
 
 
-def test_release_ends_the_force_at_once():
+def test_release_ends_the_force_within_50_ms_and_smoothly():
     device, falcon = here()
     with device:
         for _ in range(40):
             device.tell(None, (2.0, 0.0, 0.0))
             device.sleep(0.005)
         device.release()
-        device.sleep(0.003)
+        device.sleep(0.005)
+        assert any(motors(falcon))
+        device.sleep(0.03)
         assert not any(motors(falcon))
 
 

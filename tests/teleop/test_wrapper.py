@@ -254,7 +254,7 @@ def test_the_hand_on_a_falcon_feels_the_organ(press):
     height = {"z": 0.01}
     hand = GuidedHand(lambda _: position_to_falcon((0.0, 0.0, height["z"])))
     falcon = EmulatedFalcon(hand)
-    device = HapticDevice(lambda: falcon, HapticSettings(tank_start=1.0), where="here", exchange=True)
+    device = HapticDevice(lambda: falcon, HapticSettings(), where="here", exchange=True)
     with device:
         teleop = FalconTeleop(press, device)
         teleop.reset(seed=0, options={"tool_position": (0.0, 0.0, -0.02)})
@@ -271,7 +271,7 @@ def test_the_hand_on_a_falcon_feels_the_organ(press):
         assert y > 0.0
         assert device.statistics().stalls == 0
         teleop.reset(seed=1)
-        device.sleep(0.003)
+        device.sleep(0.03)
         assert not any(falcon.emulator.program.motors)
 
 

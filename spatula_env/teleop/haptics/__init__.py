@@ -2,14 +2,18 @@
 
 Modules::
 
-device      HapticDevice: a device with its loop
-settings    the gains
-rendering   from contact to force: virtual coupling, energy tank, watchdog
-loop        once a millisecond
-runner      the loop in this process
-remote      the loop in a process of its own
-board       shared memory between the two
-tap         what the tool feels, from every physics step of an environment
+device         HapticDevice: a device with its loop
+settings       the gains
+rendering      from contact to force, by
+local_contact  the organ between two physics steps
+passivity      the account of energy
+heartbeat      whether the simulation goes on, and how fast
+loop           once a millisecond
+histogram      of its periods
+runner         the loop in this process
+remote         the loop in a process of its own
+board          shared memory between the two
+tap            what the tool feels, from every physics step of an environment
 """
 
 from __future__ import annotations

@@ -36,8 +36,10 @@ class LoopStatistics:
         late_period: 99 of 100 are not longer [s].
         longest_period: The longest [s].
         stalls: How often a force was let go because the simulation did not go on.
-        limited: In how many cycles the energy tank held a force back.
+        limited: In how many cycles passivity held a force back.
         balance: What the hand has given to the loop less what it got back, by the loop's own account [J].
+        pulse: Usual time from one heartbeat of the simulation to the next [s].
+        is_slow: Whether the simulation is too slow to be felt.
     """
 
     cycles: int
@@ -47,6 +49,8 @@ class LoopStatistics:
     stalls: int
     limited: int
     balance: float
+    pulse: float = 0.0
+    is_slow: bool = False
 
 
 def dot(first: Vector, second: Vector) -> float:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable
 from typing import cast
 
 from spatula_env.teleop.device import DeviceError, DeviceSample, TeleopDevice
 from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
+from spatula_env.teleop.haptics.histogram import PeriodHistogram
 from spatula_env.teleop.haptics.rendering import ForceRenderer
 from spatula_env.teleop.haptics.settings import PERIOD, HapticSettings
-
-STATISTICS_LENGTH = 100_000
-"""How many periods are kept for the statistics."""
 
 Take = Callable[[], Contact | None]
 """Gives the last that is known of the simulation, at once."""
@@ -49,7 +46,7 @@ class HapticLoop:
         self._exchange: Callable[[], object] | None = getattr(device, "exchange", None) if exchange else None
         if exchange and self._exchange is None:
             raise DeviceError(f"the {device.name} has no method exchange()")
-        self._periods = array("d")
+        self._periods = PeriodHistogram()
         self._cycles = 0
         self._last: float | None = None
         self._stopping = False
@@ -62,10 +59,7 @@ class HapticLoop:
         """
         now = self._device.now()
         if self._last is not None:
-            if self._cycles <= STATISTICS_LENGTH:
-                self._periods.append(now - self._last)
-            else:
-                self._periods[self._cycles % STATISTICS_LENGTH] = now - self._last
+            self._periods.add(now - self._last)
         self._last = now
         self._cycles += 1
         try:
@@ -124,18 +118,15 @@ class HapticLoop:
 
     def statistics(self) -> LoopStatistics:
         """How regularly it went round, so far."""
-        periods = sorted(self._periods)
-        count = len(periods)
-
-        def quantile(share: float) -> float:
-            return periods[min(count - 1, int(share * count))] if count else 0.0
-
+        periods, renderer = self._periods, self.renderer
         return LoopStatistics(
             cycles=self._cycles,
-            median_period=quantile(0.5),
-            late_period=quantile(0.99),
-            longest_period=quantile(1.0),
-            stalls=self.renderer.stalls,
-            limited=self.renderer.limited,
-            balance=self.renderer.tank.balance,
+            median_period=periods.quantile(0.5),
+            late_period=periods.quantile(0.99),
+            longest_period=periods.longest,
+            stalls=renderer.heartbeat.stalls,
+            limited=renderer.limited,
+            balance=renderer.account.balance,
+            pulse=renderer.heartbeat.pulse,
+            is_slow=renderer.heartbeat.is_slow,
         )

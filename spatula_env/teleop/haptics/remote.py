@@ -315,7 +315,10 @@ class _Server:
 
 def _hurry() -> None:
     """Make this process as regular as it may be."""
+    # The loop makes no cycles of references, and a collection would take longer than a period.
+    gc.collect()
     gc.freeze()
+    gc.disable()
     # Real-time priority needs a right that few users have; without it the loop runs as other processes do.
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

@@ -1,21 +1,15 @@
 """From what the tool feels to what the hand feels, once a millisecond. No device and no clock: it can be tested alone.
 
-The simulation tells force and place of the tool a few hundred times a second, and the tool follows the hand by up to a
-control period. A force that is just held is then late by as much, and a late spring gives back more energy than it
-took. Three things keep the hand safe:
+The simulation tells force and place of the tool a few hundred times a second. What the hand feels is, along the force
+and, with a stiffness of its own, across it::
 
-*Virtual coupling*: force and place of the tool are filtered, and a spring and a damper between hand and tool add what
-the hand is ahead of the tool, along the force (J. E. Colgate, M. C. Stanley and J. M. Brown, "Issues in the haptic
-display of tool use", IROS 1995; local models of contact: Y. Adachi, T. Kumano and K. Ogino, "Intermediate
-representation for stiff virtual objects", VRAIS 1995). In the millisecond loop the hand thus meets a spring, and only
-its anchor comes late.
+    F = share * life * (f + lead),   lead = k (x_tool - x_hand) - b v_hand,   -f <= lead <= 0.2 f + a little
 
-*Energy tank*: the loop counts what the hand gives, and gives back no more (the passivity observer of B. Hannaford and
-J.-H. Ryu, IEEE Trans. Robotics and Automation 18:1, 2002; the tank of M. Franken and others, IEEE Trans. Robotics
-27:741, 2011). Gains alone would not do: the delay is a control period, and a gain that is passive with it could hardly
-be felt.
-
-*Watchdog*: a force fades when the simulation's heartbeat stays away.
+- f is the simulation's force and k the organ's own stiffness (`local_contact`): the force where the hand is.
+- The lead is bounded. A hand that is quicker than the tool may be is ahead of what is known, and a spring that goes on
+  growing there shows a force that the organ never makes.
+- `share` keeps the exchange of energy in balance (`passivity`), `life` ends what the simulation does not renew
+  (`heartbeat`), and nothing changes faster than a limit, so that no way to end a force is a kick.
 """
 
 from __future__ import annotations
@@ -23,56 +17,32 @@ from __future__ import annotations
 import math
 
 from spatula_env.teleop.haptics.contact import ZERO, Contact, Vector, difference, dot, scaled
+from spatula_env.teleop.haptics.heartbeat import Heartbeat
+from spatula_env.teleop.haptics.local_contact import LocalContact
+from spatula_env.teleop.haptics.passivity import EnergyAccount
 from spatula_env.teleop.haptics.settings import PERIOD, HapticSettings
 
 LONGEST_STEP = 0.01
 """A filter does not take more time than this for one step; the loop was then held up [s]."""
-SMALL_FORCE = 1e-9
-"""Below this a force has no direction [N]."""
-
-
-class EnergyTank:
-    """Keeps account of the energy between hand and loop.
-
-    Attributes:
-        content: What may still be given to the hand [J].
-        balance: What the hand has given less what it got, since the beginning [J].
-    """
-
-    def __init__(self, settings: HapticSettings) -> None:
-        """A tank as at the beginning of a contact.
-
-        Args:
-            settings: Its sizes.
-        """
-        self._settings = settings
-        self.content = settings.tank_start
-        self.balance = 0.0
-
-    def exchange(self, energy: float) -> None:
-        """Take energy from the hand, or give some if it is negative [J]."""
-        self.balance += energy
-        counted = energy if energy > 0.0 else energy * (1.0 + self._settings.tank_margin)
-        self.content = min(self.content + counted, self._settings.tank_size)
-
-    def begin(self) -> None:
-        """Forget what was left over, as a new contact begins; a debt stays."""
-        self.content = min(self.content, self._settings.tank_start)
-
-    def share(self) -> float:
-        """What share, 0 to 1, of a force that gives energy to the hand may be rendered."""
-        return min(1.0, max(0.0, self.content / self._settings.tank_soft))
+SMALLEST_FORCE = 1e-4
+"""What is less of a force that ends is nothing [N]."""
+LASTING = 0.5
+"""What is slower is not on its way [Hz]."""
+DAMPED = 0.3
+"""Share of the organ's force that a damper makes at most."""
+FULL_SHARE = 0.999
+"""A share that is less is a force held back."""
 
 
 class ForceRenderer:
     """Makes the force on the hand, step by step.
 
     Attributes:
-        tank: The energy account.
-        stalls: How often a force was let go because the simulation did not go on.
-        limited: In how many steps the tank held a force back.
-        stiffness: Of the coupling as it is felt, within the device's limit [N/m].
-        damping: Likewise [N s/m].
+        account: Of energy.
+        heartbeat: Of the simulation.
+        contact: With the organ.
+        limited: In how many steps passivity held a force back.
+        damping: As it is felt, within the device's limit [N s/m].
         greatest_force: Likewise [N].
     """
 
@@ -92,19 +62,20 @@ class ForceRenderer:
             greatest_damping: The device's limit [N s/m].
         """
         self.settings = settings
-        self.tank = EnergyTank(settings)
-        self.stalls = self.limited = 0
+        self.account = EnergyAccount(settings)
+        self.heartbeat = Heartbeat(settings)
+        self.contact = LocalContact(settings)
+        self.limited = 0
         self.greatest_force = min(settings.greatest_force, greatest_force)
-        self.stiffness = min(settings.force_scale * settings.stiffness, greatest_stiffness)
         self.damping = min(settings.damping, greatest_damping)
+        self._greatest_stiffness = greatest_stiffness
         self._time: float | None = None
         self._hand: Vector = ZERO
         self._sent: Vector = ZERO
         self._acting: Vector = ZERO
-        self._force: Vector = ZERO
-        self._anchor: Vector | None = None
+        self._slow: Vector = ZERO
+        self._lasting = 0.0
         self._last_force_time = -math.inf
-        self._is_stalled = False
 
     def step(self, now: float, position: Vector, velocity: Vector, contact: Contact | None) -> Vector:
         """The force for the coming millisecond.
@@ -113,79 +84,102 @@ class ForceRenderer:
             now: The time by the device's clock [s].
             position: Of the hand [m].
             velocity: Of the hand [m/s].
-            contact: The last that is known of the simulation; None if there is nothing yet.
+            contact: The last that is known of the simulation; None if there is nothing, or nothing to be felt.
 
         Returns:
             What the grip is to do to the hand [N].
         """
-        moved = ZERO if self._time is None else difference(position, self._hand)
+        step = PERIOD if self._time is None else min(max(now - self._time, 0.0), LONGEST_STEP)
         if self._time is not None:
             # Of the places themselves, as a filtered velocity is late. A force goes out with the packet of the next
             # step, which brings the place too: what has acted since the last place is the force of the step before it.
-            self.tank.exchange(-dot(self._acting, moved))
+            self.account.exchange(-dot(self._acting, difference(position, self._hand)), step)
         self._acting = self._sent
-        step = PERIOD if self._time is None else min(max(now - self._time, 0.0), LONGEST_STEP)
         self._time, self._hand = now, position
-        force = self._coupled(step, position, velocity, contact)
-        force = scaled(self._alive(now, contact, force), force)
-        force = _shortened(force, self.greatest_force)
-        if now - self._last_force_time > self.settings.rest_time:
-            self.tank.begin()
-        if force != ZERO:
+        life = self.heartbeat.listen(now, step, None if contact is None else contact.time)
+        if contact is not None:
+            self.contact.hear(contact)
+        elif life == 0.0:
+            self.contact.forget()
+        wanted = scaled(life, self._contact_force(step, position, velocity))
+        self._sent = self._slewed(_shortened(wanted, self.greatest_force), step)
+        # A force that has faded because the simulation stands still is no end of a contact.
+        if self.contact.is_touching:
             self._last_force_time = now
-            # The filtered velocity turns round late, the last millisecond's way is rough: if either says that the hand
-            # goes where the force pushes, the tank has a say.
-            if dot(force, velocity) > 0.0 or dot(force, moved) > 0.0:
-                share = self.tank.share()
-                self.limited += share < 1.0
-                force = scaled(share, force)
-        self._sent = force
-        return force
+        elif now - self._last_force_time > self.settings.rest_time:
+            self.account.begin()
+            self.contact.begin()
+        return self._sent
 
-    def _coupled(self, step: float, position: Vector, velocity: Vector, contact: Contact | None) -> Vector:
-        """The filtered force of the simulation, and spring and damper of the coupling."""
-        settings = self.settings
-        told = ZERO if contact is None else scaled(settings.force_scale, contact.force)
-        share = 1.0 - math.exp(-2.0 * math.pi * settings.cutoff * step)
-        self._force = _towards(self._force, told, share)
-        place = None if contact is None else contact.position
-        if place is None:
-            self._anchor = None
-        else:
-            self._anchor = place if self._anchor is None else _towards(self._anchor, place, share)
-        magnitude = math.sqrt(dot(self._force, self._force))
-        if magnitude < SMALL_FORCE:
-            self._force = ZERO
+    def _contact_force(self, step: float, position: Vector, velocity: Vector) -> Vector:
+        """The organ's force at the place of the hand, as much of it as may be rendered."""
+        settings, contact = self.settings, self.contact
+        pulse = self.heartbeat.pulse
+        # A damper of what is fast in a motion is passive too, and no drag to a hand that goes on.
+        slow = min(1.0, 2.0 * math.pi * settings.drift * step)
+        self._slow = (
+            self._slow[0] + slow * (velocity[0] - self._slow[0]),
+            self._slow[1] + slow * (velocity[1] - self._slow[1]),
+            self._slow[2] + slow * (velocity[2] - self._slow[2]),
+        )
+        contact.follow(step, settings.cutoff if pulse == 0.0 else min(settings.cutoff, 0.25 / pulse))
+        force, normal, scale = contact.force, contact.direction, settings.force_scale
+        if force == ZERO:
+            self.account.allow(0.0, step)
+            self._lasting = 0.0
             return ZERO
-        direction = scaled(1.0 / magnitude, self._force)
-        engaged = min(1.0, magnitude / settings.full_contact)
-        ahead = 0.0 if self._anchor is None else dot(difference(self._anchor, position), direction)
-        pushed = magnitude + engaged * (self.stiffness * ahead - self.damping * dot(velocity, direction))
-        # An organ pushes and does not pull: neither spring nor damper may turn the force round.
-        return scaled(max(0.0, pushed), direction)
+        stiffness = min(scale * contact.stiffness, self._greatest_stiffness)
+        side_stiffness = min(scale * contact.side_stiffness, self._greatest_stiffness)
+        size = math.sqrt(dot(force, force))
+        most = settings.lead * size + scale * settings.least_lead
+        damping = min(1.0, size / settings.full_contact) * self.damping
+        ahead = contact.ahead(position)
+        # Bounded evenly: a damper that is cut at zero force alone would push on average.
+        damper = _shortened(scaled(damping, difference(velocity, self._slow)), DAMPED * size)
+        push, along = dot(force, normal), dot(ahead, normal)
+        # A hand that stays ahead, as where the tool meets a stop, is not on its way: the organ feels no more of it.
+        share = min(1.0, 2.0 * math.pi * LASTING * step)
+        self._lasting += share * (along - self._lasting)
+        spring = min(stiffness * (along - max(0.0, self._lasting)), most)
+        # An organ pushes and does not pull: the lead must not turn the force round.
+        lead = max(-max(push, 0.0), min(spring - dot(damper, normal), most))
+        aside = _across(force, normal)
+        side = _across(ahead, normal)
+        side_spring = _shortened(scaled(side_stiffness, side), most)
+        side_lead = _shortened(difference(side_spring, _across(damper, normal)), most)
+        held = (aside[0] + side_spring[0], aside[1] + side_spring[1], aside[2] + side_spring[2])
+        holding = max(stiffness, scale * settings.stiffness)
+        stored = 0.5 * max(0.0, push + spring) ** 2 / holding + 0.5 * dot(held, held) / max(holding, side_stiffness)
+        share = self.account.allow(max(0.0, min(stored, contact.work)), step)
+        self.limited += share < FULL_SHARE
+        return (
+            share * (force[0] + lead * normal[0] + side_lead[0]),
+            share * (force[1] + lead * normal[1] + side_lead[1]),
+            share * (force[2] + lead * normal[2] + side_lead[2]),
+        )
 
-    def _alive(self, now: float, contact: Contact | None, force: Vector) -> float:
-        """1 while the simulation's heart beats, 0 when it does not, and in between fading."""
-        if contact is None:
-            return 0.0
-        silent = (now - contact.time) / self.settings.stall_time
-        if silent < 1.0:
-            self._is_stalled = False
-            return min(1.0, 2.0 * (1.0 - silent))
-        if not self._is_stalled and force != ZERO:
-            self._is_stalled = True
-            self.stalls += 1
-        # The hand must not be pushed by what was, when it goes on.
-        self._force = ZERO
-        return 0.0
+    def _slewed(self, wanted: Vector, step: float) -> Vector:
+        """A force on the way from the last one to one that is wanted, no faster than may be."""
+        change = difference(wanted, self._sent)
+        size = math.sqrt(dot(change, change))
+        # What fades out does so in its own time, and what would give energy from nowhere ends at once.
+        ends = self.heartbeat.life < 1.0 or self.account.share < FULL_SHARE
+        fades = ends and dot(wanted, wanted) < dot(self._sent, self._sent)
+        most = (self.greatest_force / self.settings.ramp if fades else self.settings.slew) * step
+        if size <= most:
+            return wanted
+        reached = (
+            self._sent[0] + most / size * change[0],
+            self._sent[1] + most / size * change[1],
+            self._sent[2] + most / size * change[2],
+        )
+        return ZERO if wanted == ZERO and dot(reached, reached) < SMALLEST_FORCE**2 else reached
 
 
-def _towards(value: Vector, target: Vector, share: float) -> Vector:
-    return (
-        value[0] + share * (target[0] - value[0]),
-        value[1] + share * (target[1] - value[1]),
-        value[2] + share * (target[2] - value[2]),
-    )
+def _across(vector: Vector, normal: Vector) -> Vector:
+    """What of a vector is not along a unit vector."""
+    along = dot(vector, normal)
+    return vector[0] - along * normal[0], vector[1] - along * normal[1], vector[2] - along * normal[2]
 
 
 def _shortened(force: Vector, greatest: float) -> Vector:
