@@ -20,9 +20,8 @@ from benchmarks.inspection import Inspector
 from benchmarks.plunges import ALLOWED
 from spatula_env import Simulation, scenes
 from spatula_env.contact.flags import FlaggedDetector
-from spatula_env.contact.path import MARGIN, entry_plane
+from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_CORNER, ON_EDGE, ON_NODE, ON_VERTEX
-from spatula_env.contact.step import RESIDUAL_TOLERANCE
 from spatula_env.contact.structures import NORMAL, OWNER, PLANE, WEIGHTS, copy_constraints
 from spatula_env.geometry import Tool
 from spatula_env.geometry.transforms import (

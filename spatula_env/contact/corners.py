@@ -12,7 +12,7 @@ import numpy as np
 
 from spatula_env._kernels import inline_kernel
 from spatula_env.contact.flags import fill_local_normal, triangle_weights
-from spatula_env.contact.path import MARGIN, SLACK
+from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, SLACK
 from spatula_env.contact.rows import ON_CORNER, append_constraint, constraint_name
 
 OUTSIDE_TRIANGLE = 0.02
@@ -113,6 +113,7 @@ def gather_corners(
     count: int,
     room: int,
     heights: np.ndarray,
+    behind: np.ndarray,
     tool: Any,
     memory: Any,
     triangles: np.ndarray,
@@ -124,15 +125,21 @@ def gather_corners(
     angular_velocity: np.ndarray,
     friction: float,
     owner: int,
+    slid: bool,
 ) -> int:
     """Append one constraint for each corner of the tool that came through a triangle or touches it.
 
-    Writes the least height of each corner (K,) over such a triangle's plane, infinite where there is none [u].
+    It pushes the point of the triangle that the corner met. If they may have `slid` on each other since, another pushes
+    where the corner is now.
+
+    Writes the least height of each corner (K,) over such a triangle's plane, infinite where there is none [u]; and
+    whether a corner (K,) is behind any triangle near its way.
     """
     local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
     plane_normals = tool.plane_normals
     normal, last_normal = np.empty(3), np.empty(3)
     heights[:] = np.inf
+    behind[:] = False
     for k in range(found):
         t = candidates[k]
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -158,6 +165,7 @@ def gather_corners(
                 + last_normal[1] * (y - last[1, a])
                 + last_normal[2] * (z - last[2, a])
             )
+            behind[corner] |= height < -MARGIN
             if height > MARGIN or last_height < -SLACK or count == room:
                 continue
             wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height)
@@ -170,6 +178,17 @@ def gather_corners(
                 best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
                 constraint_name(ON_CORNER, corner, first_vertex, t),
             )  # fmt: skip
+            if not slid or height >= -RESIDUAL_TOLERANCE or count == room:
+                continue
+            # Where they met has moved on: to push there turns the triangle, and hardly moves it where the corner is.
+            wa, wb, wc = triangle_weights(local, a, b, c, x, y, z)
+            if min(wa, wb, wc) >= 0.0:
+                count = append_constraint(
+                    rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
+                    (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction,
+                    owner, best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
+                    constraint_name(ON_CORNER, corners.shape[0] + corner, first_vertex, t),
+                )  # fmt: skip
     return count
 
 
@@ -242,6 +261,22 @@ def list_near(extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reac
         a, b, c = np.uint32(triangles[t, 0]), np.uint32(triangles[t, 1]), np.uint32(triangles[t, 2])
         if codes[a] & codes[b] & codes[c] == 0:
             near[found] = t
+            found += 1
+    return found
+
+
+@inline_kernel
+def list_around(triangles: np.ndarray, t: int, around: np.ndarray) -> int:
+    """List a triangle and those that have a vertex in common with it, in around (T,). Returns how many there are."""
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    found = 0
+    for other in range(triangles.shape[0]):
+        shares = False
+        for k in range(3):
+            vertex = triangles[other, k]
+            shares |= (vertex == a) | (vertex == b) | (vertex == c)
+        if shares:
+            around[found] = other
             found += 1
     return found
 
@@ -357,6 +392,21 @@ def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: fl
 
 
 @inline_kernel
+def drop_outside(tool: Any, memory: Any, triangles: np.ndarray) -> None:
+    """Clear the flags of contact nodes that are not in the organ: whose rays met a part of it that is inside out.
+
+    Args:
+        tool: `ToolShape`.
+        memory: `PairMemory`; flags are cleared, and `local` is where the organ was when rays were cast.
+        triangles: (T, 3).
+    """
+    flags, nodes = memory.states[0], tool.nodes
+    for i in range(flags.shape[0]):
+        if flags[i] and not encloses(memory.local, triangles, nodes[i, 0], nodes[i, 1], nodes[i, 2]):
+            flags[i] = False
+
+
+@inline_kernel
 def gather_sunk_corners(
     rows: np.ndarray,
     features: np.ndarray,
@@ -365,9 +415,11 @@ def gather_sunk_corners(
     first_row: int,
     room: int,
     heights: np.ndarray,
+    behind: np.ndarray,
     tool: Any,
     memory: Any,
     triangles: np.ndarray,
+    swept: int,
     first_vertex: int,
     position: np.ndarray,
     rotation: np.ndarray,
@@ -375,6 +427,7 @@ def gather_sunk_corners(
     angular_velocity: np.ndarray,
     friction: float,
     owner: int,
+    settled: bool,
 ) -> int:
     """Append a constraint for each corner of the tool that is in the organ and that nothing found so far pushes out.
 
@@ -388,12 +441,30 @@ def gather_sunk_corners(
     found = list_near(tool.extent, local, triangles, reach, near)
     for corner in range(corners.shape[0]):
         x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
-        if heights[corner] < -MARGIN or count == room:
+        if heights[corner] < -RESIDUAL_TOLERANCE or count == room:
             continue
         t = find_nearest(local, triangles, near, found, x, y, z, reach, nearest)
-        if t < 0 or nearest[0] > MARGIN or (nearest[0] < -MARGIN and not encloses(local, triangles, x, y, z)):
-            continue
-        depth, wa, wb, wc = -nearest[0], nearest[1], nearest[2], nearest[3]
+        depth = -nearest[0]
+        if t < 0:
+            # Nothing is near, or it is in so far, where the organ has been put already, that the nearest way out may be
+            # the wrong one. It slid no farther than to the triangles around the one where it was.
+            if not (settled and behind[corner]):
+                continue
+            t = find_nearest(last, triangles, memory.candidates, swept, x, y, z, reach, nearest)
+            if t < 0 or not encloses(local, triangles, x, y, z):
+                continue
+            around = np.empty(triangles.shape[0], np.int32)
+            t = find_nearest(local, triangles, around, list_around(triangles, t, around), x, y, z, np.inf, nearest)
+            depth = -nearest[0]
+            if depth <= MARGIN:
+                continue
+        else:
+            # Rows that its way has made, and that are all but kept, push no more, however deep a triangle beside says
+            # that it is.
+            least = -MARGIN if heights[corner] >= -MARGIN else RESIDUAL_TOLERANCE
+            if depth < least or (depth > MARGIN and not encloses(local, triangles, x, y, z)):
+                continue
+        wa, wb, wc = nearest[1], nearest[2], nearest[3]
         name = constraint_name(ON_CORNER, corner, first_vertex, t)
         known = False
         for row in range(first_row, count):

@@ -16,7 +16,7 @@ import numpy as np
 
 from spatula_env._kernels import inline_kernel
 from spatula_env.contact.corners import gather_corners, gather_sunk_corners
-from spatula_env.contact.path import MARGIN, entry_plane
+from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_EDGE, ON_GROUND, ON_NODE, ON_VERTEX, append_constraint, constraint_name
 from spatula_env.contact.structures import (
     FRICTION,
@@ -38,6 +38,9 @@ MOST_SAMPLES = 16
 
 BISECTIONS = 8
 """Steps of bisection to find when an edge met the tool."""
+
+PASSES_AS_MET = 6
+"""After so many passes corners of the tool push a triangle also where they are, and not only where they met it."""
 
 PARALLEL = 1e-6
 """Edges whose directions have a smaller sine than this are parallel."""
@@ -295,16 +298,16 @@ def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]
 
 
 @inline_kernel
-def touched_plane(heights: np.ndarray, which: int, time: float, other: int) -> int:
-    """The face that an end of an edge inside the tool touches at a time between two queries, -1 if it is deeper.
+def touched_plane(heights: np.ndarray, which: int, time: float, other: int, within: float = 2.0 * MARGIN) -> int:
+    """The face that an end of an edge touches, or is `within` [u] behind, at a time between two queries; -1 if none.
 
     A vertex on the tool's rim touches two: then it is the one by which the edge does not go out at its other end, for
     between two different faces the edge lies over a third, or over the tool's edge.
     """
-    best, highest, second = -1, -2.0 * MARGIN, -1
+    best, highest, second = -1, -within, -1
     for p in range(heights.shape[1]):
         height = heights[which, p] + time * (heights[2 + which, p] - heights[which, p])
-        if height <= -2.0 * MARGIN:
+        if height <= -within:
             continue
         if p == other:
             second = p
@@ -392,6 +395,9 @@ def border_reached(heights: np.ndarray, which: int, time: float, met: int, sampl
             continue
         first, end, plane_in, plane_out = clip_edge(heights, now)
         border = plane_in if which == 0 else plane_out
+        if first <= end and border < 0:
+            # A solve has put the end on the face that it came to, about.
+            border = touched_plane(heights, which, now, met, RESIDUAL_TOLERANCE)
         if first <= end and border >= 0 and border != met and ridges[met, border, 0] >= 0:
             return border
     return -1
@@ -510,8 +516,12 @@ def gather_features(
     friction: float,
     owner: int,
     again: bool,
+    attempt: int,
 ) -> int:
-    """Append constraints where vertices, corners and edges have met, making room for them. Returns the new count."""
+    """Append constraints where vertices, corners and edges have met, making room for them. Returns the new count.
+
+    In the first pass, `attempt` 0, the organ is where its springs have thrown it; later where solves have put it.
+    """
     found = find_candidates(tool, memory, triangles)
     if found == 0:
         return count
@@ -522,14 +532,14 @@ def gather_features(
         rows, features, names, count, tool, memory, first_vertex, position, rotation, linear_velocity,
         angular_velocity, friction, owner,
     )  # fmt: skip
-    first, heights = count, np.empty(corners)
+    first, heights, behind = count, np.empty(corners), np.empty(corners, np.bool_)
     count = gather_corners(
-        rows, features, names, count, first + 8 * corners, heights, tool, memory, triangles, found, first_vertex,
-        position, rotation, linear_velocity, angular_velocity, friction, owner,
+        rows, features, names, count, first + 8 * corners, heights, behind, tool, memory, triangles, found,
+        first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, attempt >= PASSES_AS_MET,
     )  # fmt: skip
     count = gather_sunk_corners(
-        rows, features, names, count, first, first + 9 * corners, heights, tool, memory, triangles, first_vertex,
-        position, rotation, linear_velocity, angular_velocity, friction, owner,
+        rows, features, names, count, first, first + 9 * corners, heights, behind, tool, memory, triangles, found,
+        first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, attempt > 0,
     )  # fmt: skip
     return gather_edges(
         rows, features, names, count, tool, memory, triangles, found, first_vertex, position, rotation,

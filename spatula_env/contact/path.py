@@ -18,6 +18,9 @@ SLACK = 2e-3
 """How far behind a face a point may have been and still count as having been before it [u]: what the response may
 leave."""
 
+RESIDUAL_TOLERANCE = 1e-3
+"""Contacts are looked for again, where the last solve has moved the organ to, until none is deeper than this [u]."""
+
 ON_PLANE = 1e-9
 """A point that ends no deeper than this behind a plane ends on it [u]."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.corners import drop_outside
 from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.features import find_candidates, gather_features, gather_ground, gather_nodes
 from spatula_env.contact.flags import (
@@ -30,6 +31,7 @@ from spatula_env.contact.multipliers import (
     start_warm,
     sum_passed,
 )
+from spatula_env.contact.path import RESIDUAL_TOLERANCE
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import (
     ENERGY,
@@ -67,9 +69,6 @@ POSITION_TOLERANCE = 3e-5
 
 VELOCITY_TOLERANCE = 1e-3
 """The velocity solve ends when a sweep changes no constrained point's velocity by more than this [u/s]."""
-
-RESIDUAL_TOLERANCE = 1e-3
-"""Contacts are looked for again, where the last solve has moved the organ to, until none is deeper than this [u]."""
 
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
@@ -488,7 +487,7 @@ def resolve_step(
                         if mode == FLAGS:
                             count = gather_features(
                                 constraints, count, tool, memory, triangles, first, position[k], rotation[k], linear[k],
-                                angular[k], friction[k], k, attempt > 0 and parts == 1,
+                                angular[k], friction[k], k, attempt > 0 and parts == 1, attempt,
                             )  # fmt: skip
                         # Where less was thrown into the tool than expected, it is looked where that really is.
                         if attempt > 0 or not predicts or count > before:
@@ -502,6 +501,7 @@ def resolve_step(
                             for grade in (1, 0):
                                 if decide_flags(tool, memory, triangles, first_step, exclusive, grade)[0] > 0:
                                     break
+                            drop_outside(tool, memory, triangles)
                         fill_record(tool, memory, thrown, first, triangles, position[k], rotation[k], True)
                         for i in range(memory.record.shape[0]):
                             result[PENETRATION] = max(result[PENETRATION], memory.record[i, 3])

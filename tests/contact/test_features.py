@@ -24,8 +24,7 @@ from spatula_env.contact.features import (
     touched_plane,
 )
 from spatula_env.contact.flags import triangle_weights
-from spatula_env.contact.path import MARGIN
-from spatula_env.contact.step import RESIDUAL_TOLERANCE
+from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE
 from spatula_env.contact.structures import ridges_between
 from spatula_env.geometry import Organ, Tool, box_surface, convex_hull, icosphere
 from spatula_env.geometry.transforms import quaternion_from_matrix
@@ -313,6 +312,11 @@ def test_an_edge_that_swings_past_the_rim_reaches_the_side():
     assert not stays_over(heights, top, ridges)
     assert clip_edge(heights, 1.0)[3] == bottom
     assert border_reached(heights, 1, 0.0, top, MOST_SAMPLES, ridges) == right
+    # A solve may have put the end on the face that it came to, or a little behind.
+    for beyond in (0.5 * MARGIN, 0.0, -0.5 * RESIDUAL_TOLERANCE):
+        ends_on = heights_of(BOX, columns([held, above]), columns([held, (0.5 + beyond, 0.1, 0.0)]))
+        assert clip_edge(ends_on, 1.0)[3] == -1
+        assert border_reached(ends_on, 1, 0.0, top, MOST_SAMPLES, ridges) == right
     # The same with the ends exchanged; nothing for the end that is held, or if the other stays above.
     swapped = heights_of(BOX, columns([above, held]), columns([below, held]))
     assert border_reached(swapped, 0, 0.0, top, MOST_SAMPLES, ridges) == right
@@ -454,6 +458,20 @@ def test_no_speed_is_too_high(name, speed):
     assert loose.model.wrenches[0, 2] > 0.0
     given = loose.masses @ loose.velocities
     np.testing.assert_allclose(loose.model.wrenches[0, :3] * DT, -given, rtol=1e-9, atol=1e-9)
+
+
+def test_a_tool_beside_a_part_that_is_inside_out_is_left_alone():
+    # A vertex of the upper side, pulled through the lower one, makes a cone beneath it that is inside out: rays that
+    # come from below leave the organ by its rule, though they were never in it.
+    box = box_surface((4.0, 4.0, 1.0), 1.0)
+    nodes = box.vertices.copy()
+    nodes[np.flatnonzero((np.abs(nodes[:, :2]).max(axis=1) == 0.0) & (nodes[:, 2] > 0.0))] = (0.0, 0.0, -1.5)
+    loose = LooseOrgans([box], [(BOX, (0.1, 0.05, -1.5 - 0.3 - 0.0625), LEVEL)])
+    loose.nodes = nodes
+    loose.step((0.0, 0.0, 0.0))
+    assert not loose.model.detectors[0][0].flags.any()
+    np.testing.assert_array_equal(loose.nodes, nodes)
+    np.testing.assert_array_equal(loose.model.wrenches, 0.0)
 
 
 @pytest.mark.parametrize("collapsed", ["a corner on another", "a corner on the opposite side"])
