@@ -4,6 +4,9 @@
 tap, slide, are released, and meet a simulation that stops or is slow (`haptics_scenarios`). Measured are shown over
 true force, the greatest change in a millisecond, energy given to the hand, limit cycles, times. Hours on one core.
 
+*signals*, in real time: how long after each signal to the program, its group and the loop zeros come to the motors
+(`haptics_signals`).
+
 *period*, in real time: a simulated hand presses the spatula into the organ and draws it back, again and again. Measured
 are the loop's period, how the force follows a step, how long it lasts after the simulation has stopped, and the energy
 that the motors have put into the hand. The loop runs in a process of its own, and for comparison in a thread beside the
@@ -31,6 +34,7 @@ import spatula_env
 from benchmarks import measure
 from benchmarks.haptics_closed_loop import HANDS, TOUCHES
 from benchmarks.haptics_scenarios import SCENARIOS, Cell, run
+from benchmarks.haptics_signals import measure_signals
 from spatula_env.teleop.device import TeleopDevice
 from spatula_env.teleop.emulator import ElasticHand, GuidedHand, RealClock
 from spatula_env.teleop.falcon.frames import position_to_falcon
@@ -41,7 +45,7 @@ from spatula_env.teleop.wrapper import FalconTeleop
 
 gymnasium.register_envs(spatula_env)
 
-PARTS = ("holds", "scenarios", "period")
+PARTS = ("holds", "scenarios", "signals", "period")
 """What there is to measure."""
 WORST: Mapping[str, Callable[[Sequence[float]], float]] = {
     "shown_over_true_least": min,
@@ -209,6 +213,10 @@ def main() -> None:
         result["step"] = step_response()
         if not chosen.json:
             _print_period(result["runs"], result["step"])
+    if "signals" in chosen.parts:
+        result["signals_ms"] = measure_signals()
+        if not chosen.json:
+            _print_cell(result["signals_ms"])
     cells = [
         cell
         for part in ("holds", "scenarios")

@@ -200,6 +200,15 @@ class TeleopDevice(ABC):
         """
         check_force(force)
 
+    def stop_motors(self) -> None:
+        """End the forces of a device that another process had open and left behind. It is not open afterwards.
+
+        Raises:
+            DeviceError: As `open` does.
+        """
+        with self:
+            self.send_force(np.zeros(3))
+
     @abstractmethod
     def close(self) -> None:
         """End all forces and let go of the device. Closing twice is allowed."""

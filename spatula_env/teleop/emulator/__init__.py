@@ -13,6 +13,7 @@ here uses the driver's packets or kinematics, so that the two can be checked aga
     hand       the operator's hand, and where the energy goes
     faults     what can go wrong, for tests to switch on
     clock      simulated time
+    wire       all of it in a process of its own, at the other end of a socket
 """
 
 from __future__ import annotations

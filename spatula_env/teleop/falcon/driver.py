@@ -24,7 +24,7 @@ from spatula_env.teleop.device import (
 from spatula_env.teleop.falcon import frames
 from spatula_env.teleop.falcon.firmware import UploadProgress, enter_normal_mode, read_firmware, upload
 from spatula_env.teleop.falcon.protocol import BUTTON_NAMES, Lights
-from spatula_env.teleop.falcon.servo import PERIOD, LoopStatistics, ServoLoop, ServoState
+from spatula_env.teleop.falcon.servo import PERIOD, LoopStatistics, ServoLoop, ServoState, send_zeros
 from spatula_env.teleop.falcon.transport import Transport, UsbTransport
 from spatula_env.teleop.falcon.vector import ZERO, as_vector
 
@@ -314,6 +314,14 @@ class Falcon(TeleopDevice):
             DeviceError: If it is not open.
         """
         return self._open_loop().statistics()
+
+    def stop_motors(self) -> None:
+        """See `TeleopDevice`; sends zeros at once, without a word of what comes back. It stays homed."""
+        transport = self._connect()
+        try:
+            send_zeros(transport)
+        finally:
+            transport.close()
 
     def close(self) -> None:
         """See `TeleopDevice`."""

@@ -237,8 +237,7 @@ class ServoLoop:
         """Turn motors and lights off, as far as the device can still hear it."""
         self._command = (ZERO, -math.inf)
         try:
-            for _ in range(ZERO_PACKETS):
-                self._transport.bulk_write(HostPacket(homing=True).encode(), WRITE_TIMEOUT)
+            send_zeros(self._transport)
         except Exception:
             # The device is gone, and what else went wrong is in `error`. Nothing more can be done for the motors.
             pass
@@ -337,6 +336,16 @@ class ServoLoop:
                 self._periods[self._exchanges % STATISTICS_LENGTH] = period
         self._last_start = start
         self._exchanges += 1
+
+
+def send_zeros(transport: Transport) -> None:
+    """Turn motors and lights off.
+
+    Args:
+        transport: A connection in normal mode.
+    """
+    for _ in range(ZERO_PACKETS):
+        transport.bulk_write(HostPacket(homing=True).encode(), WRITE_TIMEOUT)
 
 
 def _can_follow(last: ServoState, encoders: Counts, now: float) -> bool:

@@ -1,4 +1,10 @@
-"""A device and its haptic loop in a process of their own."""
+"""A device and its haptic loop in a process of their own, and what ends the force when a process ends.
+
+The loop's process has a session of its own, so that what is sent to the program's group, as by a closed terminal,
+Ctrl-Z or a service manager, does not reach it. It notices the end of the program by its pipe, and a program that is
+stopped by the simulation's heartbeat; a signal to itself ends it in order. Whatever it is, the force fades first. If the
+loop's process is killed, the program opens the device's connection itself and sends zeros.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +14,24 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
+from types import FrameType
 from typing import Any
 
 import numpy as np
 
-from spatula_env.teleop.device import DeviceError, DeviceLost, DeviceSample, NotCalibrated, Progress, TeleopDevice
+from spatula_env.teleop.device import (
+    DeviceBusy,
+    DeviceError,
+    DeviceLost,
+    DeviceSample,
+    NotCalibrated,
+    Progress,
+    TeleopDevice,
+)
 from spatula_env.teleop.haptics.board import Board
 from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
 from spatula_env.teleop.haptics.loop import HapticLoop
@@ -37,8 +53,18 @@ REPORT = "dq3d3dQ3dB"
 """Time, sequence, position, velocity, buttons as bits, force; whether the loop has ended."""
 SILENCE = 0.5
 """A loop that has reported nothing for so long is lost [s]."""
-CYCLES_PER_LOOK = 20
+CYCLES_PER_LOOK = 5
 """How many cycles pass before the process looks for a question."""
+CYCLES_TO_END = 60
+"""A loop that is to end has so many cycles for the force to fade."""
+WATCH = 0.05
+"""How often the program looks whether the loop still goes round [s]."""
+STANDSTILL = 0.25
+"""A loop that has gone round no more for so long is killed, as it holds the device and its last force [s]."""
+BUSY_TRIES, BUSY_WAIT = 200, 0.005
+"""How often the connection of a process that was killed is asked for, and how far apart; it is freed late [s]."""
+ENDINGS = ("SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", "SIGBREAK")
+"""Signals that end a loop in order."""
 PRIORITY = 10
 """Of the process among those of real-time priority, where it may have one."""
 
@@ -67,8 +93,11 @@ class RemoteLoop(Runner):
             name="haptics",
             daemon=True,
         )
+        self._factory = factory
         self._is_closed = False
         self._is_running = False
+        self._asking = threading.Lock()
+        self._watcher: threading.Thread | None = None
         self.description: Description = Description("haptic device", (), None, None, 0.0, 0.0, 0.0, False)
         try:
             self._process.start()
@@ -137,6 +166,8 @@ class RemoteLoop(Runner):
         if self._is_closed:
             return
         self._is_closed = True
+        if self._watcher is not None:
+            self._watcher.join(END_TIMEOUT)
         self._inbox.write(0.0, False, False, *ZERO, *ZERO)
         # The end of the pipe is what ends the loop; it ends also when this process does, however that comes.
         self._pipe.close()
@@ -145,6 +176,7 @@ class RemoteLoop(Runner):
             if self._process.is_alive():
                 self._process.kill()
                 self._process.join(END_TIMEOUT)
+                stop_motors(self._factory)
         self._inbox.close()
         self._outbox.close()
 
@@ -160,6 +192,25 @@ class RemoteLoop(Runner):
                 raise DeviceLost(f"the haptic loop of the {self.description.name} did not start")
             time.sleep(0.001)
         self._is_running = True
+        self._watcher = threading.Thread(target=self._watch, name="haptics-watcher", daemon=True)
+        self._watcher.start()
+
+    def _watch(self) -> None:
+        """End the force if the loop's process has ended without doing so, or stands still."""
+        while not self._is_closed:
+            if wait([self._process.sentinel], WATCH):
+                if self._process.exitcode != 0 and not self._is_closed:
+                    stop_motors(self._factory)
+                return
+            # A question keeps the loop waiting, and so does what this process waits for itself.
+            if self._asking.acquire(blocking=False):
+                try:
+                    report = self._outbox.read()
+                    stands_still = report is not None and not report[12] and self.now() - report[0] > STANDSTILL
+                finally:
+                    self._asking.release()
+                if stands_still and not self._is_closed:
+                    self._process.kill()
 
     def _report(self) -> tuple[Any, ...]:
         """The newest report.
@@ -180,6 +231,10 @@ class RemoteLoop(Runner):
         return report
 
     def _request(self, verb: str, argument: Any = None, progress: Progress | None = None) -> Any:
+        with self._asking:
+            return self._answer_to(verb, argument, progress)
+
+    def _answer_to(self, verb: str, argument: Any, progress: Progress | None) -> Any:
         try:
             self._pipe.send((verb, argument))
             while True:
@@ -201,9 +256,10 @@ def _serve(
     pipe: Connection, factory: Factory, settings: HapticSettings, exchange: bool, inbox: str, outbox: str
 ) -> None:
     """What the process does."""
-    # An interrupt at the terminal reaches all processes; it is the other one's to end this one in order.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "setsid"):
+        os.setsid()
     server = _Server(pipe, factory, settings, exchange, Board(CONTACT, inbox), Board(REPORT, outbox))
+    server.handle_signals()
     # When the other process is gone, however it went, there is nobody to answer.
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         server.serve()
@@ -224,11 +280,16 @@ class _Server:
         self._loop: HapticLoop | None = None
         self._last: tuple[Any, ...] = (0.0, 0, *ZERO, *ZERO, 0, *ZERO, 0)
         self._cycles = 0
-        self._ended = False
+        self._ended = self._ending = self._paused = False
+        self._cycles_to_end = CYCLES_TO_END
 
     def serve(self) -> None:
         """Answer questions; while the loop runs, between its cycles."""
         while not self._ended:
+            if not self._pipe.poll(WATCH):
+                if self._ending:
+                    return
+                continue
             self._answer()
             if self._loop is not None and self._loop.error is None and not self._ended:
                 self._loop.run(time.sleep, self._between)
@@ -244,14 +305,35 @@ class _Server:
         self._inbox.close()
         self._outbox.close()
 
+    def handle_signals(self) -> None:
+        """Let the force fade, and then end, when a signal comes; and while the process is to stand still, be quiet."""
+
+        def end(number: int, frame: FrameType | None) -> None:
+            self._ending = True
+
+        def pause(number: int, frame: FrameType | None) -> None:
+            self._paused = True
+
+        def resume(number: int, frame: FrameType | None) -> None:
+            self._paused = False
+
+        handlers = {**dict.fromkeys(ENDINGS, end), "SIGTSTP": pause, "SIGCONT": resume}
+        for name, handler in handlers.items():
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), handler)
+
     def _between(self) -> bool:
         self._cycles += 1
-        if self._cycles % CYCLES_PER_LOOK == 0:
+        if self._ending:
+            self._cycles_to_end -= 1
+            if self._cycles_to_end <= 0 or self._last[9:12] == ZERO:
+                self._ended = True
+        elif self._cycles % CYCLES_PER_LOOK == 0:
             try:
                 if self._pipe.poll(0):
                     self._answer()
             except (EOFError, BrokenPipeError, ConnectionResetError):
-                self._ended = True
+                self._ending = True
         return not self._ended
 
     def _answer(self) -> None:
@@ -301,7 +383,7 @@ class _Server:
 
     def _take(self) -> Contact | None:
         message = self._inbox.read()
-        if message is None or not message[1]:
+        if message is None or not message[1] or self._ending or self._paused:
             return None
         return Contact(message[0], message[3:6] if message[2] else None, message[6:9])
 
@@ -311,6 +393,25 @@ class _Server:
         pressed = sum(1 << names.index(name) for name in sample.buttons)
         self._last = (sample.time, sample.sequence, *sample.position, *sample.velocity, pressed, *force, 0)
         self._outbox.write(*self._last)
+
+
+def stop_motors(factory: Factory) -> None:
+    """Turn off the motors of a device whose process has died; as far as it can be reached.
+
+    Args:
+        factory: Makes the device.
+    """
+    device = factory()
+    for _ in range(BUSY_TRIES):
+        try:
+            device.stop_motors()
+        except DeviceBusy:
+            time.sleep(BUSY_WAIT)
+        except Exception:
+            # It is gone, and nobody looks into this thread: the next one who reads or tells hears of the process.
+            return
+        else:
+            return
 
 
 def _hurry() -> None:
