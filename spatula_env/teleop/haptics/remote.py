@@ -2,8 +2,8 @@
 
 The loop's process has a session of its own, so that what is sent to the program's group, as by a closed terminal,
 Ctrl-Z or a service manager, does not reach it. It notices the end of the program by its pipe, and a program that is
-stopped by the simulation's heartbeat; a signal to itself ends it in order. Whatever it is, the force fades first. If the
-loop's process is killed, the program opens the device's connection itself and sends zeros.
+stopped by the simulation's heartbeat; a signal to itself ends it in order. Whatever it is, the force fades first. If
+the loop's process is killed, the program opens the connection itself and sends zeros.
 """
 
 from __future__ import annotations
