@@ -204,6 +204,9 @@ def main() -> None:
     options.add_argument("--hold-seconds", type=float, default=30.0, help="length of a hold (default: %(default)s)")
     options.add_argument("--hands", choices=tuple(HANDS), nargs="*", default=list(HANDS), help="(default: all three)")
     options.add_argument("--scales", type=float, nargs="*", default=[1.0, 3.0, 5.0], help="(default: 1 3 5)")
+    options.add_argument(
+        "--mechanism", action="store_true", help="the emulated device has weight, friction and bending links"
+    )
     options.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: all cores)")
     options.add_argument("--where", choices=("process", "thread"), nargs="*", default=["process", "thread"])
     chosen = options.parse_args()
@@ -221,7 +224,7 @@ def main() -> None:
         cell
         for part in ("holds", "scenarios")
         if part in chosen.parts
-        for cell in make_cells(part, chosen.hands, chosen.scales, chosen.hold_seconds)
+        for cell in make_cells(part, chosen.hands, chosen.scales, chosen.hold_seconds, chosen.mechanism)
     ]
     if cells:
         result["cells"] = run_cells(cells, chosen.workers, None if chosen.json else _print_cell)
@@ -231,17 +234,24 @@ def main() -> None:
     measure.finish({**result, "load": measure.load_average()})
 
 
-def make_cells(part: str, hands: Sequence[str], scales: Sequence[float], hold_seconds: float) -> list[Cell]:
+def make_cells(
+    part: str, hands: Sequence[str], scales: Sequence[float], hold_seconds: float, mechanism: bool = False
+) -> list[Cell]:
     """What there is to run in simulated time."""
     touches = [(task, depth) for task, touch in TOUCHES.items() for depth in touch.depths]
     kinds = [(hand, tremor, scale) for hand in hands for tremor in (False, True) for scale in scales]
     if part == "holds":
         return [
-            Cell("hold", hand, tremor, scale, task, depth, hold_seconds)
+            Cell("hold", hand, tremor, scale, task, depth, hold_seconds, mechanism=mechanism)
             for hand, tremor, scale in kinds
             for task, depth in touches
         ]
-    return [Cell(name, hand, tremor, scale) for hand, tremor, scale in kinds for name in SCENARIOS if name != "hold"]
+    return [
+        Cell(name, hand, tremor, scale, mechanism=mechanism)
+        for hand, tremor, scale in kinds
+        for name in SCENARIOS
+        if name != "hold"
+    ]
 
 
 def run_cells(

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import spatula_env
-from spatula_env.teleop.emulator import ElasticHand
+from spatula_env.teleop.emulator import ElasticHand, Hand, HandOnMechanism, Mechanism
 from spatula_env.teleop.falcon.frames import direction_to_device, position_to_device, position_to_falcon
 from spatula_env.teleop.haptics import HapticDevice, HapticSettings, LoopStatistics
+from spatula_env.teleop.haptics.rendering import ForceRenderer
 from spatula_env.teleop.scripted import EmulatedFalcon
 from spatula_env.teleop.wrapper import FalconTeleop
 
@@ -122,22 +123,29 @@ class Trace:
         return slice(int(first), int(last))
 
 
-class WatchedHand(ElasticHand):
-    """A hand that remembers, once a millisecond, where it was and what pushed it."""
+class Watched:
+    """A hand that remembers, once a millisecond, where the encoders were and what the motors did: a `Hand`."""
 
-    def __init__(self, *arguments: Any, **keywords: Any) -> None:
-        super().__init__(*arguments, **keywords)
+    def __init__(self, hand: Hand) -> None:
         self.rows: list[tuple[float, ...]] = []
-        self.true = (0.0, 0.0, 0.0)
+        self.renderer: Callable[[], ForceRenderer | None] | None = None
+        self.true = self.support = self.acting = (0.0, 0.0, 0.0)
+        self._hand = hand
         self._next = 0.0
+        self.position, self.velocity, self.energies = hand.position, hand.velocity, hand.energies
 
     def advance(self, time: float, step: float, motor_force: tuple[float, float, float]) -> None:
         """See `Hand`."""
-        super().advance(time, step, motor_force)
+        self._hand.advance(time, step, motor_force)
+        self.position, self.velocity = self._hand.position, self._hand.velocity
         if time + step >= self._next:
             self._next += 1e-3
+            renderer = self.renderer() if self.renderer is not None else None
+            if renderer is not None:
+                # A force goes out with the packet of the cycle after it was made.
+                self.acting, self.support = self.support, renderer.support
             place, force = position_to_device(self.position), direction_to_device(motor_force)
-            self.rows.append((time + step, *place, *force, *self.true, self.energies.motors))
+            self.rows.append((time + step, *place, *force, *self.true, self.energies.motors, *self.acting))
 
 
 class ClosedLoop:
@@ -156,7 +164,7 @@ class ClosedLoop:
         settings: HapticSettings | None = None,
         tremor: float = 0.0,
         speed: float = 1.0,
-        emulator: Callable[[EmulatedFalcon], None] | None = None,
+        mechanism: Mechanism | None = None,
         **keywords: Any,
     ) -> None:
         """Put it together.
@@ -168,7 +176,7 @@ class ClosedLoop:
             settings: Of the loop.
             tremor: Amplitude along each axis, of a free grip [m].
             speed: Of the simulation, share of real time.
-            emulator: Changes the emulated device.
+            mechanism: Between motors and hand.
             **keywords: Of the environment.
         """
         self.touch = touch if touch is not None else TOUCHES["press"]
@@ -177,21 +185,23 @@ class ClosedLoop:
         self.aside: Path = lambda _: 0.0
         self.settings = settings if settings is not None else HapticSettings()
         self._gains = [hand.transmissibility(frequency) for frequency, _ in TREMOR]
-        self.hand = WatchedHand(
+        held: Hand = ElasticHand(
             self._target,
             position=self._target(0.0),
             mass=hand.mass,
             stiffness=hand.stiffness,
             damping=hand.damping,
         )
+        if mechanism is not None:
+            held = HandOnMechanism(held, mechanism)
+        self.hand = Watched(held)
         self.falcon = EmulatedFalcon(self.hand)
-        if emulator is not None:
-            emulator(self.falcon)
         self.device = HapticDevice(lambda: self.falcon, self.settings, where="here", exchange=True)
         self.env = gymnasium.make(
             self.touch.env_id, max_episode_steps=10**9, **{**dict(self.touch.keywords), **keywords}
         )
         self.device.open()
+        self.hand.renderer = lambda: self.device.renderer if self.device.is_open else None
         self.teleop = FalconTeleop(
             self.env,
             self.device,
@@ -219,7 +229,12 @@ class ClosedLoop:
     def trace(self) -> Trace:
         """What has happened so far."""
         rows = np.array(self.hand.rows)
-        return Trace(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7:10], rows[:, 10], self.device.statistics())
+        position, shown, support = rows[:, 1:4], rows[:, 4:7], rows[:, 11:14]
+        # What bears the grip is no part of what is to be felt, and its work none of the organ's.
+        borne = np.concatenate([[0.0], np.cumsum((support[1:] * np.diff(position, axis=0)).sum(axis=1))])
+        return Trace(
+            rows[:, 0], position, shown - support, rows[:, 7:10], rows[:, 10] - borne, self.device.statistics()
+        )
 
     def close(self) -> None:
         """End it."""

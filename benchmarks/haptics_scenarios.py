@@ -23,6 +23,7 @@ from benchmarks.haptics_closed_loop import (
     hold_target,
     ramp,
 )
+from spatula_env.teleop.emulator import Mechanism
 from spatula_env.teleop.haptics import HapticSettings
 
 FloatArray = NDArray[np.float64]
@@ -217,6 +218,9 @@ def buzz(force: FloatArray) -> float:
 
 def _loop(cell: Cell, path: Path, touch: Touch | None = None, speed: float = 1.0) -> ClosedLoop:
     settings = replace(cell.settings if cell.settings is not None else HapticSettings(), force_scale=cell.scale)
+    mechanism = Mechanism() if cell.mechanism else None
+    if mechanism is not None:
+        settings = replace(settings, weight=mechanism.weight, friction=mechanism.coulomb)
     return ClosedLoop(
         path,
         HANDS[cell.hand],
@@ -224,6 +228,7 @@ def _loop(cell: Cell, path: Path, touch: Touch | None = None, speed: float = 1.0
         settings=settings,
         tremor=TREMOR if cell.tremor else 0.0,
         speed=speed,
+        mechanism=mechanism,
     )
 
 

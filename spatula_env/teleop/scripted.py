@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
-from spatula_env.teleop.emulator import Clock, ElasticHand, FalconEmulator, Hand
+from spatula_env.teleop.emulator import Clock, ElasticHand, FalconEmulator, Hand, Mechanism
 from spatula_env.teleop.falcon import Falcon
 from spatula_env.teleop.falcon.frames import position_to_device, position_to_falcon
 from spatula_env.teleop.haptics.device import HapticDevice
@@ -191,15 +191,22 @@ class EmulatedFalcon(Falcon):
         emulator: The device and the hand on it.
     """
 
-    def __init__(self, hand: Hand | None = None, clock: Clock | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        hand: Hand | None = None,
+        clock: Clock | None = None,
+        mechanism: Mechanism | None = None,
+        **options: Any,
+    ) -> None:
         """Describe it.
 
         Args:
             hand: What holds the grip; None for a hand at rest.
             clock: Its time; None for a simulated one, which passes only in `sleep` and `exchange`.
+            mechanism: Weight, friction and bending links; None: there are none.
             **options: Of `Falcon`.
         """
-        self.emulator = FalconEmulator(hand, clock=clock, homed=True)
+        self.emulator = FalconEmulator(hand, clock=clock, homed=True, mechanism=mechanism)
         time = self.emulator.clock
         super().__init__(
             transport=self.emulator.connect,

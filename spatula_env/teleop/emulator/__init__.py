@@ -11,6 +11,7 @@ here uses the driver's packets or kinematics, so that the two can be checked aga
     program    what runs on the device afterwards: packets, homing
     legs       the mechanism, from vectors along its links
     hand       the operator's hand, and where the energy goes
+    mechanism  weight, friction and bending links, on request
     faults     what can go wrong, for tests to switch on
     clock      simulated time
     wire       all of it in a process of its own, at the other end of a socket
@@ -22,6 +23,7 @@ from spatula_env.teleop.emulator.clock import Clock, RealClock, SimulatedClock
 from spatula_env.teleop.emulator.falcon import EmulatedTransport, FalconEmulator
 from spatula_env.teleop.emulator.faults import Faults, cut_short, lose_bytes, with_garbage
 from spatula_env.teleop.emulator.hand import ElasticHand, Energies, GuidedHand, Hand, homing_motion
+from spatula_env.teleop.emulator.mechanism import HandOnMechanism, Mechanism
 
 __all__ = [
     "Clock",
@@ -32,6 +34,8 @@ __all__ = [
     "Faults",
     "GuidedHand",
     "Hand",
+    "HandOnMechanism",
+    "Mechanism",
     "RealClock",
     "SimulatedClock",
     "cut_short",

@@ -16,6 +16,7 @@ from spatula_env.teleop.emulator.clock import Clock, SimulatedClock
 from spatula_env.teleop.emulator.faults import Faults
 from spatula_env.teleop.emulator.hand import ElasticHand, Hand
 from spatula_env.teleop.emulator.legs import Point, encoder_counts, grip_force, leg_angles
+from spatula_env.teleop.emulator.mechanism import HandOnMechanism, Mechanism
 from spatula_env.teleop.emulator.program import Counts, Program
 
 STEP = 1e-3
@@ -57,7 +58,7 @@ class FalconEmulator:
     Attributes:
         name: What to call it.
         clock: Its time.
-        hand: What holds the grip. Its time begins when the emulator is made.
+        hand: What holds the grip, with the mechanism between. Its time begins when the emulator is made.
         faults: What goes wrong; change it at any time.
         motor_history: The last motor commands: when each arrived [s], and the counts after they were cut.
     """
@@ -71,6 +72,7 @@ class FalconEmulator:
         loaded: bool = True,
         homed: bool = False,
         faults: Faults | None = None,
+        mechanism: Mechanism | None = None,
         name: str = "emulated Falcon",
     ) -> None:
         """Plug a Falcon in.
@@ -82,11 +84,14 @@ class FalconEmulator:
             loaded: Whether it is loaded already.
             homed: Whether the encoders have found their zeros already; needs ``loaded``.
             faults: What goes wrong.
+            mechanism: Weight, friction and bending links; None: there are none.
             name: What to call it.
         """
         self.name = name
         self.clock: Clock = clock if clock is not None else SimulatedClock()
         self.hand: Hand = hand if hand is not None else ElasticHand()
+        if mechanism is not None:
+            self.hand = HandOnMechanism(self.hand, mechanism)
         self.faults = faults if faults is not None else Faults()
         self.motor_history: deque[tuple[float, Counts]] = deque(maxlen=HISTORY_LENGTH)
         self._firmware = firmware

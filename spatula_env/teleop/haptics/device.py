@@ -18,7 +18,9 @@ from spatula_env.teleop.device import (
     check_force,
 )
 from spatula_env.teleop.haptics.contact import Contact, LoopStatistics, Vector
+from spatula_env.teleop.haptics.loop import HapticLoop
 from spatula_env.teleop.haptics.remote import RemoteLoop
+from spatula_env.teleop.haptics.rendering import ForceRenderer
 from spatula_env.teleop.haptics.runner import Answer, Factory, LocalLoop, Runner
 from spatula_env.teleop.haptics.settings import HapticSettings
 
@@ -152,6 +154,12 @@ class HapticDevice(TeleopDevice):
     def force(self) -> FloatArray:
         """(3,) what the hand was last made to feel, device's frame [N]."""
         return np.array(self._open_runner().force)
+
+    @property
+    def renderer(self) -> ForceRenderer | None:
+        """What makes the forces, to be looked at, if it is in this process."""
+        loop = getattr(self._open_runner(), "loop", None)
+        return loop.renderer if isinstance(loop, HapticLoop) else None
 
     def sleep(self, duration: float) -> None:
         """Wait; with "here" the loop goes round meanwhile.

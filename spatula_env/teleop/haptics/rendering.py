@@ -30,6 +30,8 @@ LASTING = 0.5
 """What is slower is not on its way [Hz]."""
 DAMPED = 0.3
 """Share of the organ's force that a damper makes at most."""
+SLOW_MOTION = 0.02
+"""Speed at which half of the friction that is made up for is [m/s]."""
 FULL_SHARE = 0.999
 """A share that is less is a force held back."""
 
@@ -42,6 +44,7 @@ class ForceRenderer:
         heartbeat: Of the simulation.
         contact: With the organ.
         limited: In how many steps passivity held a force back.
+        support: What of the last force is not the organ's: it bears the grip's weight and makes up for friction [N].
         damping: As it is felt, within the device's limit [N s/m].
         greatest_force: Likewise [N].
     """
@@ -66,6 +69,7 @@ class ForceRenderer:
         self.heartbeat = Heartbeat(settings)
         self.contact = LocalContact(settings)
         self.limited = 0
+        self.support: Vector = ZERO
         self.greatest_force = min(settings.greatest_force, greatest_force)
         self.damping = min(settings.damping, greatest_damping)
         self._greatest_stiffness = greatest_stiffness
@@ -109,7 +113,18 @@ class ForceRenderer:
         elif now - self._last_force_time > self.settings.rest_time:
             self.account.begin()
             self.contact.begin()
-        return self._sent
+        self.support = scaled(life, self._bearing(velocity))
+        return _shortened(_sum(self._sent, self.support), self.greatest_force)
+
+    def _bearing(self, velocity: Vector) -> Vector:
+        """What bears the grip's weight, and makes up for some of its friction; no part of the account of energy."""
+        settings = self.settings
+        if settings.friction == 0.0:
+            return 0.0, 0.0, settings.weight
+        # Half of the friction, and little of it in slow motion, where the velocity is mostly noise.
+        speed = math.sqrt(dot(velocity, velocity))
+        x, y, z = scaled(0.5 * settings.friction / (speed + SLOW_MOTION), velocity)
+        return x, y, z + settings.weight
 
     def _contact_force(self, step: float, position: Vector, velocity: Vector) -> Vector:
         """The organ's force at the place of the hand, as much of it as may be rendered."""
@@ -174,6 +189,10 @@ class ForceRenderer:
             self._sent[2] + most / size * change[2],
         )
         return ZERO if wanted == ZERO and dot(reached, reached) < SMALLEST_FORCE**2 else reached
+
+
+def _sum(first: Vector, second: Vector) -> Vector:
+    return first[0] + second[0], first[1] + second[1], first[2] + second[2]
 
 
 def _across(vector: Vector, normal: Vector) -> Vector:

@@ -96,7 +96,11 @@ class Runner(ABC):
 
 
 class LocalLoop(Runner):
-    """A device and its loop in this process, in a thread or within `sleep`."""
+    """A device and its loop in this process, in a thread or within `sleep`.
+
+    Attributes:
+        loop: None before the device is calibrated.
+    """
 
     def __init__(self, factory: Factory, settings: HapticSettings, exchange: bool, *, threaded: bool) -> None:
         """Open the device, and start the loop if it is calibrated.
@@ -116,7 +120,7 @@ class LocalLoop(Runner):
         self._settings, self._exchange, self._threaded = settings, exchange, threaded
         self._contact: Contact | None = None
         self._sample: DeviceSample | None = None
-        self._loop: HapticLoop | None = None
+        self.loop: HapticLoop | None = None
         self._thread: threading.Thread | None = None
         self._due = 0.0
         if device.is_calibrated:
@@ -135,25 +139,25 @@ class LocalLoop(Runner):
     def calibrate(self, progress: Progress | None) -> None:
         """See `Runner`."""
         self._device.calibrate(progress)
-        if self._loop is None:
+        if self.loop is None:
             self._begin()
 
     def read(self) -> DeviceSample:
         """See `Runner`."""
-        if self._loop is None:
+        if self.loop is None:
             raise NotCalibrated(f"the {self._device.name} is not calibrated: call calibrate()")
-        pass_on(self._loop.error, self._device.name)
+        pass_on(self.loop.error, self._device.name)
         return self._sample if self._sample is not None else self._device.read()
 
     def tell(self, contact: Contact | None) -> None:
         """See `Runner`."""
-        if contact is not None and self._loop is not None:
-            pass_on(self._loop.error, self._device.name)
+        if contact is not None and self.loop is not None:
+            pass_on(self.loop.error, self._device.name)
         self._contact = contact
 
     def sleep(self, duration: float) -> None:
         """See `Runner`."""
-        if self._threaded or self._loop is None:
+        if self._threaded or self.loop is None:
             super().sleep(duration)
             return
         until = self.now() + duration
@@ -172,17 +176,17 @@ class LocalLoop(Runner):
 
     def statistics(self) -> LoopStatistics:
         """See `Runner`."""
-        if self._loop is None:
+        if self.loop is None:
             raise NotCalibrated(f"the {self._device.name} is not calibrated: call calibrate()")
-        return self._loop.statistics()
+        return self.loop.statistics()
 
     def close(self) -> None:
         """See `Runner`."""
-        if self._loop is not None:
-            self._loop.stop()
+        if self.loop is not None:
+            self.loop.stop()
             if self._thread is not None:
                 self._thread.join(END_TIMEOUT)
-            self._loop.release()
+            self.loop.release()
         self._device.close()
 
     def now(self) -> float:
@@ -190,24 +194,24 @@ class LocalLoop(Runner):
         return self._device.now()
 
     def _begin(self) -> None:
-        self._loop = HapticLoop(self._device, self._settings, lambda: self._contact, self._take, self._exchange)
+        self.loop = HapticLoop(self._device, self._settings, lambda: self._contact, self._take, self._exchange)
         self._due = self.now()
         if self._threaded:
-            self._thread = threading.Thread(target=self._loop.run, args=(time.sleep,), name="haptics", daemon=True)
+            self._thread = threading.Thread(target=self.loop.run, args=(time.sleep,), name="haptics", daemon=True)
             self._thread.start()
 
     def _take(self, sample: DeviceSample, force: Vector) -> None:
         self._sample, self._force = sample, force
 
     def _cycle(self) -> None:
-        assert self._loop is not None
-        if self._loop.error is not None:
+        assert self.loop is not None
+        if self.loop.error is not None:
             return
         try:
-            self._loop.cycle()
+            self.loop.cycle()
         except DeviceError as error:
             # As in a thread: the one who sleeps does not hear of it, but whoever reads or tells does.
-            self._loop.error = error
+            self.loop.error = error
             self._force = ZERO
 
 

@@ -35,6 +35,10 @@ class HapticSettings:
         energy_allowance: The most that the hand can be given beyond what it gave [J].
         energy_leak: At which debts are forgotten [W].
         energy_hoard: What may be given back beyond what the organ could hold [J].
+        weight: Of the device's grip, which the motors bear while there is a heartbeat [N]. Best a little less than it
+            is, so that a grip that is let go sinks.
+        friction: Coulomb friction of the device, of which half is made up for in motion [N]. Never more than there is:
+            a grip would keep going by itself.
         rest_time: A contact is over when there has been no force for so long [s].
     """
 
@@ -55,6 +59,8 @@ class HapticSettings:
     energy_allowance: float = 4e-4
     energy_leak: float = 1e-5
     energy_hoard: float = 1e-3
+    weight: float = 0.0
+    friction: float = 0.0
     rest_time: float = 0.1
 
     def __post_init__(self) -> None:
@@ -68,6 +74,8 @@ class HapticSettings:
             "energy_allowance",
             "energy_leak",
             "energy_hoard",
+            "weight",
+            "friction",
         ):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be zero or more and finite, got {getattr(self, name)!r}")
