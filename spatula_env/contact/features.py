@@ -39,6 +39,9 @@ MOST_SAMPLES = 16
 BISECTIONS = 8
 """Steps of bisection to find when an edge met the tool."""
 
+PASSES_UNDECIDED = 2
+"""After so many passes a vertex of the organ stays before the face of the tool that has pushed it."""
+
 PASSES_AS_MET = 6
 """After so many passes corners of the tool push a triangle also where they are, and not only where they met it."""
 
@@ -136,6 +139,26 @@ def find_candidates(tool: Any, memory: Any, triangles: np.ndarray) -> int:
 
 
 @inline_kernel
+def pushed_by(known: int, constraints: Any, owner: int, name: int, plane: int) -> int:
+    """By which face of a tool a contact pushed in the last pass; `plane` if it is not among those that did.
+
+    Args:
+        known: How many contacts pushed.
+        constraints: They.
+        owner: The tool.
+        name: Of the contact.
+        plane: A face.
+
+    Returns:
+        The face.
+    """
+    for e in range(known):
+        if constraints.names[e] == name and constraints.features[e, OWNER] == owner:
+            return int(constraints.features[e, PLANE])
+    return plane
+
+
+@inline_kernel
 def gather_vertices(
     rows: np.ndarray,
     features: np.ndarray,
@@ -150,8 +173,14 @@ def gather_vertices(
     angular_velocity: np.ndarray,
     friction: float,
     owner: int,
+    tried: int,
+    trial: Any,
 ) -> int:
-    """Append one constraint for each vertex of the organ that came into the tool or touches it."""
+    """Append one constraint for each vertex of the organ that came into the tool or touches it.
+
+    What its way is depends on where the last solve has put it. From one face it may be put onto another and back, pass
+    after pass: a vertex that `trial`, of which there are `tried`, has pushed stays before the face that did.
+    """
     local, last, codes = memory.local, memory.last_local, memory.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
     for i in range(local.shape[1]):
@@ -161,13 +190,15 @@ def gather_vertices(
         p = entry_plane(last[0, i], last[1, i], last[2, i], x, y, z, plane_normals, plane_offsets, MARGIN)
         if p < 0:
             continue
+        name = constraint_name(ON_VERTEX, 0, i + first_vertex, 0)
+        p = pushed_by(tried, trial, owner, name, p)
         nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
         height = nx * x + ny * y + nz * z - plane_offsets[p]
         count = append_constraint(
             rows, features, names, count, (i, i, i), (1.0, 0.0, 0.0), (nx, ny, nz),
             (x - height * nx, y - height * ny, z - height * nz),
             last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, p,
-            constraint_name(ON_VERTEX, 0, i + first_vertex, 0),
+            name,
         )  # fmt: skip
     return count
 
@@ -364,11 +395,17 @@ def meeting_time(heights: np.ndarray, samples: int) -> float:
 
 @inline_kernel
 def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
-    """Whether an edge lies within the faces around one, from one query to the next: it passes over none of its rim."""
+    """Whether an edge lies within the faces around one, from one query to the next: it passes over none of its rim.
+
+    Nor does one of its ends, which is behind the face now, end on one of those around it, where a solve has put it.
+    """
     for p in range(heights.shape[1]):
         if ridges[plane, p, 0] >= 0:
             for row in range(4):
                 if heights[row, p] > MARGIN:
+                    return False
+            for row in range(2, 4):
+                if heights[row, plane] < -RESIDUAL_TOLERANCE < heights[row, p]:
                     return False
     return True
 
@@ -517,10 +554,13 @@ def gather_features(
     owner: int,
     again: bool,
     attempt: int,
+    tried: int,
+    trial: Any,
 ) -> int:
     """Append constraints where vertices, corners and edges have met, making room for them. Returns the new count.
 
-    In the first pass, `attempt` 0, the organ is where its springs have thrown it; later where solves have put it.
+    In the first pass, `attempt` 0, the organ is where its springs have thrown it; later where solves have put it. The
+    last one's constraints that pushed are the `tried` ones of `trial`.
     """
     found = find_candidates(tool, memory, triangles)
     if found == 0:
@@ -530,7 +570,7 @@ def gather_features(
     rows, features, names = constraints.rows, constraints.features, constraints.names
     count = gather_vertices(
         rows, features, names, count, tool, memory, first_vertex, position, rotation, linear_velocity,
-        angular_velocity, friction, owner,
+        angular_velocity, friction, owner, tried if attempt >= PASSES_UNDECIDED else 0, trial,
     )  # fmt: skip
     first, heights, behind = count, np.empty(corners), np.empty(corners, np.bool_)
     count = gather_corners(

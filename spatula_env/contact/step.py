@@ -487,7 +487,7 @@ def resolve_step(
                         if mode == FLAGS:
                             count = gather_features(
                                 constraints, count, tool, memory, triangles, first, position[k], rotation[k], linear[k],
-                                angular[k], friction[k], k, attempt > 0 and parts == 1, attempt,
+                                angular[k], friction[k], k, attempt > 0 and parts == 1, attempt, tried, trial,
                             )  # fmt: skip
                         # Where less was thrown into the tool than expected, it is looked where that really is.
                         if attempt > 0 or not predicts or count > before:

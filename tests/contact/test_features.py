@@ -317,6 +317,10 @@ def test_an_edge_that_swings_past_the_rim_reaches_the_side():
         ends_on = heights_of(BOX, columns([held, above]), columns([held, (0.5 + beyond, 0.1, 0.0)]))
         assert clip_edge(ends_on, 1.0)[3] == -1
         assert border_reached(ends_on, 1, 0.0, top, MOST_SAMPLES, ridges) == right
+        # So it does if it was over the face before.
+        slides_on = heights_of(BOX, columns([held, (0.45, 0.1, 0.0625)]), columns([held, (0.5 + beyond, 0.1, 0.0)]))
+        assert not stays_over(slides_on, top, ridges)
+        assert border_reached(slides_on, 1, 0.0, top, MOST_SAMPLES, ridges) == right
     # The same with the ends exchanged; nothing for the end that is held, or if the other stays above.
     swapped = heights_of(BOX, columns([above, held]), columns([below, held]))
     assert border_reached(swapped, 0, 0.0, top, MOST_SAMPLES, ridges) == right
@@ -324,6 +328,8 @@ def test_an_edge_that_swings_past_the_rim_reaches_the_side():
     stays = heights_of(BOX, columns([held, above]), columns([held, (0.55, 0.1, 0.07)]))
     assert border_reached(stays, 1, 0.0, top, MOST_SAMPLES, ridges) == -1
     # An edge between the sides does not come near the rim, however it moves.
+    pressed = heights_of(BOX, columns([held, (0.45, 0.1, 0.0625)]), columns([held, (0.45, 0.1, 0.0)]))
+    assert stays_over(pressed, top, ridges)
     inner = heights_of(BOX, columns([held, (-0.3, 0.0, 0.2)]), columns([held, (-0.2, 0.1, -0.2)]))
     assert stays_over(inner, top, ridges)
 

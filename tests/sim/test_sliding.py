@@ -37,6 +37,9 @@ RIMS_AND_CORNERS = {
     # neighbour, which stays where it was, is pressed over the rim. It was 0.07 and 0.05 u deep.
     "rim_in_clamp": "clamp",
     "rim_in_palpate": "palpate",
+    # A vertex at the rim was put before one face and the next by turns, in ten passes, and the edge beside it, which
+    # comes from outside, was in neither of them found over the rim. It was 0.02 u deep.
+    "vertex_in_clamp": "clamp",
     # A corner's way led through one triangle, which soon held no more; it was in the organ by the triangle beside. It
     # was 0.04 u deep, in the last step.
     "corner_in_clamp": "clamp",
