@@ -13,6 +13,7 @@ from spatula_env.data.dataset import AUTHOR, DatasetWriter, check_target, datase
 from spatula_env.data.episode import EpisodeRecorder, StateType
 from spatula_env.data.files import recording_lock
 from spatula_env.teleop.device import DeviceLost, TeleopDevice
+from spatula_env.teleop.haptics.device import HapticDevice
 from spatula_env.teleop.session import EpisodeSummary, run_episode
 from spatula_env.teleop.wrapper import FalconTeleop
 
@@ -228,7 +229,9 @@ def episode_attributes(env: FalconTeleop, summary: EpisodeSummary) -> dict[str, 
         summary: How the episode went.
     """
     made: Any = env.unwrapped
+    felt = {"force_scale": env.device.settings.force_scale} if isinstance(env.device, HapticDevice) else {}
     return {
+        **felt,
         "operator": str(getattr(env.device, "operator", "human")),
         "device": env.device.name,
         "success": summary.success,

@@ -176,6 +176,23 @@ class VelocityControl:
         """
         return self._lowest(positions, orientations, tool_scale) - self._stop
 
+    def reach(
+        self, grip: FloatArray, positions: FloatArray, orientations: FloatArray, tool_scale: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where the grip can be with tools turned and opened as they are: two corners (W, 3) of boxes [m].
+
+        Args:
+            grip: (W, 3) [m].
+            positions: (W, N, 3) of the tools [m].
+            orientations: (W, N, 4) of the tools.
+            tool_scale: (W,) how large they are.
+        """
+        low, high = (np.repeat(corner[None], len(grip), axis=0) for corner in (self._low, self._high))
+        low[:, 2] = np.maximum(
+            low[:, 2], self._stop - self._lowest(positions - grip[:, None], orientations, tool_scale)
+        )
+        return low, high
+
     def motion(
         self,
         actions: FloatArray,

@@ -176,6 +176,12 @@ class Episodes:
         return np.asarray(positions.mean(axis=1))
 
     @property
+    def reach(self) -> tuple[FloatArray, FloatArray]:
+        """Two corners (W, 3) of where the grips can be now, workspace frames [m]."""
+        positions, orientations = self._poses()
+        return self.control.reach(positions.mean(axis=1), positions, orientations, self._variation.tool_scale)
+
+    @property
     def pressures(self) -> tuple[FloatArray, ...]:
         """(W, n) for each tool: on its contact nodes in the last physics step [Pa]."""
         return tuple(pressures.copy() for pressures in self._node_pressures)

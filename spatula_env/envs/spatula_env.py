@@ -385,6 +385,12 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         return np.asarray(self._episodes.grips[0])
 
     @property
+    def reach(self) -> tuple[FloatArray, FloatArray]:
+        """Two corners (3,) of the box in which the grip can be, with tools turned and opened as they are now [m]."""
+        low, high = self._episodes.reach
+        return low[0], high[0]
+
+    @property
     def moment(self) -> Moment:
         """What there is to see now, for a view of one's own."""
         (moment,) = self._pictures.moments([0])

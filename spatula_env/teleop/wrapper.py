@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Literal, Protocol, SupportsFloat, TypeAlias, runtime_checkable
 
 import gymnasium
@@ -28,6 +29,16 @@ CENTRE_ZONE = 0.1
 """Share of a position device's half workspace in which it commands no rate."""
 STANDSTILL, UNUSUAL = 0.04, 3.0
 """After so long without a physics step hand and tool are matched anew [s], if that is so many times the last pause."""
+CENTRED = 0.006
+"""So near is near enough [m]."""
+CENTRING_TIME, CENTRING_LOOK = 20.0, 0.02
+"""How long the operator is waited for, and how often the grip is looked at [s]."""
+TELL_AGAIN = 5.0
+"""The operator is not told the same more often [s]."""
+PACE_TIME, SLOW = 1.0, 0.9
+"""Over which time the simulation's pace is taken [s], and below which share of real time it is slow."""
+WAYS = (("to the right", "to the left"), ("away from you", "towards you"), ("up", "down"))
+"""Along the device's axes."""
 BEHIND = 2.0
 """So many control periods the simulation may be behind real time before it stops trying to catch up."""
 
@@ -117,6 +128,9 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         motion_threshold: float | None = None,
         release_time: float = 1.0,
         real_time: bool = True,
+        buttons: Mapping[str, str] | None = None,
+        centring: bool = False,
+        tell: Callable[[str], None] | None = None,
         now: Callable[[], float] | None = None,
         sleep: Callable[[float], None] | None = None,
     ) -> None:
@@ -136,6 +150,10 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             release_time: How long the operator has to be still before the policy acts again; for "motion" [s].
             real_time: Whether every physics step waits for its time. Without, the environment runs as fast as it can; a
                 `HapticDevice` with its loop "here" is always waited for.
+            buttons: What a button of the device is to be taken for, by the names of both: {"forward": "finish"}.
+            centring: Whether a position device is brought to the middle before each episode, so that the whole task is
+                in reach: the operator is told where to, through `tell`, and waited for.
+            tell: Takes a sentence for the operator: where to bring the grip, and that the simulation is slow.
             now: The clock; that of the device by default [s].
             sleep: Waits by it; the device's `sleep`, if it has one, by default.
 
@@ -153,6 +171,8 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             "motion_threshold": motion_threshold,
             "release_time": release_time,
             "real_time": real_time,
+            "buttons": dict(buttons) if buttons is not None else None,
+            "centring": centring,
         }
         gymnasium.utils.RecordConstructorArgs.__init__(
             self, device=device if isinstance(device, str) else None, **as_plain(arguments)
@@ -178,6 +198,10 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self.mode: Literal["position", "rate"] = device.kind if mode == "auto" else mode
         self.pressed: frozenset[str] = frozenset()
         self._scale = scale
+        self._buttons = dict(buttons) if buttons is not None else {}
+        self._centring = centring and self.mode == "position"
+        self._tell: Callable[[str], None] = tell if tell is not None else _tell_nobody
+        self._pace = Pace()
         self._clutch = None if intervention == "button" and intervention_button == clutch else clutch
         self._intervention: Intervention = intervention
         self._intervention_button = intervention_button
@@ -208,7 +232,10 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._extra, self._still_for = 0, math.inf
         self._acting = self._intervention == "always"
         self._show(observation)
-        sample = self.device.read()
+        if self._centring:
+            self._centre()
+        self._pace.begin()
+        sample = self._read()
         self.pressed = sample.buttons
         by = self._operator if self._acting else "policy"
         return observation, self._inform(info, by, False, np.zeros(self.action_space.shape or (), dtype=np.float32))
@@ -225,7 +252,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             ValueError: If there is no action of a policy, and the operator does not act.
         """
         try:
-            sample = self.device.read()
+            sample = self._read()
         except DeviceError:
             self._let_go()
             self._offset = None
@@ -248,6 +275,8 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._sample, self.pressed = sample, sample.buttons
         pilot = self._pilot() if acting else None
         self._track = []
+        if pilot is not None:
+            self._confine()
         try:
             self._tap.install(self._after_physics, pilot)
             observation, reward, terminated, truncated, info = self.env.step(chosen)
@@ -311,7 +340,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if self._track:
             # The first physics step goes by what the control step was decided by.
             try:
-                self._sample = self.device.read()
+                self._sample = self._read()
             except DeviceError:
                 # The control step is finished without it; the next one tells.
                 self._let_go()
@@ -325,14 +354,44 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             chosen[3:] = self._extra_rates(sample)
             if self._offset is None or self._clutch in sample.buttons:
                 self._offset = grip - self._scale * sample.position
+                self._confine()
             wanted = self._scale * sample.position + self._offset
-            import os
-
-            FR = float(os.environ.get("FR", "1"))
-            chosen[:3] = FR * (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
+            chosen[:3] = (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
         action = np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
         self._track.append(action)
         return action
+
+    def _read(self) -> DeviceSample:
+        """The device's sample, with its buttons by the names that they are taken for."""
+        sample = self.device.read()
+        if not self._buttons or not sample.buttons:
+            return sample
+        return replace(sample, buttons=frozenset(self._buttons.get(name, name) for name in sample.buttons))
+
+    def _confine(self) -> None:
+        """Tell a haptic device where the tool follows the hand."""
+        if isinstance(self.device, HapticDevice) and self._offset is not None:
+            low, high = self._tap.reach()
+            self.device.confine((low - self._offset) / self._scale, (high - self._offset) / self._scale)
+
+    def _centre(self) -> None:
+        """Ask the operator to bring the grip to where the tool is in its workspace, and wait until it is there."""
+        low, high = self.device.workspace_low, self.device.workspace_high
+        goal = self._tap.grip() / self._scale
+        if low is not None and high is not None:
+            goal = np.clip(goal, low + CENTRED, high - CENTRED)
+        deadline = self._now() + CENTRING_TIME
+        told = -math.inf
+        while self._now() < deadline:
+            sample = self._read()
+            assert sample.position is not None
+            away = goal - sample.position
+            if float(np.linalg.norm(away)) < CENTRED or sample.buttons:
+                break
+            if self._now() - told > TELL_AGAIN:
+                told = self._now()
+                self._tell(f"Bring the grip {way_in_words(away)}; any button goes on from where it is.")
+            self._sleep(CENTRING_LOOK)
 
     def _rates(self, sample: DeviceSample) -> FloatArray:
         """(A,) what the device commands as rates, fractions of the greatest."""
@@ -375,6 +434,9 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._let_go()
         if self._real_time:
             self._wait()
+            slow = self._pace.step(self._now(), self._tap.time_step)
+            if slow is not None:
+                self._tell(slow)
 
     def _wait(self) -> None:
         now = self._now()
@@ -408,6 +470,57 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             steering[: len(self._track)] = np.array(self._track).reshape(-1, self._tap.control.size)
             told[STEERING] = steering
         return told
+
+
+class Pace:
+    """How fast simulated time passes, and when that is to be told."""
+
+    def __init__(self) -> None:
+        self._start: float | None = None
+        self._simulated = 0.0
+        self._told = -math.inf
+
+    def begin(self) -> None:
+        """An episode begins: what was before counts no more."""
+        self._start, self._simulated = None, 0.0
+
+    def step(self, now: float, time_step: float) -> str | None:
+        """A physics step is over.
+
+        Args:
+            now: The time [s].
+            time_step: Of the simulation [s].
+
+        Returns:
+            A sentence for the operator, when there is one.
+        """
+        if self._start is None:
+            self._start = now
+            return None
+        self._simulated += time_step
+        passed = now - self._start
+        if passed < PACE_TIME:
+            return None
+        share = self._simulated / passed
+        self._start, self._simulated = now, 0.0
+        if share >= SLOW or now - self._told < TELL_AGAIN:
+            return None
+        self._told = now
+        return f"The simulation is slow: {share:.2f} of real time. Forces come late, and below 0.17 there are none."
+
+
+def way_in_words(way: FloatArray) -> str:
+    """A way (3,) in the device's frame [m], for an operator: "12 mm to the right and 5 mm up"."""
+    words = [
+        f"{1000.0 * abs(part):.0f} mm {names[part < 0.0]}"
+        for part, names in zip(way.tolist(), WAYS, strict=True)
+        if abs(part) >= 1e-3
+    ]
+    return " and ".join(words) if words else "nowhere"
+
+
+def _tell_nobody(_: str) -> None:
+    pass
 
 
 def _as_stick(sample: DeviceSample, device: TeleopDevice) -> FloatArray:

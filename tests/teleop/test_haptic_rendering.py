@@ -240,3 +240,19 @@ def test_periods_are_counted_in_a_place_that_does_not_grow():
 def test_settings_name_what_is_wrong(name, value):
     with pytest.raises(ValueError, match=name):
         HapticSettings(**{name: value})
+
+
+def test_soft_walls_where_the_workspace_and_the_tool_end():
+    gains = dataclasses.replace(PLAIN, wall_stiffness=200.0, wall_force=2.0)
+    box = ((-0.04, -0.04, -0.04), (0.04, 0.04, 0.04))
+    contact = Contact(0.0, None, ORIGIN, (-0.1, -0.1, -0.01), (0.1, 0.1, 0.1))
+
+    def at(place, told=contact):
+        return settle(ForceRenderer(gains, 8.0, 3000.0, 20.0, *box), told, position=place)
+
+    np.testing.assert_array_equal(at((0.03, -0.03, 0.02)), 0.0)
+    np.testing.assert_allclose(at((0.045, 0.0, 0.0)), [-1.0, 0.0, 0.0])
+    # The tool's own room is smaller below, and the walls yield in the end.
+    np.testing.assert_allclose(at((0.0, 0.0, -0.014)), [0.0, 0.0, 0.8])
+    np.testing.assert_allclose(at((0.0, 0.0, -0.039)), [0.0, 0.0, 2.0])
+    np.testing.assert_array_equal(at((0.0, 0.0, -0.014), Contact(0.0, None, ORIGIN)), 0.0)

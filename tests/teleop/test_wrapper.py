@@ -341,3 +341,71 @@ def test_other_environments_are_refused():
     with pytest.raises(TypeError, match="Spatula"):
         FalconTeleop(env, Puppet())
     env.close()
+
+
+def test_buttons_are_taken_for_what_they_are_to_be(press):
+    device = Puppet()
+    teleop = begin(press, device, buttons={"forward": "center", "center": "finish"})
+    device.buttons = {"center"}
+    teleop.step()
+    assert teleop.pressed == {"finish"}
+    device.buttons = {"forward"}
+    before = grip(press)
+    for x in (0.01, 0.02):
+        device.value = np.array([x, 0.0, 0.0])
+        teleop.step()
+    np.testing.assert_allclose(grip(press), before, atol=1e-8)
+
+
+def test_the_operator_is_told_where_to_bring_the_grip_and_waited_for(press):
+    device = Puppet()
+    device.value = np.array([0.02, 0.0, -0.01])
+    told, clock = [], {"now": 0.0}
+
+    def sleep(duration):
+        clock["now"] += duration
+        device.value = 0.9 * device.value + 0.1 * np.array([0.01, -0.01, 0.03])
+
+    teleop = FalconTeleop(
+        press, device, real_time=False, centring=True, tell=told.append, now=lambda: clock["now"], sleep=sleep
+    )
+    teleop.reset(seed=0, options={"tool_position": (0.01, -0.01, 0.03)})
+    assert told == [
+        "Bring the grip 10 mm to the left and 10 mm towards you and 40 mm up; any button goes on from where it is."
+    ]
+    assert np.linalg.norm(device.value - [0.01, -0.01, 0.03]) < 0.006
+    # Nothing jumps, and from there the whole workspace is in reach.
+    before = grip(press)
+    teleop.step()
+    np.testing.assert_allclose(grip(press), before, atol=1e-8)
+
+
+def test_a_slow_simulation_is_told_and_not_over_and_over(press):
+    device = Puppet()
+    told, clock = [], {"now": 0.0}
+
+    def now():
+        # Every look takes as long as three physics steps.
+        clock["now"] += 3.0 / 240.0
+        return clock["now"]
+
+    teleop = FalconTeleop(press, device, tell=told.append, now=now, sleep=lambda _: None)
+    teleop.reset(seed=0)
+    for _ in range(10):
+        teleop.step()
+    assert len(told) == 1 + int(clock["now"] > 5.0)
+    assert "0.17 of real time" in told[0]
+
+
+def test_a_haptic_device_is_told_where_the_tool_follows(press):
+    falcon = EmulatedFalcon(GuidedHand(lambda _: position_to_falcon((0.01, 0.0, 0.0))))
+    device = HapticDevice(lambda: falcon, where="here", exchange=True)
+    with device:
+        teleop = FalconTeleop(press, device)
+        teleop.reset(seed=0, options={"tool_position": (0.0, 0.0, 0.03)})
+        teleop.step()
+        low, high = press.unwrapped.reach
+        offset = np.array([0.01, 0.0, -0.03])
+        np.testing.assert_allclose(device._room, [low + offset, high + offset], atol=1e-4)
+        assert low[2] < -0.02
+        assert high[2] == pytest.approx(0.0508)

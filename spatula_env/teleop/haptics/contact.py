@@ -19,11 +19,15 @@ class Contact:
         position: Where the grip would be if it were where the tool is [m]; None if that is not known, or if hand and
             tool are not coupled, as while the clutch is held.
         force: What the organ does to the tool [N].
+        low: Lowest corner of where the grip may be for the tool to follow [m]; None if there is no such place.
+        high: Highest corner of it [m].
     """
 
     time: float
     position: Vector | None = None
     force: Vector = ZERO
+    low: Vector | None = None
+    high: Vector | None = None
 
 
 @dataclass(frozen=True)

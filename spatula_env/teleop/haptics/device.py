@@ -86,6 +86,7 @@ class HapticDevice(TeleopDevice):
         self._factory = factory
         self._exchange = exchange
         self._runner: Runner | None = None
+        self._room: tuple[Vector, Vector] | None = None
         self._finish: Callable[[], object] | None = None
 
     @property
@@ -139,7 +140,25 @@ class HapticDevice(TeleopDevice):
         """
         runner = self._open_runner()
         place = None if position is None else _as_vector(check_force(position))
-        runner.tell(Contact(runner.now(), place, _as_vector(check_force(force))))
+        low, high = self._room if self._room is not None else (None, None)
+        runner.tell(Contact(runner.now(), place, _as_vector(check_force(force)), low, high))
+
+    def confine(self, low: ArrayLike | None, high: ArrayLike | None) -> None:
+        """Tell where the grip may be for the tool to follow: beyond, soft walls push it back, from the next `tell` on.
+
+        Args:
+            low: Lowest corner, shape (3,), device's frame [m]; None: anywhere.
+            high: Highest corner [m].
+
+        Raises:
+            ValueError: If one has another shape or is not finite, or one is missing.
+        """
+        if (low is None) != (high is None):
+            raise ValueError(f"low and high must both be given, or none of them, got {low!r} and {high!r}")
+        if low is None or high is None:
+            self._room = None
+        else:
+            self._room = _as_vector(check_force(low)), _as_vector(check_force(high))
 
     def send_force(self, force: ArrayLike) -> None:
         """`tell` without a place: the force alone, filtered and limited."""

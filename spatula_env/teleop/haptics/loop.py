@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-from spatula_env.teleop.device import DeviceError, DeviceSample, TeleopDevice
+from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
 from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
 from spatula_env.teleop.haptics.histogram import PeriodHistogram
 from spatula_env.teleop.haptics.rendering import ForceRenderer
@@ -38,7 +38,12 @@ class HapticLoop:
             exchange: Whether the device has no thread of its own, so that every cycle has to call its `exchange`.
         """
         self.renderer = ForceRenderer(
-            settings, device.greatest_force, device.greatest_stiffness, device.greatest_damping
+            settings,
+            device.greatest_force,
+            device.greatest_stiffness,
+            device.greatest_damping,
+            _corner(device.workspace_low),
+            _corner(device.workspace_high),
         )
         self.error: BaseException | None = None
         self._device = device
@@ -130,3 +135,7 @@ class HapticLoop:
             pulse=renderer.heartbeat.pulse,
             is_slow=renderer.heartbeat.is_slow,
         )
+
+
+def _corner(place: FloatArray | None) -> Vector | None:
+    return None if place is None else cast("Vector", tuple(place.tolist()))

@@ -47,8 +47,10 @@ from spatula_env.teleop.haptics.runner import (
 )
 from spatula_env.teleop.haptics.settings import HapticSettings
 
-CONTACT = "dBB3d3d"
-"""Time; whether there is a contact, and a position; position, force."""
+CONTACT = "dBB3d3dB3d3d"
+"""Time; whether there is a contact, and a position; position, force; whether there are corners; corners."""
+SILENT = (0.0, False, False, *ZERO, *ZERO, False, *ZERO, *ZERO)
+"""Nothing is to be felt."""
 REPORT = "dq3d3dQ3dB"
 """Time, sequence, position, velocity, buttons as bits, force; whether the loop has ended."""
 SILENCE = 0.5
@@ -143,12 +145,19 @@ class RemoteLoop(Runner):
     def tell(self, contact: Contact | None) -> None:
         """See `Runner`."""
         if contact is None:
-            self._inbox.write(0.0, False, False, *ZERO, *ZERO)
+            self._inbox.write(*SILENT)
             return
         self._report()
-        place = contact.position
+        place, low, high = contact.position, contact.low, contact.high
         self._inbox.write(
-            contact.time, True, place is not None, *(place if place is not None else ZERO), *contact.force
+            contact.time,
+            True,
+            place is not None,
+            *(place if place is not None else ZERO),
+            *contact.force,
+            low is not None and high is not None,
+            *(low if low is not None else ZERO),
+            *(high if high is not None else ZERO),
         )
 
     def ask(self, question: Callable[[TeleopDevice], Answer]) -> Answer:
@@ -168,7 +177,7 @@ class RemoteLoop(Runner):
         self._is_closed = True
         if self._watcher is not None:
             self._watcher.join(END_TIMEOUT)
-        self._inbox.write(0.0, False, False, *ZERO, *ZERO)
+        self._inbox.write(*SILENT)
         # The end of the pipe is what ends the loop; it ends also when this process does, however that comes.
         self._pipe.close()
         if self._process.pid is not None:
@@ -385,7 +394,8 @@ class _Server:
         message = self._inbox.read()
         if message is None or not message[1] or self._ending or self._paused:
             return None
-        return Contact(message[0], message[3:6] if message[2] else None, message[6:9])
+        low, high = (message[10:13], message[13:16]) if message[9] else (None, None)
+        return Contact(message[0], message[3:6] if message[2] else None, message[6:9], low, high)
 
     def _give(self, sample: DeviceSample, force: Vector) -> None:
         assert sample.position is not None

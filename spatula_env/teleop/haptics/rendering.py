@@ -15,6 +15,7 @@ and, with a stiffness of its own, across it::
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from spatula_env.teleop.haptics.contact import ZERO, Contact, Vector, difference, dot, scaled
 from spatula_env.teleop.haptics.heartbeat import Heartbeat
@@ -44,7 +45,7 @@ class ForceRenderer:
         heartbeat: Of the simulation.
         contact: With the organ.
         limited: In how many steps passivity held a force back.
-        support: What of the last force is not the organ's: it bears the grip's weight and makes up for friction [N].
+        support: What of the last force is not the organ's: it bears the grip, makes up for friction, and is walls [N].
         damping: As it is felt, within the device's limit [N s/m].
         greatest_force: Likewise [N].
     """
@@ -55,6 +56,8 @@ class ForceRenderer:
         greatest_force: float = math.inf,
         greatest_stiffness: float = math.inf,
         greatest_damping: float = math.inf,
+        workspace_low: Vector | None = None,
+        workspace_high: Vector | None = None,
     ) -> None:
         """Start without any force.
 
@@ -63,6 +66,8 @@ class ForceRenderer:
             greatest_force: The device's limit [N].
             greatest_stiffness: The device's limit [N/m].
             greatest_damping: The device's limit [N s/m].
+            workspace_low: Lowest corner of the device's workspace [m]; None: it is not known.
+            workspace_high: The highest.
         """
         self.settings = settings
         self.account = EnergyAccount(settings)
@@ -73,6 +78,9 @@ class ForceRenderer:
         self.greatest_force = min(settings.greatest_force, greatest_force)
         self.damping = min(settings.damping, greatest_damping)
         self._greatest_stiffness = greatest_stiffness
+        self._low: Vector = workspace_low if workspace_low is not None else (-math.inf, -math.inf, -math.inf)
+        self._high: Vector = workspace_high if workspace_high is not None else (math.inf, math.inf, math.inf)
+        self._walls: Vector = ZERO
         self._time: float | None = None
         self._hand: Vector = ZERO
         self._sent: Vector = ZERO
@@ -113,8 +121,23 @@ class ForceRenderer:
         elif now - self._last_force_time > self.settings.rest_time:
             self.account.begin()
             self.contact.begin()
-        self.support = scaled(life, self._bearing(velocity))
+        self._walls = _limited(self._walls, self._pushed_back(position, contact), self.settings.slew * step)
+        self.support = scaled(life, _sum(self._bearing(velocity), self._walls))
         return _shortened(_sum(self._sent, self.support), self.greatest_force)
+
+    def _pushed_back(self, position: Vector, contact: Contact | None) -> Vector:
+        """Soft walls where the device's workspace ends, and where the tool does not follow."""
+        stiffness, most = self.settings.wall_stiffness, self.settings.wall_force
+        if stiffness == 0.0:
+            return ZERO
+        low, high = self._low, self._high
+        if contact is not None and contact.low is not None and contact.high is not None:
+            low, high = _each(max, low, contact.low), _each(min, high, contact.high)
+        x, y, z = (
+            min(most, max(-most, stiffness * _outside(place, least, greatest)))
+            for place, least, greatest in zip(position, low, high, strict=True)
+        )
+        return x, y, z
 
     def _bearing(self, velocity: Vector) -> Vector:
         """What bears the grip's weight, and makes up for some of its friction; no part of the account of energy."""
@@ -146,7 +169,7 @@ class ForceRenderer:
         stiffness = min(scale * contact.stiffness, self._greatest_stiffness)
         side_stiffness = min(scale * contact.side_stiffness, self._greatest_stiffness)
         size = math.sqrt(dot(force, force))
-        most = settings.lead * size + scale * settings.least_lead
+        most = settings.lead * size + settings.least_lead
         damping = min(1.0, size / settings.full_contact) * self.damping
         ahead = contact.ahead(position)
         # Bounded evenly: a damper that is cut at zero force alone would push on average.
@@ -193,6 +216,24 @@ class ForceRenderer:
 
 def _sum(first: Vector, second: Vector) -> Vector:
     return first[0] + second[0], first[1] + second[1], first[2] + second[2]
+
+
+def _outside(place: float, low: float, high: float) -> float:
+    """The way back from a place into an interval, 0 within it, or where it has no inside."""
+    return 0.0 if low > high else min(high, max(low, place)) - place
+
+
+def _each(choose: Callable[[float, float], float], first: Vector, second: Vector) -> Vector:
+    return choose(first[0], second[0]), choose(first[1], second[1]), choose(first[2], second[2])
+
+
+def _limited(last: Vector, wanted: Vector, most: float) -> Vector:
+    """A vector on the way from one to another, no further than may be along each axis."""
+    return (
+        last[0] + min(most, max(-most, wanted[0] - last[0])),
+        last[1] + min(most, max(-most, wanted[1] - last[1])),
+        last[2] + min(most, max(-most, wanted[2] - last[2])),
+    )
 
 
 def _across(vector: Vector, normal: Vector) -> Vector:

@@ -25,7 +25,7 @@ class HapticSettings:
             drags where nothing is touched [N].
         lead: By what share of itself a force may at most be greater than the simulation's, where the hand is ahead of
             the tool. A tool has a greatest speed, and lags behind a quick hand: what it would feel there is not known.
-        least_lead: By how much it may be greater in any case [N]. Scaled as forces are.
+        least_lead: By how much it may be greater in any case [N]. Not scaled.
         slew: By how much a force may change in a second, unless it fades [N/s].
         ramp: How long a force takes to fade when it is released, or when the simulation does not go on [s].
         resume: How long it takes to come back [s].
@@ -39,6 +39,8 @@ class HapticSettings:
             is, so that a grip that is let go sinks.
         friction: Coulomb friction of the device, of which half is made up for in motion [N]. Never more than there is:
             a grip would keep going by itself.
+        wall_stiffness: Of soft walls where the workspace ends and where the tool meets a stop; 0: none [N/m].
+        wall_force: The most that a wall pushes along an axis [N].
         rest_time: A contact is over when there has been no force for so long [s].
     """
 
@@ -50,7 +52,7 @@ class HapticSettings:
     cutoff: float = 60.0
     full_contact: float = 0.2
     lead: float = 0.2
-    least_lead: float = 0.02
+    least_lead: float = 0.05
     slew: float = 90.0
     ramp: float = 0.02
     resume: float = 0.05
@@ -61,6 +63,8 @@ class HapticSettings:
     energy_hoard: float = 1e-3
     weight: float = 0.0
     friction: float = 0.0
+    wall_stiffness: float = 200.0
+    wall_force: float = 2.0
     rest_time: float = 0.1
 
     def __post_init__(self) -> None:
@@ -75,6 +79,8 @@ class HapticSettings:
             "energy_leak",
             "energy_hoard",
             "weight",
+            "wall_stiffness",
+            "wall_force",
             "friction",
         ):
             if not 0.0 <= getattr(self, name) < math.inf:

@@ -54,6 +54,10 @@ class EnvironmentTap:
         """(3,) where the grip is now, workspace frame [m]."""
         return self._env.grip
 
+    def reach(self) -> tuple[FloatArray, FloatArray]:
+        """Two corners (3,) of where the grip can be, workspace frame [m]."""
+        return self._env.reach
+
     def install(self, after_step: AfterStep, pilot: Pilot | None = None) -> None:
         """Have something called around every physics step, until `remove`. An exception of it ends the control step.
 
