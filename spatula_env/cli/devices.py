@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
 from spatula_env.cli.common import CommandError, at_least, engine_option, note, read_changes, resolve_env
+from spatula_env.cli.forces import HAPTIC, HELD, add_force_options, force_settings, read_buttons, tell_loop
 from spatula_env.naming import same_environment
 from spatula_env.teleop.web.access import find_token
 
@@ -52,6 +53,13 @@ APPLICABLE: Mapping[str, tuple[Any, tuple[str, ...]]] = MappingProxyType(
         "port": (8080, ("web",)),
         "token": (None, ("web",)),
         "token_file": (None, ("web",)),
+        "force_scale": (None, HAPTIC),
+        "coupling": (None, HAPTIC),
+        "grip_weight": (None, HAPTIC),
+        "no_force": (False, HAPTIC),
+        "haptics": (False, HAPTIC),
+        "no_centring": (False, HELD),
+        "buttons": (None, ("falcon", "forcedimension", "emulated-falcon", "gamepad", "spacemouse", "keyboard")),
     }
 )
 """Options that mean something with some devices only: their defaults, and those devices."""
@@ -91,6 +99,7 @@ def add_device_options(parser: argparse.ArgumentParser) -> None:
         "variable SPATULA_TOKEN does as well",
     )
     secret.add_argument("--token", help="the same as it is, for all who use this machine to see")
+    add_force_options(parser)
     hand = parser.add_argument_group("from the hand to the tool")
     hand.add_argument(
         "--mode",
@@ -121,6 +130,9 @@ def teleop_options(chosen: argparse.Namespace) -> dict[str, Any]:
         "scale": chosen.scale,
         "intervention": chosen.intervention,
         "real_time": waits,
+        "buttons": read_buttons(chosen),
+        "centring": chosen.device in HELD and not chosen.no_centring and chosen.mode != "rate",
+        "tell": note,
     }
 
 
@@ -134,6 +146,7 @@ def check_device(chosen: argparse.Namespace) -> Actor | None:
         CommandError: If one is missing, or one would change nothing.
     """
     check_applicable(chosen)
+    read_buttons(chosen)
     if chosen.device == "replay" and chosen.recording is None:
         raise CommandError("--device replay needs --recording DATASET")
     if chosen.policy is not None and chosen.device not in SCRIPTED and chosen.intervention == "always":
@@ -186,7 +199,10 @@ def opened_device(
     with _make(chosen, env, actor, seed) as device:
         if not device.is_calibrated:
             device.calibrate(note)
-        yield device
+        try:
+            yield device
+        finally:
+            tell_loop(device)
 
 
 def _make(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any], actor: Actor | None, seed: int) -> TeleopDevice:
@@ -198,6 +214,8 @@ def _make(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any], actor: Actor
         _check_recording(chosen, env)
         return ReplayDevice.from_dataset(chosen.recording, chosen.episode, chosen.root)
     options: dict[str, Any] = {"index": chosen.index, "firmware": chosen.firmware}
+    if chosen.device in HAPTIC:
+        options["settings"] = force_settings(chosen, env)
     if chosen.device in SCRIPTED:
         import numpy as np
 

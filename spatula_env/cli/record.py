@@ -77,6 +77,11 @@ def add_parser(commands: Parsers) -> None:
         help="how precisely the organ's nodes are kept, and so replays are checked (default: %(default)s)",
     )
     parser.add_argument(
+        "--haptics",
+        action="store_true",
+        help="record grip and forces at the haptic loop's rate too, in the folder haptics of the dataset",
+    )
+    parser.add_argument(
         "--author", metavar="NAME", default="unknown", help="who holds the device; kept with each episode"
     )
     parser.add_argument("--description", metavar="TEXT", default="", help="of the dataset")
@@ -155,6 +160,7 @@ def _with_device(chosen: argparse.Namespace, actor: Actor | None) -> RecordingSu
                 state_dtype=chosen.state_dtype,
                 author=chosen.author,
                 description=chosen.description,
+                haptics=chosen.haptics,
                 progress=tell,
                 after_step=after_step,
                 **teleop_options(chosen),

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     import gymnasium
 
 
+TRACK_TIME = 300.0
+"""For so long at most an episode is recorded at the haptic loop's rate [s]."""
+
+
 @dataclass(frozen=True)
 class RecordingSummary:
     """What came of a recording.
@@ -62,6 +66,7 @@ def record(
     state_dtype: StateType = "float32",
     author: str = AUTHOR,
     description: str = "",
+    haptics: bool = False,
     progress: Callable[[str, EpisodeSummary], None] | None = None,
     after_step: Callable[[Any, dict[str, Any]], None] | None = None,
     **teleop: Any,
@@ -88,6 +93,8 @@ def record(
         state_dtype: How precisely; see `EpisodeRecorder`.
         author: Who holds the device; kept with each episode.
         description: Of the dataset.
+        haptics: Whether what the haptic loop does is recorded at its own rate, in the folder `haptics` of the dataset,
+            a file for each episode; see `spatula_env.teleop.haptics.track`.
         progress: Called after each episode with what became of it, "recorded" or "discarded".
         after_step: Called with observation and info after every reset and step.
         **teleop: For `FalconTeleop`: mode, intervention ….
@@ -99,6 +106,7 @@ def record(
         ImportError: If Minari is missing.
         ValueError: If a number is not one of those allowed, `env` cannot be kept in a dataset, or the dataset has
             episodes of another environment or with other options.
+        TypeError: If `haptics` is asked for and the device has no haptic loop.
         DatasetBusy: If another program is recording into the dataset.
         OSError: If the dataset cannot be written to.
         DatasetWriteError: If an episode could not be written; those before it are intact.
@@ -107,6 +115,8 @@ def record(
         if value is not None and value < 1:
             raise ValueError(f"{name} must be 1 or more, got {value!r}")
     check_seed(seed)
+    if haptics and not isinstance(device, HapticDevice):
+        raise TypeError(f"haptics needs a device with a haptic loop, the {device.name} has none")
     operator = str(getattr(device, "operator", "human"))
     wrapped = FalconTeleop(env, device, **teleop)
     # Before anything is made.
@@ -131,6 +141,7 @@ def record(
             keep_failures=keep_failures,
             attempts=attempts,
             end_on_success=end_on_success,
+            haptics=haptics,
             progress=progress,
             after_step=after_step,
         )
@@ -148,6 +159,7 @@ def record_into(
     keep_failures: bool = True,
     attempts: int | None = None,
     end_on_success: bool = False,
+    haptics: bool = False,
     progress: Callable[[str, EpisodeSummary], None] | None = None,
     after_step: Callable[[Any, dict[str, Any]], None] | None = None,
 ) -> RecordingSummary:
@@ -164,6 +176,7 @@ def record_into(
         keep_failures: Whether episodes that do not reach their goal are added, too.
         attempts: After so many tries recording ends.
         end_on_success: Whether reaching the goal ends an episode.
+        haptics: Whether the haptic loop is recorded at its own rate.
         progress: Called after each episode.
         after_step: Called after every reset and step.
 
@@ -176,6 +189,9 @@ def record_into(
     tried = recorded = successes = 0
     lost: str | None = None
     first = next_seed(writer, seed)
+    tracked = env.device if haptics and isinstance(env.device, HapticDevice) else None
+    if tracked is not None:
+        tracked.keep_track(TRACK_TIME)
     while recorded < episodes and (attempts is None or tried < attempts):
         try:
             summary = run_episode(
@@ -192,7 +208,11 @@ def record_into(
             break
         tried += 1
         keep = summary.kept and (keep_failures or summary.success)
+        # Taken in any case: what is kept next is the next episode's.
+        track = None if tracked is None else tracked.take_track()
         if keep:
+            if track is not None:
+                track.save(haptics_file(writer.path, writer.total_episodes))
             writer.add(recorder.finish(**episode_attributes(env, summary)))
             recorded += 1
             successes += summary.success
@@ -209,6 +229,16 @@ def record_into(
         total_episodes=writer.total_episodes,
         lost=lost,
     )
+
+
+def haptics_file(folder: Path, episode: int) -> Path:
+    """Where the haptic loop's track of an episode is.
+
+    Args:
+        folder: Of the dataset.
+        episode: Its number.
+    """
+    return folder / "haptics" / f"episode_{episode}.npz"
 
 
 def next_seed(writer: DatasetWriter, least: int) -> int:

@@ -155,7 +155,9 @@ class TestPlay:
         monkeypatch.setattr("spatula_env.teleop.registry.make_device", make)
         words = ["--firmware", "f.bin", "--index", "1", "--view", "none", "--episodes", "1", "--no-wait"]
         run(capsys, "play", "press", "--device", "falcon", *words, *SHORT)
-        assert made == [("falcon", {"index": 1, "firmware": Path("f.bin")})]
+        ((name, options),) = made
+        assert options.pop("settings").force_scale == 4.0
+        assert (name, options) == ("falcon", {"index": 1, "firmware": Path("f.bin")})
 
     def test_all_devices_of_the_registry_can_be_named(self) -> None:
         from spatula_env.teleop.registry import DEVICES

@@ -130,6 +130,21 @@ def test_a_recording_is_a_device(recorded, env, tmp_path):
     np.testing.assert_array_equal(second.observations, first.observations)
 
 
+def test_the_loop_is_recorded_at_its_own_rate(env, tmp_path):
+    from spatula_env.data.recording import haptics_file
+    from spatula_env.teleop.haptics.track import HapticTrack
+
+    with ScriptedFalcon(dive) as device:
+        summary = record(env, device, ID, root=tmp_path, options={"tool_position": (0.0, 0.0, -0.015)}, haptics=True)
+    track = HapticTrack.load(haptics_file(summary.path, 0))
+    assert len(track.time) == pytest.approx(STEPS * 50, abs=5)
+    assert track.told[:, 2].max() > 0.0
+    (metadata,) = open_dataset(ID, tmp_path).storage.get_episode_metadata([0])
+    assert metadata["force_scale"] == 1.0
+    with ScriptedOperator(dive) as device, pytest.raises(TypeError, match="haptic loop"):
+        record(env, device, ID, root=tmp_path, haptics=True)
+
+
 def test_nothing_to_replay(tmp_path):
     with pytest.raises(FileNotFoundError, match="there is no dataset"):
         replay(ID, root=tmp_path)

@@ -23,6 +23,7 @@ from spatula_env.teleop.haptics.remote import RemoteLoop
 from spatula_env.teleop.haptics.rendering import ForceRenderer
 from spatula_env.teleop.haptics.runner import Answer, Factory, LocalLoop, Runner
 from spatula_env.teleop.haptics.settings import HapticSettings
+from spatula_env.teleop.haptics.track import HapticTrack
 
 Where: TypeAlias = Literal["process", "thread", "here"]
 
@@ -206,6 +207,21 @@ class HapticDevice(TeleopDevice):
             DeviceError: If the device is not open.
         """
         return self._open_runner().statistics()
+
+    def keep_track(self, seconds: float) -> None:
+        """Keep what happens in every cycle from now on: time, grip, forces, buttons.
+
+        Args:
+            seconds: For how long at most; there is a place for it beforehand. 0: keep nothing any more.
+
+        Raises:
+            NotCalibrated: If the loop does not run yet.
+        """
+        self._open_runner().keep_track(seconds)
+
+    def take_track(self) -> HapticTrack:
+        """What has been kept since the last time; the loop waits meanwhile, so best while there is no force."""
+        return self._open_runner().take_track()
 
     def close(self) -> None:
         """See `TeleopDevice`."""

@@ -10,6 +10,7 @@ from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Ve
 from spatula_env.teleop.haptics.histogram import PeriodHistogram
 from spatula_env.teleop.haptics.rendering import ForceRenderer
 from spatula_env.teleop.haptics.settings import PERIOD, HapticSettings
+from spatula_env.teleop.haptics.track import HapticTrack, TrackRecorder
 
 Take = Callable[[], Contact | None]
 """Gives the last that is known of the simulation, at once."""
@@ -53,6 +54,8 @@ class HapticLoop:
             raise DeviceError(f"the {device.name} has no method exchange()")
         self._periods = PeriodHistogram()
         self._cycles = 0
+        self._names = tuple(device.button_names)
+        self._track: TrackRecorder | None = None
         self._last: float | None = None
         self._stopping = False
 
@@ -74,9 +77,13 @@ class HapticLoop:
             assert sample.position is not None
             position = cast("Vector", tuple(sample.position.tolist()))
             velocity = cast("Vector", tuple(sample.velocity.tolist()))
-            force = self.renderer.step(self._device.now(), position, velocity, self._take())
+            contact = self._take()
+            force = self.renderer.step(self._device.now(), position, velocity, contact)
             self._device.send_force(force)
             self._give(sample, force)
+            if self._track is not None:
+                told = ZERO if contact is None else contact.force
+                self._track.add(now, position, velocity, told, force, pressed_bits(sample, self._names))
         except BaseException:
             self.release()
             raise
@@ -107,6 +114,15 @@ class HapticLoop:
         finally:
             self.release()
 
+    def keep_track(self, seconds: float) -> None:
+        """Keep what happens in every cycle from now on, for so long at most [s]; 0: keep nothing any more."""
+        self._track = TrackRecorder(round(seconds / PERIOD)) if seconds > 0.0 else None
+
+    def take_track(self) -> HapticTrack:
+        """What has been kept since the last time."""
+        recorder = self._track if self._track is not None else TrackRecorder(0)
+        return recorder.take(self._names)
+
     def stop(self) -> None:
         """Let `run` come to its end."""
         self._stopping = True
@@ -135,6 +151,11 @@ class HapticLoop:
             pulse=renderer.heartbeat.pulse,
             is_slow=renderer.heartbeat.is_slow,
         )
+
+
+def pressed_bits(sample: DeviceSample, names: tuple[str, ...]) -> int:
+    """The buttons that are held down, bit by bit."""
+    return sum(1 << names.index(name) for name in sample.buttons) if sample.buttons else 0
 
 
 def _corner(place: FloatArray | None) -> Vector | None:

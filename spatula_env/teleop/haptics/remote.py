@@ -34,7 +34,7 @@ from spatula_env.teleop.device import (
 )
 from spatula_env.teleop.haptics.board import Board
 from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
-from spatula_env.teleop.haptics.loop import HapticLoop
+from spatula_env.teleop.haptics.loop import HapticLoop, pressed_bits
 from spatula_env.teleop.haptics.runner import (
     END_TIMEOUT,
     Answer,
@@ -46,6 +46,7 @@ from spatula_env.teleop.haptics.runner import (
     pass_on,
 )
 from spatula_env.teleop.haptics.settings import HapticSettings
+from spatula_env.teleop.haptics.track import HapticTrack
 
 CONTACT = "dBB3d3dB3d3d"
 """Time; whether there is a contact, and a position; position, force; whether there are corners; corners."""
@@ -125,7 +126,9 @@ class RemoteLoop(Runner):
     def calibrate(self, progress: Progress | None) -> None:
         """See `Runner`."""
         self._request("calibrate", progress=progress)
-        if not self._is_running:
+        report = self._outbox.read()
+        # A loop that has ended, as when the homing was lost, begins again.
+        if not self._is_running or (report is not None and report[12]):
             self._run()
 
     def read(self) -> DeviceSample:
@@ -170,6 +173,15 @@ class RemoteLoop(Runner):
         answer: LoopStatistics = self._request("statistics")
         return answer
 
+    def keep_track(self, seconds: float) -> None:
+        """See `Runner`."""
+        self._request("keep_track", seconds)
+
+    def take_track(self) -> HapticTrack:
+        """See `Runner`."""
+        answer: HapticTrack = self._request("take_track")
+        return answer
+
     def close(self) -> None:
         """See `Runner`."""
         if self._is_closed:
@@ -196,11 +208,13 @@ class RemoteLoop(Runner):
     def _run(self) -> None:
         self._request("run")
         deadline = self.now() + END_TIMEOUT
-        while self._outbox.read() is None:
+        while (report := self._outbox.read()) is None or report[12]:
             if self.now() > deadline or not self._process.is_alive():
                 raise DeviceLost(f"the haptic loop of the {self.description.name} did not start")
             time.sleep(0.001)
         self._is_running = True
+        if self._watcher is not None:
+            return
         self._watcher = threading.Thread(target=self._watch, name="haptics-watcher", daemon=True)
         self._watcher.start()
 
@@ -376,9 +390,18 @@ class _Server:
         return question(self._opened())
 
     def _statistics(self, _: None) -> LoopStatistics:
+        return self._running_loop().statistics()
+
+    def _keep_track(self, seconds: float) -> None:
+        self._running_loop().keep_track(seconds)
+
+    def _take_track(self, _: None) -> HapticTrack:
+        return self._running_loop().take_track()
+
+    def _running_loop(self) -> HapticLoop:
         if self._loop is None:
             raise NotCalibrated(f"the {self._opened().name} is not calibrated: call calibrate()")
-        return self._loop.statistics()
+        return self._loop
 
     def _error(self, _: None) -> BaseException | None:
         return None if self._loop is None or self._loop.error is None else _portable(self._loop.error)
@@ -399,8 +422,7 @@ class _Server:
 
     def _give(self, sample: DeviceSample, force: Vector) -> None:
         assert sample.position is not None
-        names = self._opened().button_names
-        pressed = sum(1 << names.index(name) for name in sample.buttons)
+        pressed = pressed_bits(sample, self._opened().button_names)
         self._last = (sample.time, sample.sequence, *sample.position, *sample.velocity, pressed, *force, 0)
         self._outbox.write(*self._last)
 

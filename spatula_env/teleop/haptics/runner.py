@@ -21,6 +21,7 @@ from spatula_env.teleop.device import (
 from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
 from spatula_env.teleop.haptics.loop import HapticLoop
 from spatula_env.teleop.haptics.settings import PERIOD, HapticSettings
+from spatula_env.teleop.haptics.track import HapticTrack
 
 Factory: TypeAlias = Callable[[], TeleopDevice]
 Answer = TypeVar("Answer")
@@ -83,6 +84,14 @@ class Runner(ABC):
         """How regularly the loop went round."""
 
     @abstractmethod
+    def keep_track(self, seconds: float) -> None:
+        """See `HapticLoop.keep_track`."""
+
+    @abstractmethod
+    def take_track(self) -> HapticTrack:
+        """See `HapticLoop.take_track`."""
+
+    @abstractmethod
     def close(self) -> None:
         """End the force, the loop and the device."""
 
@@ -139,7 +148,7 @@ class LocalLoop(Runner):
     def calibrate(self, progress: Progress | None) -> None:
         """See `Runner`."""
         self._device.calibrate(progress)
-        if self.loop is None:
+        if self.loop is None or isinstance(self.loop.error, NotCalibrated):
             self._begin()
 
     def read(self) -> DeviceSample:
@@ -176,9 +185,20 @@ class LocalLoop(Runner):
 
     def statistics(self) -> LoopStatistics:
         """See `Runner`."""
+        return self._checked_loop().statistics()
+
+    def _checked_loop(self) -> HapticLoop:
         if self.loop is None:
             raise NotCalibrated(f"the {self._device.name} is not calibrated: call calibrate()")
-        return self.loop.statistics()
+        return self.loop
+
+    def keep_track(self, seconds: float) -> None:
+        """See `Runner`."""
+        self._checked_loop().keep_track(seconds)
+
+    def take_track(self) -> HapticTrack:
+        """See `Runner`."""
+        return self._checked_loop().take_track()
 
     def close(self) -> None:
         """See `Runner`."""
@@ -230,12 +250,15 @@ def pass_on(error: BaseException | None, name: str) -> None:
 
     Raises:
         DeviceLost: If the device is lost.
+        NotCalibrated: If it does not know any more where its grip is: calibrate it again.
         DeviceError: If something else went wrong.
     """
     if error is None:
         return
     if isinstance(error, DeviceLost):
         raise DeviceLost(str(error)) from error
+    if isinstance(error, NotCalibrated):
+        raise NotCalibrated(str(error)) from error
     raise DeviceError(
         f"the haptic loop of the {name} has ended because of {error!r}; close it, then open it again"
     ) from (error)
