@@ -371,7 +371,13 @@ def resolve_step(
             warm_count[0], warm, inverse_mass, start_positions, linear_velocities, angular_velocities, dt,
             EXPECTED_PART, vertices, expected,
         )  # fmt: skip
-        organ_parts = max(1, int(np.ceil(largest_shift(start, expected) / (ORGAN_PART * mean_edge) - 1e-9)))
+        expected_parts = max(1, int(np.ceil(largest_shift(start, expected) / (ORGAN_PART * mean_edge) - 1e-9)))
+        # What is pushed from both sides at once, in vain, has multipliers that grow from step to step and tell nothing.
+        predicts = expected_parts <= organ_parts
+        if predicts:
+            organ_parts = expected_parts
+        else:
+            expected = vertices
     queries = organ_parts + (parts if parts > 1 else 0)
     result[QUERIES] = queries
     reference = start

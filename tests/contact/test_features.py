@@ -466,6 +466,24 @@ def test_no_speed_is_too_high(name, speed):
     np.testing.assert_allclose(loose.model.wrenches[0, :3] * DT, -given, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("aside", [0.0, 0.13])
+def test_what_two_tools_push_in_vain_is_not_thrown_away(aside):
+    # Plates that come together, and a little farther: nothing can be before both of their faces. What they push by
+    # grows from step to step, and is no measure of where contact will put an organ that its springs throw back in each.
+    box = box_surface((1.0, 1.0, 1.0), 0.5)
+    start = 0.5 + 0.0625 + 0.01
+    tools = [(BOX, (0.05, 0.02, start), LEVEL), (BOX, (0.05 + aside, 0.03, -start), LEVEL)]
+    loose = LooseOrgans([box], tools)
+    closing = int((1.02 + 0.05) / 0.04)
+    farthest = 0.0
+    for step in range(closing + 60):
+        speed = 0.02 / DT if step < closing else 0.0
+        loose.step([(0.0, 0.0, -speed), (0.0, 0.0, speed)], np.zeros((2, 3)), moved=box.vertices)
+        farthest = max(farthest, np.abs(loose.nodes).max())
+    # It was 43 and 54.
+    assert farthest < 3.0
+
+
 def test_a_tool_beside_a_part_that_is_inside_out_is_left_alone():
     # A vertex of the upper side, pulled through the lower one, makes a cone beneath it that is inside out: rays that
     # come from below leave the organ by its rule, though they were never in it.
