@@ -4,6 +4,8 @@
 tap, slide, are released, and meet a simulation that stops or is slow (`haptics_scenarios`). Measured are shown over
 true force, the greatest change in a millisecond, energy given to the hand, limit cycles, times. Hours on one core.
 
+*stiffness*: the greatest that is stable, by hand, rate and delay (`haptics_stiffness`).
+
 *signals*, in real time: how long after each signal to the program, its group and the loop zeros come to the motors
 (`haptics_signals`).
 
@@ -35,6 +37,7 @@ from benchmarks import measure
 from benchmarks.haptics_closed_loop import HANDS, TOUCHES
 from benchmarks.haptics_scenarios import SCENARIOS, Cell, run
 from benchmarks.haptics_signals import measure_signals
+from benchmarks.haptics_stiffness import table
 from spatula_env.teleop.device import TeleopDevice
 from spatula_env.teleop.emulator import ElasticHand, GuidedHand, RealClock
 from spatula_env.teleop.falcon.frames import position_to_falcon
@@ -45,11 +48,12 @@ from spatula_env.teleop.wrapper import FalconTeleop
 
 gymnasium.register_envs(spatula_env)
 
-PARTS = ("holds", "scenarios", "signals", "period")
+PARTS = ("holds", "scenarios", "stiffness", "signals", "period")
 """What there is to measure."""
 WORST: Mapping[str, Callable[[Sequence[float]], float]] = {
     "shown_over_true_least": min,
     "shown_over_true_greatest": max,
+    "difference_of_light_touch_mn": max,
     "hold_step_n_per_ms": max,
     "limit_cycle_mm": max,
     "energy_to_hand_mj": max,
@@ -216,6 +220,11 @@ def main() -> None:
         result["step"] = step_response()
         if not chosen.json:
             _print_period(result["runs"], result["step"])
+    if "stiffness" in chosen.parts:
+        result["greatest_stiffness_n_per_m"] = table(chosen.hands)
+        if not chosen.json:
+            for hand, found in result["greatest_stiffness_n_per_m"].items():
+                _print_cell({"hand": hand, **found})
     if "signals" in chosen.parts:
         result["signals_ms"] = measure_signals()
         if not chosen.json:

@@ -35,6 +35,8 @@ TREMOR = 3e-4
 """Amplitude of a free grip [m]."""
 BUZZ = (20.0, 300.0)
 """Band of what a hand feels as roughness [Hz]."""
+LIGHTEST = 0.01
+"""A touch that is lighter, on average, is a few counts of the motors: shown and true are compared by difference [N]."""
 FELT = 5e-3
 """From so much on there is a force [N]."""
 
@@ -285,12 +287,18 @@ def _swing(position: FloatArray) -> float:
 
 def _fidelity(trace: Trace, begin: float, end: float) -> dict[str, float]:
     starts = np.arange(begin, max(begin + 1e-3, end - WINDOW + 1e-3), WINDOW)
-    ratios = [_ratio(trace, start, start + WINDOW) for start in starts]
+    means = []
+    for start in starts:
+        rows = trace.between(start, start + WINDOW)
+        means.append([float(np.linalg.norm(force[rows].mean(axis=0))) for force in (trace.shown, trace.true)])
+    ratios = [shown / true for shown, true in means if true >= LIGHTEST]
+    light = [abs(shown - true) for shown, true in means if true < LIGHTEST]
     rows = trace.between(begin, end)
     return {
         "true_n": float(np.linalg.norm(trace.true[rows].mean(axis=0))),
-        "shown_over_true_least": float(min(ratios)),
-        "shown_over_true_greatest": float(max(ratios)),
+        "shown_over_true_least": min(ratios, default=math.nan),
+        "shown_over_true_greatest": max(ratios, default=math.nan),
+        "difference_of_light_touch_mn": 1e3 * max(light, default=0.0),
     }
 
 

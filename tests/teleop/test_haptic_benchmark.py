@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from benchmarks import haptics
+from benchmarks import haptics, haptics_scenarios, haptics_stiffness
+from benchmarks.haptics_closed_loop import Trace
 
 
 def test_a_short_press():
@@ -46,3 +48,19 @@ def test_the_worst_of_all_cells_is_told():
         "peak_ratio x1": 0.7,
         "shown_over_true_least x5": 0.8,
     }
+
+
+def test_some_stiffnesses_are_stable_and_some_are_not():
+    nominal, light = haptics.HANDS["nominal"], haptics.HANDS["light"]
+    assert haptics_stiffness.is_stable(nominal, 300.0, 240.0, 0.0)
+    assert not haptics_stiffness.is_stable(light, 3000.0, 240.0, 0.01)
+
+
+def test_a_light_touch_is_compared_by_difference():
+    time = np.arange(4000) * 1e-3
+    true = np.zeros((4000, 3))
+    true[:2000, 2], true[2000:, 2] = 0.1, 0.002
+    trace = Trace(time, np.zeros((4000, 3)), 1.1 * true, true, np.zeros(4000), None)
+    found = haptics_scenarios._fidelity(trace, 0.0, 4.0)
+    assert found["shown_over_true_least"] == found["shown_over_true_greatest"] == pytest.approx(1.1)
+    assert found["difference_of_light_touch_mn"] == pytest.approx(0.2)

@@ -1,0 +1,99 @@
+"""The greatest stiffness that a hand can hold still: the renderer alone on an organ that is a spring without mass.
+
+The tool follows the hand at a rate, with a delay besides, no faster than 0.1 m/s; encoders have steps of 0.04 mm. The
+hand leans on the organ, is kicked, and has to be still again within a quarter of a millimetre. The account of energy is
+off: it would hide what is unstable by softening it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import replace
+
+from benchmarks.haptics_closed_loop import HANDS, HandModel
+from spatula_env.teleop.haptics import Contact, HapticSettings
+from spatula_env.teleop.haptics.rendering import ForceRenderer
+
+RATES = (240.0, 60.0, 20.0)
+"""At which the tool follows [Hz]."""
+DELAYS = (0.0, 0.01, 0.05)
+"""Besides [s]."""
+MOST = 3000.0
+"""A Falcon's own limit [N/m]."""
+STEP = 1e-3
+ENCODER = 4e-5
+"""Of position [m]."""
+TOOL_SPEED = 0.1
+"""Greatest [m/s]."""
+LEAN, KICK = 1.0, 0.05
+"""Force on the organ [N], and the kick [m/s]."""
+SECONDS, KICKED, LOOKED = 4.0, 1.5, 3.2
+"""Of a trial, when it is kicked, and from when on it has to be still [s]."""
+STILL = 2.5e-4
+"""From peak to peak [m]."""
+GAINS = HapticSettings(energy_allowance=1e3, slew=1e4)
+
+
+def table(hands: Iterable[str] = tuple(HANDS)) -> dict[str, dict[str, float]]:
+    """The greatest stable stiffness by hand, rate and delay [N/m]."""
+    return {
+        hand: {
+            f"{rate:g} Hz, {1e3 * delay:g} ms": greatest_stiffness(HANDS[hand], rate, delay)
+            for rate in RATES
+            for delay in DELAYS
+        }
+        for hand in hands
+    }
+
+
+def greatest_stiffness(hand: HandModel, rate: float, delay: float) -> float:
+    """By halving, to 5 % [N/m]."""
+    low, high = 10.0, MOST
+    if is_stable(hand, high, rate, delay):
+        return high
+    while high > 1.05 * low:
+        middle = math.sqrt(low * high)
+        if is_stable(hand, middle, rate, delay):
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def is_stable(hand: HandModel, stiffness: float, rate: float, delay: float) -> bool:
+    """Whether the hand is still again after a kick."""
+    renderer = ForceRenderer(replace(GAINS, longest_stall=0.3, stall_time=0.3), 8.0, MOST, 20.0)
+    depth = LEAN / stiffness
+    target = -depth - LEAN / hand.stiffness
+    place, speed, force = -depth, 0.0, LEAN
+    tool, told = place, deque([(place, LEAN)] * (1 + round(delay / STEP)))
+    heights: list[float] = []
+    seen = [round(place / ENCODER) * ENCODER] * 4
+    next_step, beat = 0.0, 0.0
+    for index in range(round(SECONDS / STEP)):
+        now = index * STEP
+        if index == round(KICKED / STEP):
+            speed += KICK
+        seen = [*seen[1:], round(place / ENCODER) * ENCODER]
+        if now >= next_step - 1e-9:
+            next_step += 1.0 / rate
+            beat = now
+            most = TOOL_SPEED / rate
+            tool += min(most, max(-most, seen[-1] - tool))
+        told.append((tool, stiffness * max(0.0, -tool)))
+        there, pushed = told.popleft()
+        velocity = (seen[-1] - seen[0]) / (3.0 * STEP)
+        contact = Contact(beat, (0.0, 0.0, there), (0.0, 0.0, pushed))
+        felt = renderer.step(now, (0.0, 0.0, seen[-1]), (0.0, 0.0, velocity), contact)[2]
+        # What was made acts from the next packet on.
+        acceleration = (force + hand.stiffness * (target - place) - hand.damping * speed) / hand.mass
+        speed += STEP * acceleration
+        place += STEP * speed
+        force = felt
+        if now >= LOOKED:
+            heights.append(place)
+        if abs(place) > 0.2:
+            return False
+    return max(heights) - min(heights) < STILL
