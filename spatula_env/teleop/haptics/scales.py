@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import gymnasium
 
 FORCE_SCALES: Mapping[str, float] = MappingProxyType(
-    {"press": 4.0, "retract": 15.0, "palpate": 8.0, "fissure": 15.0, "clamp": 30.0}
+    {"press": 4.0, "retract": 15.0, "palpate": 6.0, "fissure": 15.0, "clamp": 30.0}
 )
 """By the name of the task's definition."""
 
