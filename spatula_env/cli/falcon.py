@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from spatula_env.cli.common import FAILURE, add_json_option, at_least, new_parser, note, print_json
+from spatula_env.cli.common import FAILURE, CommandError, add_json_option, at_least, new_parser, note, print_json
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers
@@ -36,6 +36,12 @@ def add_parser(commands: Parsers) -> None:
     parser.add_argument("--firmware", type=Path, metavar="FILE", help="the Falcon's firmware, if it has forgotten it")
     parser.add_argument(
         "--index", metavar="N", type=at_least(0), default=0, help="which one, if there are several (default: 0)"
+    )
+    parser.add_argument(
+        "--weigh",
+        metavar="GRAMS",
+        type=float,
+        help="afterwards, find out how great its forces are by a weight of 50 to 400 g that you hang to the grip",
     )
     force = parser.add_mutually_exclusive_group()
     force.add_argument("--yes", action="store_true", help="push without asking")
@@ -72,6 +78,8 @@ def run(chosen: argparse.Namespace) -> int:
 
         falcon = Falcon(chosen.index, firmware=chosen.firmware)
     steps = check_falcon(falcon, hear, lambda question: _consent(chosen, question, say), find)
+    if chosen.weigh is not None and all(step.passed for step in steps):
+        _weigh(falcon, chosen, say)
     good = all(step.passed is not False for step in steps)
     left_out = [step.name for step in steps if step.passed is None]
     if chosen.json:
@@ -81,6 +89,23 @@ def run(chosen: argparse.Namespace) -> int:
     else:
         print(f"The check ended at {steps[-1].name!r}; see above for what to do.")
     return 0 if good else FAILURE
+
+
+def _weigh(falcon: Falcon, chosen: argparse.Namespace, say: Callable[[str], None]) -> None:
+    """Tell how great the forces are."""
+    from spatula_env.teleop.falcon.weighing import weigh
+
+    with falcon:
+        falcon.calibrate(say)
+        try:
+            found = weigh(falcon, 1e-3 * chosen.weigh, say, lambda question: _consent(chosen, question, say))
+        except ValueError as error:
+            raise CommandError(f"--weigh: {error}") from None
+    say(
+        f"Forces are {found.factor:.2f} times what they are asked to be, and the grip weighs "
+        f"{found.grip * found.factor:.2f} N: give --force-scale {1.0 / found.factor:.2f} times what you want, and "
+        f"--grip-weight {0.9 * found.grip:.2f}."
+    )
 
 
 def _consent(chosen: argparse.Namespace, question: str, say: Callable[[str], None]) -> bool:

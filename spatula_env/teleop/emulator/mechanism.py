@@ -28,6 +28,7 @@ class Mechanism:
         mode: Frequency at which the links swing between motors and a hand that stands still [Hz]; 0: they are rigid.
         damping_ratio: Of that mode [1].
         mass: Of what moves on the motors' side [kg].
+        strength: Of the motors: what they do over what they are told to [1].
     """
 
     weight: float = 0.9
@@ -36,10 +37,11 @@ class Mechanism:
     mode: float = 60.0
     damping_ratio: float = 0.1
     mass: float = 0.06
+    strength: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the values."""
-        for name in ("weight", "coulomb", "viscous", "mode", "damping_ratio"):
+        for name in ("weight", "coulomb", "viscous", "mode", "damping_ratio", "strength"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be zero or more and finite, got {getattr(self, name)!r}")
         if not 0.0 < self.mass < math.inf:
@@ -74,6 +76,8 @@ class HandOnMechanism:
 
     def advance(self, time: float, step: float, motor_force: Point) -> None:
         """See `Hand`."""
+        strength = self.mechanism.strength
+        motor_force = (strength * motor_force[0], strength * motor_force[1], strength * motor_force[2])
         count = max(1, math.ceil(step / SUBSTEP))
         short = step / count
         for index in range(count):

@@ -1,0 +1,99 @@
+"""How great a Falcon's forces are, by a known weight: the factor between counts and newtons was found by feel.
+
+The motors hold the grip where it is, first alone and then with a weight hung to it. How much more they are asked for is
+what they take the weight for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from spatula_env.teleop.device import DeviceError
+from spatula_env.teleop.falcon.driver import Falcon
+
+GRAVITY = 9.81
+"""[m/s2]."""
+STIFFNESS, DAMPING, INTEGRAL = 150.0, 4.0, 300.0
+"""Of what holds the grip [N/m], [N s/m], [N/(m s)]."""
+GREATEST = 5.0
+"""The most that is asked for [N]."""
+SETTLING, LOOKING = 2.0, 1.0
+"""How long the grip settles, and over which time the force is averaged [s]."""
+FARTHEST = 0.03
+"""A grip that is farther from where it was is not held [m]."""
+LEAST_SHARE = 0.2
+"""Motors that are asked for less than this share of a weight do not bear it."""
+LIGHTEST, HEAVIEST = 0.05, 0.4
+"""Weights that tell something, and that the motors bear beside the grip [kg]."""
+REQUEST = "Hold the grip in the middle of its range, level, and let go of it slowly when it bears itself."
+HANG = "Hang the weight of {grams:g} g to the grip now, and let it come to rest. Ready?"
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """What came of it.
+
+    Attributes:
+        grip: What the motors were asked for to bear the grip alone [N].
+        loaded: With the weight [N].
+        factor: By which forces are greater than they are asked to be.
+    """
+
+    grip: float
+    loaded: float
+    factor: float
+
+
+def weigh(falcon: Falcon, mass: float, say: Callable[[str], None], ask: Callable[[str], bool]) -> Weighing:
+    """Find out how great the forces are.
+
+    Args:
+        falcon: Open and homed.
+        mass: Of the weight, 0.05 to 0.4 kg.
+        say: Takes a sentence for the operator.
+        ask: Takes a question; False ends the weighing.
+
+    Returns:
+        What was found.
+
+    Raises:
+        ValueError: If the mass is out of its range.
+        DeviceError: If the grip was not held, or the operator did not want to go on.
+    """
+    if not LIGHTEST <= mass <= HEAVIEST:
+        raise ValueError(f"mass must be {LIGHTEST:g} to {HEAVIEST:g} kg, got {mass!r}")
+    say(REQUEST)
+    alone = _hold(falcon, 0.0)
+    if not ask(HANG.format(grams=1e3 * mass)):
+        raise DeviceError("the weighing was ended before the weight was hung to the grip")
+    loaded = _hold(falcon, alone)
+    if loaded - alone < LEAST_SHARE * mass * GRAVITY:
+        raise DeviceError(f"the motors bear no more with the weight ({loaded:.2f} N) than without ({alone:.2f} N)")
+    return Weighing(alone, loaded, mass * GRAVITY / (loaded - alone))
+
+
+def _hold(falcon: Falcon, force: float) -> float:
+    """Hold the grip where it is; the mean force upwards that it took in the end [N]."""
+    place = falcon.read().position
+    assert place is not None
+    goal, last = float(place[2]), falcon.now()
+    start, total, count = last, 0.0, 0
+    try:
+        while falcon.now() - start < SETTLING + LOOKING:
+            falcon.wait_for_sample()
+            sample = falcon.read()
+            assert sample.position is not None
+            now = falcon.now()
+            away = goal - float(sample.position[2])
+            if abs(away) > FARTHEST:
+                raise DeviceError(f"the grip is {1e3 * abs(away):.0f} mm from where it was: it is not held")
+            force = min(GREATEST, max(0.0, force + INTEGRAL * away * (now - last)))
+            last = now
+            asked = min(GREATEST, max(0.0, force + STIFFNESS * away - DAMPING * float(sample.velocity[2])))
+            falcon.send_force((0.0, 0.0, asked))
+            if now - start > SETTLING:
+                total, count = total + asked, count + 1
+    finally:
+        falcon.send_force((0.0, 0.0, 0.0))
+    return total / max(1, count)
