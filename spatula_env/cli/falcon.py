@@ -65,6 +65,7 @@ def run(chosen: argparse.Namespace) -> int:
             ("--firmware", chosen.firmware is not None, "it has its firmware"),
             ("--index", chosen.index != 0, "there is only one"),
             ("--yes", chosen.yes, "it asks nobody"),
+            ("--weigh", chosen.weigh is not None, "nothing can be hung to it"),
         ):
             if given:
                 say(f"{option} is ignored: {why}.")
@@ -78,7 +79,7 @@ def run(chosen: argparse.Namespace) -> int:
 
         falcon = Falcon(chosen.index, firmware=chosen.firmware)
     steps = check_falcon(falcon, hear, lambda question: _consent(chosen, question, say), find)
-    if chosen.weigh is not None and all(step.passed for step in steps):
+    if chosen.weigh is not None and not chosen.emulated and all(step.passed for step in steps):
         _weigh(falcon, chosen, say)
     good = all(step.passed is not False for step in steps)
     left_out = [step.name for step in steps if step.passed is None]
