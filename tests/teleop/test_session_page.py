@@ -1,4 +1,4 @@
-"""The scripted example on docs/teleoperation.md runs as pasted, and what the page says of defaults is so."""
+"""The scripted example on docs/teleoperation.md runs as pasted, and what the pages say of defaults is so."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import re
 from pathlib import Path
 
 from spatula_env.teleop.haptics import HapticSettings
+from spatula_env.teleop.haptics.scales import FORCE_SCALES
 from spatula_env.teleop.keyboard import BUTTONS
 from spatula_env.teleop.registry import DEVICES
 
-PAGE = (Path(__file__).parents[2] / "docs" / "teleoperation.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "teleoperation.md").read_text(encoding="utf-8")
+HAPTICS = (DOCS / "haptics.md").read_text(encoding="utf-8")
 
 
 def test_scripted_example(capsys):
@@ -25,10 +28,20 @@ def test_all_devices_are_listed():
 
 
 def test_defaults():
-    settings = HapticSettings()
-    assert f"({settings.stiffness:g} N/m;" in PAGE
-    assert f"silent for {500 * settings.stall_time:g} ms, and is zero after {1000 * settings.stall_time:g} ms" in PAGE
-    assert f"low-pass filtered at {settings.cutoff:g} Hz" in PAGE
-    assert f"counts {100 * settings.tank_margin:g} % more" in PAGE
-    assert f"allowance ({settings.tank_start:g} J)" in PAGE
+    gains = HapticSettings()
+    for sentence in (
+        f"low-pass filtered alike ({gains.cutoff:g} Hz)",
+        f"-f <= lead <= {gains.lead:g} f + {1e3 * gains.least_lead:g} mN",
+        f"`b` is {gains.damping:g} N s/m, for what is quicker than {gains.drift:g} Hz",
+        f"by at most {1e-3 * gains.slew:g} N in a millisecond",
+        f"fades in {1e3 * gains.ramp:g} ms, what comes back does so in {1e3 * gains.resume:g} ms",
+        f"an allowance of {1e3 * gains.energy_allowance:g} mJ",
+        f"a debt is forgotten at {1e6 * gains.energy_leak:g} \N{MICRO SIGN}W",
+        f"silent for {1e3 * gains.stall_time:g} ms",
+        f"at most {1e3 * gains.longest_stall:g} ms",
+        f"{gains.wall_stiffness:g} N/m, at most {gains.wall_force:g} N",
+    ):
+        assert sentence in HAPTICS, sentence
+    for task, scale in FORCE_SCALES.items():
+        assert re.search(rf"{task}\b[a-z ]* {scale:g}\b", PAGE), task
     assert set(BUTTONS.values()) == {"center", "finish", "discard", "quit"}
