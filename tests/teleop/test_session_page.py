@@ -12,7 +12,7 @@ from spatula_env.teleop.registry import DEVICES
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "teleoperation.md").read_text(encoding="utf-8")
-HAPTICS = (DOCS / "haptics.md").read_text(encoding="utf-8")
+HAPTICS = " ".join((DOCS / "haptics.md").read_text(encoding="utf-8").split())
 
 
 def test_scripted_example(capsys):
