@@ -31,7 +31,7 @@ def test_the_target_goes_from_top_to_bottom_and_waits_first():
 
 
 def test_a_hold_is_true_and_passive():
-    found = haptics.run(haptics.Cell("hold", "light", True, 5.0, depth=0.004, seconds=2.1))
+    found = haptics.run(haptics.Cell("hold", "nominal", True, 3.0, depth=0.003, seconds=2.1))
     assert 0.95 < found["shown_over_true_least"] <= found["shown_over_true_greatest"] < 1.05
     assert found["hold_step_n_per_ms"] < 0.1
     assert found["energy_to_hand_mj"] < 1.0
