@@ -275,8 +275,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._sample, self.pressed = sample, sample.buttons
         pilot = self._pilot() if acting else None
         self._track = []
-        if pilot is not None:
-            self._confine()
+        self._confine()
         try:
             self._tap.install(self._after_physics, pilot)
             observation, reward, terminated, truncated, info = self.env.step(chosen)
@@ -370,9 +369,14 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def _confine(self) -> None:
         """Tell a haptic device where the tool follows the hand."""
-        if isinstance(self.device, HapticDevice) and self._offset is not None:
-            low, high = self._tap.reach()
-            self.device.confine((low - self._offset) / self._scale, (high - self._offset) / self._scale)
+        if not isinstance(self.device, HapticDevice):
+            return
+        if self._offset is None or not self._acting or self.mode != "position":
+            # The tool does not follow it at all: it may be anywhere.
+            self.device.confine(None, None)
+            return
+        low, high = self._tap.reach()
+        self.device.confine((low - self._offset) / self._scale, (high - self._offset) / self._scale)
 
     def _centre(self) -> None:
         """Ask the operator to bring the grip to where the tool is in its workspace, and wait until it is there."""

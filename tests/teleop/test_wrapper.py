@@ -409,3 +409,20 @@ def test_a_haptic_device_is_told_where_the_tool_follows(press):
         np.testing.assert_allclose(device._room, [low + offset, high + offset], atol=1e-4)
         assert low[2] < -0.02
         assert high[2] == pytest.approx(0.0508)
+
+
+def test_a_policy_confines_no_hand(press):
+    falcon = EmulatedFalcon(GuidedHand(lambda _: position_to_falcon((0.01, 0.0, 0.0))))
+    device = HapticDevice(lambda: falcon, where="here", exchange=True)
+    with device:
+        teleop = FalconTeleop(press, device, intervention="button")
+        teleop.reset(seed=0, options={"tool_position": (0.0, 0.0, 0.03)})
+        action = np.zeros(3, dtype=np.float32)
+        falcon.emulator.press(["center"])
+        device.sleep(0.01)
+        teleop.step(action)
+        assert device._room is not None
+        falcon.emulator.press([])
+        device.sleep(0.01)
+        teleop.step(action)
+        assert device._room is None
