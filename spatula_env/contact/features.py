@@ -19,8 +19,10 @@ from spatula_env.contact.corners import gather_corners, gather_sunk_corners
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_EDGE, ON_GROUND, ON_NODE, ON_VERTEX, append_constraint, constraint_name
 from spatula_env.contact.structures import (
+    FOURTH,
     FRICTION,
     GROUND,
+    NO_VERTEX,
     NORMAL,
     ORIGIN,
     OWNER,
@@ -68,7 +70,7 @@ def gather_ground(
         row = rows[count]
         row[:] = 0.0
         features[count, 0], features[count, 1], features[count, 2] = i, i, i
-        features[count, OWNER], features[count, PLANE] = GROUND, -1
+        features[count, FOURTH], features[count, OWNER], features[count, PLANE] = NO_VERTEX, GROUND, -1
         names[count] = constraint_name(ON_GROUND, 0, i, i)
         row[WEIGHTS], row[NORMAL + 2], row[FRICTION] = 1.0, 1.0, friction
         row[POINT], row[POINT + 1], row[POINT + 2] = vertices[i, 0], vertices[i, 1], height

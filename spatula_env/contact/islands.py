@@ -1,5 +1,7 @@
 """Which constraints act on each other: those of tools that hold a vertex in common, by however many steps.
 
+What organs do to themselves and to each other counts as one further tool.
+
 What shares no vertex is solved apart: each solve ends when its own constraints have settled. Of several tools the one
 that takes longest is then swept alone, and none is looked at again that already holds.
 """
@@ -9,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from spatula_env._kernels import inline_kernel
-from spatula_env.contact.structures import GAP, GROUND, INERTIA, OWNER
+from spatula_env.contact.structures import GAP, GROUND, INERTIA, NORMAL, ORGANS, OWNER, POINT
 
 
 @inline_kernel
@@ -39,17 +41,20 @@ def find_islands(
         tool_count: N.
         holders: (V,) int64 workspace, all -1; left so.
         order: (count,) int64 written: indices of constraints, first those of the ground that no tool shares.
-        starts: (N + 1,) int64 written: where the islands begin in `order`; last where they end.
+        starts: (N + 2,) int64 written: where the islands begin in `order`; last where they end.
 
     Returns:
         How many islands there are.
     """
-    parents, roots = np.arange(tool_count), np.empty(count, np.int64)
+    parents, roots = np.arange(tool_count + 1), np.empty(count, np.int64)
     for c in range(count):
         owner = features[c, OWNER]
         if owner == GROUND:
             continue
-        for corner in range(3):
+        corners = 3
+        if owner == ORGANS:
+            owner, corners = tool_count, 4
+        for corner in range(corners):
             vertex = features[c, corner]
             if inverse_mass[vertex] == 0.0:
                 continue
@@ -58,11 +63,13 @@ def find_islands(
             elif holders[vertex] != owner:
                 mine, other = _root(parents, owner), _root(parents, holders[vertex])
                 parents[max(mine, other)] = min(mine, other)
-    sizes, lone = np.zeros(tool_count, np.int64), 0
+    sizes, lone = np.zeros(tool_count + 1, np.int64), 0
     for c in range(count):
         owner = features[c, OWNER]
         if owner == GROUND:
             owner = holders[features[c, 0]]
+        elif owner == ORGANS:
+            owner = tool_count
         roots[c] = _root(parents, owner) if owner >= 0 else -1
         if owner >= 0:
             sizes[roots[c]] += 1
@@ -70,7 +77,7 @@ def find_islands(
             lone += 1
     islands = 0
     starts[0] = lone
-    for k in range(tool_count):
+    for k in range(tool_count + 1):
         if sizes[k] > 0:
             starts[islands + 1] = starts[islands] + sizes[k]
             sizes[k] = starts[islands]
@@ -84,16 +91,24 @@ def find_islands(
             order[sizes[roots[c]]] = c
             sizes[roots[c]] += 1
         if features[c, OWNER] != GROUND:
-            for corner in range(3):
+            for corner in range(4 if features[c, OWNER] == ORGANS else 3):
                 holders[features[c, corner]] = -1
     return islands
 
 
 @inline_kernel
-def greatest_violation(order: np.ndarray, rows: np.ndarray) -> float:
-    """How deep the surface is behind the planes of some constraints, which have been measured, at most [u]."""
+def greatest_violation(order: np.ndarray, rows: np.ndarray, features: np.ndarray) -> float:
+    """How much some constraints, which have been measured, are violated, at most [u].
+
+    Organs are kept apart by a distance of which half may be left over: that is enough not to cross.
+    """
     worst = 0.0
     for c in order:
-        if rows[c, INERTIA] > 0.0:
-            worst = max(worst, -rows[c, GAP])
+        row = rows[c]
+        if row[INERTIA] > 0.0:
+            slack = 0.0
+            if features[c, OWNER] == ORGANS:
+                for axis in range(3):
+                    slack += 0.5 * row[POINT + axis] * row[NORMAL + axis]
+            worst = max(worst, -row[GAP] - slack)
     return worst

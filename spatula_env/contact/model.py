@@ -12,7 +12,7 @@ from spatula_env.contact import step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
 from spatula_env.contact.pressure import contact_table, tool_pressures
 from spatula_env.contact.structures import surface_list
-from spatula_env.contact.world import Workspace, World
+from spatula_env.contact.world import Workspace, World, scene_skin
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -69,12 +69,14 @@ class ContactMemory:
         multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
         ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
+        crossed_for: For how long organs have crossed themselves or each other [s].
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
     multipliers: Multipliers
     ledger: FloatArray
     wrenches: FloatArray
+    crossed_for: float = 0.0
 
 
 class ContactModel:
@@ -86,13 +88,17 @@ class ContactModel:
         residual: Greatest depth that is left after correction: of any point of an organ's surface in a tool, and of a
             tool's corners in an organ; see `contact.depth` [u].
         queries: How many times each detector was asked in the last step.
+        crossings: In how many places organs cross themselves or each other after it.
+        crossed_for: For how long they have [s].
         nodal_impulses: (V, 3) what the tools gave the organs' nodes in the last step [kg u/s].
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
         ground_force: (3,) what the ground does to the organs, averaged over the last step [kg u/s2].
         reach: How far a push is spread over a tool's contact nodes, the mean edge of the organ with the smallest [u].
     """
 
-    def __init__(self, scene: Scene, inverse_masses: FloatArray, first_step: FirstStep = "inside") -> None:
+    def __init__(
+        self, scene: Scene, inverse_masses: FloatArray, first_step: FirstStep = "inside", *, keeps_apart: bool = True
+    ) -> None:
         """Prepare for a scene.
 
         Args:
@@ -100,6 +106,7 @@ class ContactModel:
             inverse_masses: (V,) of the organs' nodes [1/kg].
             first_step: Of the detectors. With "off" nothing but flagged nodes makes contact, as in the published
                 method's second step.
+            keeps_apart: Whether organs are kept apart from themselves and each other.
         """
         self.detectors = [[FlaggedDetector(placed.tool, first_step) for _ in scene.organs] for placed in scene.tools]
         for row in self.detectors:
@@ -114,8 +121,10 @@ class ContactModel:
             [row[0].shape for row in self.detectors],
             [detector.memory for row in self.detectors for detector in row],
             surface_list(self._triangles),
+            scene_skin(scene),
             inverse_masses,
             Workspace(),
+            keeps_apart,
         )
         self._mode = step.SECOND_STEP if first_step == "off" else step.FLAGS
         self._first_step_code = FIRST_STEP_CODES[first_step]
@@ -132,6 +141,8 @@ class ContactModel:
         self.penetration = 0.0
         self.residual = 0.0
         self.queries = 0
+        self.crossings = 0
+        self.crossed_for = 0.0
         self.nodal_impulses: FloatArray = np.zeros((int(starts[-1]), 3))
         self.wrenches: FloatArray = np.zeros((count, 6))
         self.ground_force: FloatArray = np.zeros(3)
@@ -143,6 +154,7 @@ class ContactModel:
         self.nodal_impulses = np.zeros_like(self.nodal_impulses)
         self.ground_force = np.zeros(3)
         self.penetration = self.residual = 0.0
+        self.crossings, self.crossed_for = 0, 0.0
         self._contact_count = 0
         self._world.forget_solves()
 
@@ -161,6 +173,7 @@ class ContactModel:
             multipliers=self._world.copy_multipliers(),
             ledger=self._world.ledger.copy(),
             wrenches=self.wrenches.copy(),
+            crossed_for=self._world.crossed_for,
         )
 
     def restore(self, memory: ContactMemory, nodes: FloatArray, velocities: FloatArray) -> None:
@@ -176,6 +189,7 @@ class ContactModel:
             for detector, flags in zip(row, saved, strict=True):
                 detector.flags = flags
         self._world.restore_multipliers(memory.multipliers)
+        self._world.restore_crossing(memory.crossed_for)
         self._world.ledger[:] = memory.ledger
         self._world.admit_energy(nodes, velocities)
         self.wrenches = memory.wrenches.copy()
@@ -245,6 +259,7 @@ class ContactModel:
         self.penetration = float(result[step.PENETRATION])
         self.residual = float(result[step.RESIDUAL])
         self.queries = int(result[step.QUERIES])
+        self.crossings, self.crossed_for = int(result[step.CROSSINGS]), float(result[step.CROSSED_FOR])
         impulses = self._impulses / self._dt
         self.ground_force = -impulses[len(motions.positions), :3]
         if with_tools:

@@ -10,9 +10,9 @@ from spatula_env._kernels import inline_kernel
 from spatula_env.contact.motion import copy_points
 from spatula_env.contact.structures import (
     DISPLACEMENT,
+    FOURTH,
     FRICTION,
     GAP,
-    GROUND,
     IMPULSE,
     NORMAL,
     ORIGIN,
@@ -65,19 +65,26 @@ def start_warm(
 @inline_kernel
 def _push_part(warm: Any, e: int, part: float, inverse_mass: np.ndarray, vertices: np.ndarray) -> None:
     """Apply `part` of a kept displacement to the vertices (V, 3) that it moved [u]."""
+    summed = 0.0
     for corner in range(3):
         vertex = warm.features[e, corner]
+        summed += warm.rows[e, WEIGHTS + corner]
         moved = part * warm.rows[e, WEIGHTS + corner] * inverse_mass[vertex]
         for axis in range(3):
             vertices[vertex, axis] += moved * warm.rows[e, DISPLACEMENT + axis]
+    fourth = warm.features[e, FOURTH]
+    if fourth >= 0:
+        for axis in range(3):
+            vertices[fourth, axis] -= part * summed * inverse_mass[fourth] * warm.rows[e, DISPLACEMENT + axis]
 
 
 @inline_kernel
 def _height_over(warm: Any, e: int, vertices: np.ndarray) -> float:
     """Of a kept constraint's point over its plane, with vertices (V, 3) [u]."""
-    height = 0.0
+    height, fourth = 0.0, warm.features[e, FOURTH]
+    summed = warm.rows[e, WEIGHTS] + warm.rows[e, WEIGHTS + 1] + warm.rows[e, WEIGHTS + 2]
     for axis in range(3):
-        s = 0.0
+        s = -summed * vertices[fourth, axis] if fourth >= 0 else 0.0
         for corner in range(3):
             s += warm.rows[e, WEIGHTS + corner] * vertices[warm.features[e, corner], axis]
         height += (s - warm.rows[e, POINT + axis]) * warm.rows[e, NORMAL + axis]
@@ -129,7 +136,7 @@ def expect_vertices(
         _push_part(warm, e, 1.0, inverse_mass, expected)
     for e in range(known):
         owner, row = warm.features[e, OWNER], warm.rows[e]
-        if owner != GROUND:
+        if owner >= 0:
             v, w, origin = linear_velocities[owner], angular_velocities[owner], start_positions[owner]
             x, y, z = row[POINT] - origin[0], row[POINT + 1] - origin[1], row[POINT + 2] - origin[2]
             row[POINT] += dt * (v[0] + w[1] * z - w[2] * y)
@@ -200,7 +207,7 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
         pushed = 0.0
         for axis in range(3):
             pushed += rows[c, DISPLACEMENT + axis] * rows[c, NORMAL + axis]
-        if features[c, OWNER] == GROUND or pushed <= 0.0:
+        if features[c, OWNER] < 0 or pushed <= 0.0:
             continue
         place = passed
         for e in range(passed):

@@ -22,12 +22,14 @@ import numpy as np
 from spatula_env._kernels import inline_kernel
 from spatula_env.contact.structures import (
     DISPLACEMENT,
+    FOURTH,
     FRICTION,
     GAP,
     GROUND,
     IMPULSE,
     INERTIA,
     NORMAL,
+    ORGANS,
     ORIGIN,
     OWNER,
     POINT,
@@ -48,6 +50,9 @@ OVER_RELAXATION = 1.4
 """Factor on what a sweep changes. Projected Gauss-Seidel converges with less than 2; where many constraints hold the
 same few vertices, as under a spatula, it is after 25 sweeps with this factor where it would be after 50 with 1."""
 
+GREATEST_PUSH = 2.0
+"""Two points of organs are pushed apart in one solve by so many times what is missing at most."""
+
 ENERGY_TOLERANCE = 0.002
 """Part of the greatest work so far that an organ may have more than was put in: rounding and friction of a solve."""
 
@@ -67,9 +72,18 @@ def _project_onto_cone(
 
 @inline_kernel
 def _push(
-    row: np.ndarray, i: int, j: int, k: int, inverse_mass: np.ndarray, dx: float, dy: float, dz: float, of: np.ndarray
+    row: np.ndarray,
+    i: int,
+    j: int,
+    k: int,
+    fourth: int,
+    inverse_mass: np.ndarray,
+    dx: float,
+    dy: float,
+    dz: float,
+    of: np.ndarray,
 ) -> None:
-    """Apply a displacement or an impulse to the three vertices that carry a constrained point."""
+    """Apply a displacement or an impulse to the vertices that carry a constrained point."""
     wi, wj, wk = (
         row[WEIGHTS] * inverse_mass[i],
         row[WEIGHTS + 1] * inverse_mass[j],
@@ -84,6 +98,11 @@ def _push(
     of[k, 0] += wk * dx
     of[k, 1] += wk * dy
     of[k, 2] += wk * dz
+    if fourth >= 0:
+        wl = -(row[WEIGHTS] + row[WEIGHTS + 1] + row[WEIGHTS + 2]) * inverse_mass[fourth]
+        of[fourth, 0] += wl * dx
+        of[fourth, 1] += wl * dy
+        of[fourth, 2] += wl * dz
 
 
 @inline_kernel
@@ -105,18 +124,24 @@ def measure_gaps(
         row = rows[c]
         i, j, k = features[c, 0], features[c, 1], features[c, 2]
         a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]
+        fourth = features[c, FOURTH]
+        e = -(a + b + d) if fourth >= 0 else 0.0
         gap = 0.0
         for axis in range(3):
             s = a * vertices[i, axis] + b * vertices[j, axis] + d * vertices[k, axis]
+            s += e * vertices[fourth, axis] if fourth >= 0 else 0.0
             gap += (s - row[POINT + axis]) * row[NORMAL + axis]
         row[GAP] = gap
         mobility = a * a * inverse_mass[i] + b * b * inverse_mass[j] + d * d * inverse_mass[k]
+        mobility += e * e * inverse_mass[fourth] if fourth >= 0 else 0.0
         row[INERTIA] = 0.0
         if mobility > 0.0:
             worst = max(worst, -gap)
             mobility += a * a * mean_inverse_mass if inverse_mass[i] == 0.0 else 0.0
             mobility += b * b * mean_inverse_mass if inverse_mass[j] == 0.0 else 0.0
             mobility += d * d * mean_inverse_mass if inverse_mass[k] == 0.0 else 0.0
+            if fourth >= 0 and inverse_mass[fourth] == 0.0:
+                mobility += e * e * mean_inverse_mass
             row[INERTIA] = 1.0 / mobility
     return worst
 
@@ -138,7 +163,7 @@ def start_pushed(
         along = max(x * nx + y * ny + z * nz, 0.0)
         x, y, z = _project_onto_cone(x, y, z, nx, ny, nz, along, row[FRICTION])
         row[column], row[column + 1], row[column + 2] = x, y, z
-        _push(row, features[c, 0], features[c, 1], features[c, 2], inverse_mass, x, y, z, of)
+        _push(row, features[c, 0], features[c, 1], features[c, 2], features[c, FOURTH], inverse_mass, x, y, z, of)
 
 
 @inline_kernel
@@ -169,6 +194,16 @@ def solve_positions(
     Returns:
         How many sweeps it took.
     """
+    # Between organs some of what is asked for may contradict the rest, and sweeps would push ever farther.
+    for c in order:
+        if features[c, OWNER] == ORGANS:
+            row = rows[c]
+            begun, apart = 0.0, 0.0
+            for axis in range(3):
+                begun += row[DISPLACEMENT + axis] * row[NORMAL + axis]
+                apart += row[POINT + axis] * row[NORMAL + axis]
+            row[IMPULSE] = begun + row[INERTIA] * (apart + GREATEST_PUSH * max(-row[GAP], 0.0))
+    done = sweeps
     for sweep in range(sweeps):
         # The first sweep settles what stands alone, and the last one leaves nothing overdone.
         relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
@@ -176,12 +211,15 @@ def solve_positions(
         moved = 0.0
         for c in order:
             row = rows[c]
-            i, j, k = features[c, 0], features[c, 1], features[c, 2]
+            i, j, k, fourth = features[c, 0], features[c, 1], features[c, 2], features[c, FOURTH]
             a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]
             nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
             sx = a * vertices[i, 0] + b * vertices[j, 0] + d * vertices[k, 0]
             sy = a * vertices[i, 1] + b * vertices[j, 1] + d * vertices[k, 1]
             sz = a * vertices[i, 2] + b * vertices[j, 2] + d * vertices[k, 2]
+            if fourth >= 0:
+                e = a + b + d
+                sx, sy, sz = sx - e * vertices[fourth, 0], sy - e * vertices[fourth, 1], sz - e * vertices[fourth, 2]
             violation = (row[POINT] - sx) * nx + (row[POINT + 1] - sy) * ny + (row[POINT + 2] - sz) * nz
             ox, oy, oz = row[DISPLACEMENT], row[DISPLACEMENT + 1], row[DISPLACEMENT + 2]
             before = ox * nx + oy * ny + oz * nz
@@ -189,6 +227,8 @@ def solve_positions(
             if (violation <= 0.0 and before <= 0.0) or inertia == 0.0:
                 continue
             along = max(before + relaxation * violation * inertia, 0.0)
+            if fourth >= 0:
+                along = min(along, row[IMPULSE])
             if row[FRICTION] > 0.0 and sticks:
                 x, y, z = _project_onto_cone(
                     ox - relaxation * (sx - row[ORIGIN]) * inertia,
@@ -203,10 +243,14 @@ def solve_positions(
             dx, dy, dz = x - ox, y - oy, z - oz
             row[DISPLACEMENT], row[DISPLACEMENT + 1], row[DISPLACEMENT + 2] = x, y, z
             moved = max(moved, (dx * dx + dy * dy + dz * dz) / (inertia * inertia))
-            _push(row, i, j, k, inverse_mass, dx, dy, dz, vertices)
+            _push(row, i, j, k, fourth, inverse_mass, dx, dy, dz, vertices)
         if moved <= tolerance * tolerance:
-            return sweep + 1
-    return sweeps
+            done = sweep + 1
+            break
+    for c in order:
+        if features[c, OWNER] == ORGANS:
+            rows[c, IMPULSE] = 0.0
+    return done
 
 
 @inline_kernel
@@ -243,12 +287,17 @@ def solve_velocities(
         moved = 0.0
         for c in order:
             row = rows[c]
-            i, j, k = features[c, 0], features[c, 1], features[c, 2]
+            i, j, k, fourth = features[c, 0], features[c, 1], features[c, 2], features[c, FOURTH]
             a, b, d = row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2]
             nx, ny, nz = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
             vx = a * velocities[i, 0] + b * velocities[j, 0] + d * velocities[k, 0] - row[VELOCITY]
             vy = a * velocities[i, 1] + b * velocities[j, 1] + d * velocities[k, 1] - row[VELOCITY + 1]
             vz = a * velocities[i, 2] + b * velocities[j, 2] + d * velocities[k, 2] - row[VELOCITY + 2]
+            if fourth >= 0:
+                e = a + b + d
+                vx -= e * velocities[fourth, 0]
+                vy -= e * velocities[fourth, 1]
+                vz -= e * velocities[fourth, 2]
             closing = -(vx * nx + vy * ny + vz * nz) - max(row[GAP], 0.0) / dt
             ox, oy, oz = row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2]
             before = ox * nx + oy * ny + oz * nz
@@ -268,7 +317,7 @@ def solve_velocities(
             dx, dy, dz = x - ox, y - oy, z - oz
             row[IMPULSE], row[IMPULSE + 1], row[IMPULSE + 2] = x, y, z
             moved = max(moved, (dx * dx + dy * dy + dz * dz) / (inertia * inertia))
-            _push(row, i, j, k, inverse_mass, dx, dy, dz, velocities)
+            _push(row, i, j, k, fourth, inverse_mass, dx, dy, dz, velocities)
         if moved <= tolerance * tolerance:
             return sweep + 1
     return sweeps
@@ -343,7 +392,7 @@ def passive_share(
 def scale_impulses(count: int, rows: np.ndarray, features: np.ndarray, first: int, end: int, share: float) -> None:
     """Leave a share of what the tools' constraints with one organ's vertices, from first to end, have given it."""
     for c in range(count):
-        if features[c, OWNER] != GROUND and first <= features[c, 0] < end:
+        if features[c, OWNER] >= 0 and first <= features[c, 0] < end:
             for axis in range(3):
                 rows[c, IMPULSE + axis] *= share
 
@@ -444,6 +493,43 @@ def sum_heights(first: int, end: int, inverse_mass: np.ndarray, vertices: np.nda
 
 
 @inline_kernel
+def pass_on_work(
+    features: np.ndarray,
+    row: np.ndarray,
+    first_vertices: np.ndarray,
+    inverse_mass: np.ndarray,
+    velocities_before: np.ndarray,
+    velocities: np.ndarray,
+    ledger: np.ndarray,
+) -> None:
+    """Add to two organs' ledgers the work of a constraint between them: impulse times mean velocity, of each.
+
+    Over all impulses on a node that is the change of its energy of motion. Arguments as of `keep_ledger`, and one
+    constraint's features and row. Within one organ nothing is passed on.
+    """
+    organs = first_vertices.shape[0]
+    of_first, of_last = organs - 1, organs - 1
+    while features[0] < first_vertices[of_first]:
+        of_first -= 1
+    while features[FOURTH] < first_vertices[of_last]:
+        of_last -= 1
+    if of_first == of_last:
+        return
+    for corner in range(4):
+        weight = row[WEIGHTS + corner]
+        if corner == 3:
+            weight = -(row[WEIGHTS] + row[WEIGHTS + 1] + row[WEIGHTS + 2])
+        vertex, o = features[corner], organs - 1
+        if inverse_mass[vertex] == 0.0:
+            continue
+        while vertex < first_vertices[o]:
+            o -= 1
+        for axis in range(3):
+            mean = 0.5 * (velocities_before[vertex, axis] + velocities[vertex, axis])
+            ledger[o, WORK] += weight * row[IMPULSE + axis] * mean
+
+
+@inline_kernel
 def keep_ledger(
     count: int,
     rows: np.ndarray,
@@ -454,6 +540,8 @@ def keep_ledger(
     positions: np.ndarray,
     linear_velocities: np.ndarray,
     angular_velocities: np.ndarray,
+    velocities_before: np.ndarray,
+    velocities: np.ndarray,
     ledger: np.ndarray,
 ) -> None:
     """Add to each organ's ledger the work of a step's impulses, which must have been summed up.
@@ -468,6 +556,8 @@ def keep_ledger(
         positions: (N, 3) of the tools at the end of the step [u].
         linear_velocities: (N, 3) [u/s].
         angular_velocities: (N, 3) [rad/s].
+        velocities_before: (V, 3) of the nodes without contact [u/s].
+        velocities: (V, 3) with it [u/s].
         ledger: (O, 5) written.
     """
     organs = first_vertices.shape[0]
@@ -477,7 +567,9 @@ def keep_ledger(
             ledger[o, REST_HEIGHT], ledger[o, STAGE] = sum_heights(first_vertices[o], end, inverse_mass, start), FREE
     for c in range(count):
         owner = features[c, OWNER]
-        if owner == GROUND:
+        if owner == ORGANS:
+            pass_on_work(features[c], rows[c], first_vertices, inverse_mass, velocities_before, velocities, ledger)
+        if owner < 0:
             continue
         row, o = rows[c], organs - 1
         while features[c, 0] < first_vertices[o]:
@@ -516,6 +608,8 @@ def sum_impulses(
         if x == 0.0 and y == 0.0 and z == 0.0:
             continue
         owner = features[c, OWNER]
+        if owner == ORGANS:
+            continue
         into = wrenches[owner] if owner != GROUND else wrenches[tool_count]
         into[0] -= x
         into[1] -= y

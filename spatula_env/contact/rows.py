@@ -7,8 +7,10 @@ import numpy as np
 from spatula_env._kernels import inline_kernel
 from spatula_env.contact.structures import (
     DISPLACEMENT,
+    FOURTH,
     FRICTION,
     IMPULSE,
+    NO_VERTEX,
     NORMAL,
     ORIGIN,
     OWNER,
@@ -18,7 +20,7 @@ from spatula_env.contact.structures import (
     WEIGHTS,
 )
 
-ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND = 0, 1, 2, 3, 4
+ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND, ON_TRIANGLE, ON_EDGES = 0, 1, 2, 3, 4, 5, 6
 """Kinds of constraints, in their names."""
 
 
@@ -54,7 +56,7 @@ def append_constraint(
     row = rows[count]
     a, b, c = corners
     features[count, 0], features[count, 1], features[count, 2] = a + first_vertex, b + first_vertex, c + first_vertex
-    features[count, OWNER], features[count, PLANE] = owner, plane
+    features[count, FOURTH], features[count, OWNER], features[count, PLANE] = NO_VERTEX, owner, plane
     names[count] = name
     row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = weights
     for axis in range(3):

@@ -8,6 +8,7 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact import skin
 from spatula_env.contact.corners import drop_outside
 from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.features import find_candidates, gather_features, gather_ground, gather_nodes
@@ -55,6 +56,7 @@ from spatula_env.contact.response import (
     sum_heights,
     sum_impulses,
 )
+from spatula_env.contact.self_contact import gather_organs, keep_uncrossed, prepare_pairs, remember_sides
 from spatula_env.contact.structures import (
     DISPLACEMENT,
     IMPULSE,
@@ -72,6 +74,12 @@ VELOCITY_TOLERANCE = 1e-3
 
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
+
+MOST_RETRIES = 3
+"""So many times it is gone on from where organs were held back from crossing,"""
+
+RETRY_PASSES = 3
+"""and contacts are looked for so often each time."""
 
 PASSES_WITH_FRICTION = 2
 """Of later ones the second half of the sweeps leaves friction as it is. Sweeps of friction at more points than there
@@ -120,13 +128,15 @@ ROUNDING = 1e-12
 FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
 
-SETTINGS_LENGTH = 7
+SETTINGS_LENGTH = 9
 DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION, MEAN_INVERSE_MASS, GRAVITY = 0, 1, 2, 3, 4, 5, 6
+ORGAN_FRICTION, KEEPS_APART = 7, 8
 """Columns of the settings: length of a step [s], mean edge of the organ with the smallest [u], whether there is ground,
-its height [u] and friction, mean inverse mass of the free nodes [1/kg], gravity [u/s2]."""
+its height [u] and friction, mean inverse mass of the free nodes [1/kg], gravity [u/s2], friction between organs,
+whether organs are kept apart from themselves and each other."""
 
-PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, STATUS = 0, 1, 2, 3, 4
-RESULT_LENGTH = 5
+PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, CROSSINGS, CROSSED_FOR = 0, 1, 2, 3, 4, 5
+RESULT_LENGTH = 6
 """Columns of the result."""
 
 
@@ -189,13 +199,14 @@ def keep_passive(
     linear_velocities: np.ndarray,
     angular_velocities: np.ndarray,
     vertices: np.ndarray,
+    velocities_before: np.ndarray,
     velocities: np.ndarray,
     nodal_impulses: np.ndarray,
     wrenches: np.ndarray,
 ) -> None:
     """Take from each organ what energy it has more than the tools have put in, from a step's impulses and its motion.
 
-    Arguments as in `resolve_step`, at its end; the last four are changed.
+    Arguments as in `resolve_step`, at its end; what comes after `velocities_before` is changed, and `vertices`.
     """
     first_vertices, inverse_mass, ledger = world.first_vertices, world.inverse_mass, world.ledger
     rows, features = world.constraints.rows, world.constraints.features
@@ -203,7 +214,7 @@ def keep_passive(
     before = ledger.copy()
     keep_ledger(
         count, rows, features, first_vertices, inverse_mass, start, positions, linear_velocities, angular_velocities,
-        ledger,
+        velocities_before, velocities, ledger,
     )  # fmt: skip
     for o in range(first_vertices.shape[0]):
         first = first_vertices[o]
@@ -380,6 +391,10 @@ def resolve_step(
             expected = vertices
     queries = organ_parts + (parts if parts > 1 else 0)
     result[QUERIES] = queries
+    near, held = world.near, np.empty_like(start)
+    apart = settings[KEEPS_APART] > 0.0
+    if apart:
+        prepare_pairs(world.skin, near, start, expected if queries == 1 else start, mean_edge, warm_count[0], warm)
     reference = start
     shift = start
     if queries > 1:
@@ -409,7 +424,7 @@ def resolve_step(
             angular[k, axis] = limit * angular_velocities[k, axis]
             last_position[k, axis] = start_positions[k, axis]
         fill_rotation(start_orientations[k], 1.0, last_rotation[k])
-    holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 1, np.int64)
+    holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 2, np.int64)
     count, passed, tried = 0, 0, 0
     organ_done = 0.0
     # In a step that is divided more may be asked than can be had, and what is overdone in one place is then missing in
@@ -470,10 +485,18 @@ def resolve_step(
                 remember_flags(memory.states)
                 lead_by_motion(tool, memory, surfaces[o])
                 decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
-        for attempt in range(MOST_PASSES):
+        retries, last_attempt, met = 0, MOST_PASSES, False
+        copy_points(reference, held)
+        for attempt in range(MOST_PASSES + MOST_RETRIES * RETRY_PASSES + 1):
             count = 0
+            if apart:
+                count = gather_organs(
+                    constraints, 0, world.skin, near, held, vertices, thrown, reference, mean_edge,
+                    settings[ORGAN_FRICTION],
+                )  # fmt: skip
+            met |= count > 0
             if settings[HAS_GROUND] > 0.0:
-                reserve(constraints, count, vertex_count)
+                reserve(constraints, count, count + vertex_count)
                 count = gather_ground(
                     constraints.rows, constraints.features, constraints.names, count, vertices, reference,
                     inverse_mass, settings[GROUND_HEIGHT], settings[GROUND_FRICTION],
@@ -521,8 +544,19 @@ def resolve_step(
             order = np.empty(count, np.int64)
             islands = find_islands(count, features, inverse_mass, tool_count, holders, order, starts)
             # The first solve is there for friction too, which holds a surface that only touches.
-            if attempt > 0 and greatest_violation(order, rows) <= RESIDUAL_TOLERANCE:
-                break
+            settled = attempt > 0 and greatest_violation(order, rows, features) <= RESIDUAL_TOLERANCE
+            if settled or attempt == last_attempt:
+                if (
+                    not (met or near.crossing[skin.CROSSINGS] > 0.0)
+                    or not keep_uncrossed(world.skin, near, inverse_mass, tried, trial, held, vertices, mean_edge)
+                    or retries == MOST_RETRIES
+                ):
+                    break
+                # Tools go on, and push where the organ has been left.
+                remember_sides(near, tried, trial)
+                copy_points(vertices, held)
+                retries, last_attempt = retries + 1, attempt + RETRY_PASSES
+                continue
             if attempt == 0 and query == queries - 1 and (predicts or queries == 1):
                 # From here on the organs are where they would be without contact, and what pushes them is known.
                 if predicts:
@@ -537,7 +571,7 @@ def resolve_step(
             frictional = sweeps if attempt < PASSES_WITH_FRICTION else sweeps // 2
             for island in range(islands):
                 members = order[starts[island] : starts[island + 1]]
-                if attempt == 0 or greatest_violation(members, rows) > RESIDUAL_TOLERANCE:
+                if attempt == 0 or greatest_violation(members, rows, features) > RESIDUAL_TOLERANCE:
                     solve_positions(
                         members, rows, features, inverse_mass, vertices, sweeps, POSITION_TOLERANCE, frictional,
                         relaxation,
@@ -547,11 +581,15 @@ def resolve_step(
                 passed = note_passed(count, passed, constraints, earlier, position)
         if query < queries - 1:
             sum_passed(passed, earlier)
+            remember_sides(near, tried, trial)
         for k in range(tool_count):
             for axis in range(3):
                 last_position[k, axis] = position[k, axis]
             for entry in range(9):
                 last_rotation[k, entry] = rotation[k, entry]
+    crossing = near.crossing
+    crossing[skin.CROSSED_FOR] = crossing[skin.CROSSED_FOR] + dt if crossing[skin.CROSSINGS] > 0.0 else 0.0
+    result[CROSSINGS], result[CROSSED_FOR] = crossing[skin.CROSSINGS], crossing[skin.CROSSED_FOR]
     keep_for_next(tried, trial, passed if parts == 1 else 0, earlier, warm)
     warm_count[0] = tried
     measure_gaps(count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
@@ -585,7 +623,7 @@ def resolve_step(
     sum_impulses(count, rows, features, tool_count, positions, vertices, nodal_impulses, wrenches)
     if tool_count > 0 and mode == FLAGS:
         keep_passive(
-            world, count, tool_count, start, positions, linear_velocities, angular_velocities, vertices, velocities,
-            nodal_impulses, wrenches,
+            world, count, tool_count, start, positions, linear_velocities, angular_velocities, vertices,
+            free_velocities, velocities, nodal_impulses, wrenches,
         )  # fmt: skip
     return 0

@@ -15,6 +15,7 @@ from numba.typed import List
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.columns import RayColumns
+from spatula_env.contact.skin import NEAR, SKIN
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -85,11 +86,13 @@ class Constraints(structref.StructRefProxy):
     """Room for unilateral constraints, for kernels: see `response`. A row each; columns by the names below.
 
     Fields:
-        rows (C, 24): WEIGHTS of three vertices, summing to one; NORMAL n, towards the organ; POINT p [u]; VELOCITY
-            dp/dt [u/s]; ORIGIN, where the constrained point would be had it moved with the tool since the last query
-            [u]; FRICTION, coefficient; INERTIA of the constrained point [kg]; GAP (s - p) . n [u]; DISPLACEMENT, what
-            the position solve applied [kg u]; IMPULSE, what the velocity solve applied to the organ [kg u/s].
-        features (C, 5): the three vertices; OWNER, index of the tool or `GROUND`; PLANE, the tool's face.
+        rows (C, 24): WEIGHTS of three vertices, summing to one where there is no fourth; NORMAL n, towards the organ;
+            POINT p [u]; VELOCITY dp/dt [u/s]; ORIGIN, where the constrained point would be had it moved with the tool
+            since the last query [u]; FRICTION, coefficient; INERTIA of the constrained point [kg]; GAP (s - p) . n
+            [u]; DISPLACEMENT, what the position solve applied [kg u]; IMPULSE, what the velocity solve applied to the
+            organ [kg u/s].
+        features (C, 6): the three vertices; FOURTH, a vertex whose weight makes the sum of all zero, or `NO_VERTEX`;
+            OWNER, index of the tool, `GROUND` or `ORGANS`; PLANE, the tool's face.
         names (C,): tells which features touch, the same in the next query.
     """
 
@@ -110,6 +113,8 @@ class WorldContacts(structref.StructRefProxy):
         friction (N,): coefficients.
         settings: See `step`.
         inverse_mass (V,): of the organs' nodes [1/kg].
+        skin: `Skin` of all organs.
+        near: `Near`: which features of organs are near each other.
         ledger (O, 5): of the energy that the tools put into each organ; see `response`.
     """
 
@@ -117,10 +122,13 @@ class WorldContacts(structref.StructRefProxy):
 WEIGHTS, NORMAL, POINT, VELOCITY, ORIGIN = 0, 3, 6, 9, 12
 FRICTION, INERTIA, GAP, DISPLACEMENT, IMPULSE = 15, 16, 17, 18, 21
 ROW_LENGTH = 24
-OWNER, PLANE, FEATURE_LENGTH = 3, 4, 5
+FOURTH, OWNER, PLANE, FEATURE_LENGTH = 3, 4, 5, 6
 
-GROUND = -1
-"""Owner of a constraint that is not a tool's."""
+NO_VERTEX = -1
+"""In the place of a fourth vertex: none. The constrained point is one of the organ and kept from a plane."""
+
+ORGANS, GROUND = -2, -1
+"""Owners of constraints that are not a tool's: of organs with themselves and each other, and with the ground."""
 
 TOOL_FIELDS = [
     ("nodes", ARRAYS["f8_2"]),
@@ -179,6 +187,8 @@ WORLD_FIELDS = [
     ("friction", ARRAYS["f8"]),
     ("settings", ARRAYS["f8"]),
     ("inverse_mass", ARRAYS["f8"]),
+    ("skin", SKIN),
+    ("near", NEAR),
     ("ledger", ARRAYS["f8_2"]),
 ]
 structref.define_proxy(WorldContacts, WorldContactsType, [name for name, _ in WORLD_FIELDS])
@@ -211,12 +221,13 @@ def _make_memory(
 @kernel(WORLD_CONTACTS(*[kind for _, kind in WORLD_FIELDS]))
 def make_world_contacts(
     tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, trial: Any, warm: Any,
-    warm_count: Any,    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, ledger: Any,
+    warm_count: Any,    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, skin: Any,
+    near: Any, ledger: Any,
 ) -> Any:  # fmt: skip
     """A `WorldContacts` of these fields."""
     return WorldContacts(
         tools, memories, surfaces, constraints, earlier, trial, warm, warm_count, first_vertices, friction,
-        settings, inverse_mass, ledger,
+        settings, inverse_mass, skin, near, ledger,
     )  # fmt: skip
 
 

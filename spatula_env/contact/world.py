@@ -10,6 +10,8 @@ import numpy as np
 from spatula_env.contact import step
 from spatula_env.contact.multipliers import MOST_PASSED
 from spatula_env.contact.response import LEDGER_LENGTH
+from spatula_env.contact.self_contact import leave_out, touching_pairs
+from spatula_env.contact.skin import crossed_for, forget_near, make_near, make_skin, set_crossed_for
 from spatula_env.contact.structures import (
     copy_constraints,
     make_constraints,
@@ -35,6 +37,24 @@ Multipliers = tuple["NDArray[Any]", "NDArray[Any]", "NDArray[Any]"]
 """From which the next position solve starts: names, features and rows of constraints."""
 
 
+ORGAN_FRICTION = 0.1
+"""Coefficient of friction of organs with themselves and each other: wet surfaces slide."""
+
+
+def _mean_edge(scene: Scene) -> float:
+    """Of the organ with the smallest [u]."""
+    return min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
+
+
+def scene_skin(scene: Scene) -> Any:
+    """The `Skin` of a scene's organs, without pairs of features that touch in an organ's own shape."""
+    organs = [placed.organ for placed in scene.organs]
+    skin = make_skin([np.array(organ.triangles) for organ in organs], [len(organ.vertices) for organ in organs])
+    vertices = np.concatenate([placed.vertices for placed in scene.organs])
+    leave_out(skin, touching_pairs(skin, make_near(skin), vertices, _mean_edge(scene)))
+    return skin
+
+
 class Workspace:
     """Room for one query at a time, which worlds that are queried one after the other can share.
 
@@ -57,7 +77,7 @@ class World:
     Attributes:
         memories: Of each tool (outer) and organ (inner).
         friction: (N,) coefficients of the tools.
-        settings: (7,) by the column names of `step`.
+        settings: (9,) by the column names of `step`.
         inverse_masses: (V,) of the organs' nodes [1/kg].
         ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
         workspace: Of a query.
@@ -70,8 +90,10 @@ class World:
         shapes: Sequence[Any],
         memories: Sequence[Memory],
         surfaces: Any,
+        skin: Any,
         inverse_masses: FloatArray,
         workspace: Workspace,
+        keeps_apart: bool = True,
     ) -> None:
         """Prepare for a scene.
 
@@ -80,8 +102,10 @@ class World:
             shapes: `ToolShape` of each tool.
             memories: Of each tool (outer) and organ (inner).
             surfaces: List of the organs' triangles, for kernels.
+            skin: `Skin` of all organs; see `scene_skin`.
             inverse_masses: (V,) of the organs' nodes [1/kg].
             workspace: Of a query.
+            keeps_apart: Whether organs are kept apart from themselves and each other.
         """
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self.memories = tuple(memories)
@@ -89,8 +113,10 @@ class World:
         self.inverse_masses = inverse_masses.copy()
         self.settings = np.zeros(step.SETTINGS_LENGTH)
         self.settings[step.DT] = scene.dt
-        self.settings[step.MEAN_EDGE] = min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
+        self.settings[step.MEAN_EDGE] = _mean_edge(scene)
         self.settings[step.GRAVITY] = scene.gravity
+        self.settings[step.ORGAN_FRICTION] = ORGAN_FRICTION
+        self.settings[step.KEEPS_APART] = float(keeps_apart)
         if scene.ground is not None:
             self.settings[step.HAS_GROUND] = 1.0
             self.settings[step.GROUND_HEIGHT] = scene.ground.height
@@ -100,6 +126,7 @@ class World:
         self.workspace = workspace
         self._warm = make_constraints(FIRST_ROOM)
         self._warm_count = np.zeros(1, dtype=np.int64)
+        self._near = make_near(skin)
         self.structure = make_world_contacts(
             tool_list(list(shapes)),
             memory_list([memory.structure for memory in memories]),
@@ -113,6 +140,8 @@ class World:
             self.friction,
             self.settings,
             self.inverse_masses,
+            skin,
+            self._near,
             self.ledger,
         )
 
@@ -126,6 +155,7 @@ class World:
         """Start the next step's solves from nothing, and count energy anew."""
         self._warm_count[0] = 0
         self.ledger[:] = 0.0
+        forget_near(self._near)
 
     def copy_multipliers(self) -> Multipliers:
         """From where the next step's solve starts, as arrays of their own."""
@@ -136,6 +166,16 @@ class World:
         """Go back to what was copied."""
         restore_constraints(self._warm, *(part.copy() for part in multipliers))
         self._warm_count[0] = len(multipliers[0])
+
+    @property
+    def crossed_for(self) -> float:
+        """For how long organs have crossed themselves or each other [s]."""
+        return float(crossed_for(self._near))
+
+    def restore_crossing(self, duration: float) -> None:
+        """Begin with organs that have been put somewhere, and that have crossed for so long there [s]."""
+        forget_near(self._near)
+        set_crossed_for(self._near, duration)
 
     def admit_energy(self, vertices: FloatArray, velocities: FloatArray) -> None:
         """Count what energy the organs were given when they were put into a state; the ledger is that of the state.

@@ -362,7 +362,9 @@ class Episodes:
             reward[:] = self._judge(situation, going)
         elif len(going):
             reward[going] = self._judge(situation.rows(going), going)
+        self._info["tangled"][:] = loads.tangled
         terminated = self._succeeded & self.settings.terminate_on_success
+        terminated |= loads.tangled & self.settings.terminate_on_tangle
         if self.settings.damage_limit is not None:
             terminated |= self._safety.damaged(self.settings.damage_limit)
         return Outcome(reward, terminated, lost)
@@ -526,6 +528,7 @@ class Episodes:
             "is_success": self._succeeded[worlds],
             "within_tolerance": within,
             "diverged": np.zeros(len(worlds), dtype=np.bool_),
+            "tangled": np.zeros(len(worlds), dtype=np.bool_),
             "hold_time": self._held[worlds] * self.period,
             "time": self.worlds.times_of(worlds),
             "force": situation.force,

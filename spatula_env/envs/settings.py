@@ -105,6 +105,7 @@ class EnvSettings:
         control_frequency: Control steps in a second, 0.5 at least [Hz].
         episode_time: After which an episode is cut [s]; None: never.
         terminate_on_success: Whether success ends an episode.
+        terminate_on_tangle: Whether an episode ends in which organs stay crossed; see `info["tangled"]`.
         damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
         randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
         observation: Fields of `ObservationSettings` to change, by name.
@@ -126,6 +127,7 @@ class EnvSettings:
     control_frequency: float = 20.0
     episode_time: float | None = None
     terminate_on_success: bool = False
+    terminate_on_tangle: bool = False
     damage_limit: float | None = None
     randomization: Any = "none"
     observation: Any = None
@@ -150,6 +152,7 @@ class EnvSettings:
             check_positive(getattr(self, name), name, or_none=True)
         check_not_negative(self.damage_limit, "damage_limit", or_none=True)
         check_boolean(self.terminate_on_success, "terminate_on_success")
+        check_boolean(self.terminate_on_tangle, "terminate_on_tangle")
         for name in ("width", "height"):
             check_count(getattr(self, name), name, 1, LARGEST_PICTURE)
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")

@@ -113,7 +113,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     next reset.
 
     ### Termination
-    By success if `terminate_on_success` is set, and by damage if `damage_limit` is; else never.
+    By success if `terminate_on_success` is set, by damage if `damage_limit` is, and by a tangle of organs if
+    `terminate_on_tangle` is; else never.
 
     ### Truncation
     After `episode_time`. `gymnasium.make` passes 10 s, which are 200 steps at 20 Hz and 600 at 60 Hz. Who tells
@@ -143,6 +144,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `is_success`             | whether the goal has been held in this episode                                      |
     | `within_tolerance`       | whether it is fulfilled now                                                         |
     | `diverged`               | whether physics has broken down, which only a vector environment lives to tell      |
+    | `tangled`                | whether organs have crossed themselves or each other for longer than 0.1 s          |
     | `is_damaged`             | whether the cost of the episode exceeds `damage_limit`                              |
     | `hold_time`              | for how long the goal has been kept [s]                                             |
     | `time`                   | since the reset [s]                                                                 |
@@ -180,6 +182,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `control_frequency`    | **float**          | `20.0`       | Control steps in a second, 0.5 on, divides 240 Hz   |
     | `episode_time`         | **float \| None**  | `None`       | After which the episode is cut; `make` passes 10 [s]|
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
+    | `terminate_on_tangle`  | **bool**           | `False`      | Whether `tangled` ends the episode                  |
     | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |
     | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
     | `observation`          | **dict**           | `None`       | Fields of `ObservationSettings` to change           |

@@ -13,11 +13,12 @@ from spatula_env._warnings import warn
 from spatula_env.contact import step as contact_step
 from spatula_env.contact.flags import FIRST_STEP_CODES
 from spatula_env.contact.structures import Memory, OrganRoom, surface_list, tool_shape, world_list
-from spatula_env.contact.world import Workspace, World
+from spatula_env.contact.world import Workspace, World, scene_skin
 from spatula_env.geometry.transforms import as_quaternion
 from spatula_env.sim import batch_step
 from spatula_env.sim.batch_body import NARROW, WIDE, BatchBody
 from spatula_env.sim.clock import later
+from spatula_env.sim.report import LONGEST_CROSSED
 from spatula_env.sim.simulation import LONGEST_SETTLING, NO_COPY, SETTLED_SPEED, Simulation, SimulationDiverged
 from spatula_env.sim.soft_body import join, soft_body
 from spatula_env.sim.threads import share_out
@@ -49,11 +50,13 @@ class WorldMemory:
         flags: Of each tool (outer) and organ (inner).
         multipliers: From which solves start.
         ledger: Of the energy that the tools put in.
+        crossed_for: For how long organs have crossed themselves or each other [s].
     """
 
     flags: tuple[NDArray[np.bool_], ...]
     multipliers: Multipliers
     ledger: FloatArray
+    crossed_for: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,7 @@ class BatchSimulation:
         """Prepare the contact model of every world; worlds of a block share their workspace."""
         scene, lanes = self._scene, self._body.arrays["positions"].shape[3]
         surfaces = surface_list([np.array(placed.organ.triangles) for placed in scene.organs])
+        skin = scene_skin(scene)
         shapes = [tool_shape(placed.tool) for placed in scene.tools]
         self._contacts: list[World] = []
         for world in range(self.count):
@@ -176,7 +180,9 @@ class BatchSimulation:
                 for room in row
             ]
             inverse_masses = self._body.body.inverse_masses
-            self._contacts.append(World(scene, shapes, memories, surfaces, inverse_masses, workspace))
+            self._contacts.append(
+                World(scene, shapes, memories, surfaces, skin, inverse_masses, workspace, first_step != "off")
+            )
         self._structures = world_list([contacts.structure for contacts in self._contacts])
         self._mode = contact_step.SECOND_STEP if first_step == "off" else contact_step.FLAGS
         self._first_step = FIRST_STEP_CODES[first_step]
@@ -471,6 +477,7 @@ class BatchSimulation:
                 for index, placed in enumerate(self._scene.tools)
             ),
             restrained=summaries[:, batch_step.RESTRAINED],
+            tangled=summaries[:, batch_step.CROSSED_FOR] > LONGEST_CROSSED,
             diverged=self._diverged.copy(),
         )
 
@@ -556,6 +563,7 @@ class BatchSimulation:
                     flags=tuple(memory.states[0].copy() for memory in contacts.memories),
                     multipliers=contacts.copy_multipliers(),
                     ledger=contacts.ledger.copy(),
+                    crossed_for=contacts.crossed_for,
                 )
                 for contacts in (self._contacts[world] for world in indices.tolist())
             ),
@@ -591,6 +599,7 @@ class BatchSimulation:
             for memory, flags in zip(contacts.memories, remembered.flags, strict=True):
                 memory.states[0] = flags
             contacts.restore_multipliers(remembered.multipliers)
+            contacts.restore_crossing(remembered.crossed_for)
             contacts.ledger[:] = remembered.ledger
             contacts.admit_energy(self._nodes[world], self._velocities[world])
 

@@ -15,17 +15,28 @@ from spatula_env._kernels import kernel
 from spatula_env.contact.motion import turn_by
 from spatula_env.contact.pressure import tool_pressures
 from spatula_env.contact.step import CONTACT_COUNT, PENETRATION, RESIDUAL, RESULT_LENGTH, resolve_step
+from spatula_env.contact.step import CROSSED_FOR as LAST_CROSSED_FOR
 from spatula_env.sim.batch_body import advance_block, read_block, write_block
 from spatula_env.sim.drive import restrain
 
 FORCE, TORQUE, PEAK, LOAD_LENGTH = 0, 3, 6, 7
 """Columns of a tool's loads: force [kg u/s2] and torque [kg u2/s2], averaged, and the greatest force [kg u/s2]."""
 
-DEEPEST, WORST_RESIDUAL, GROUND_FORCE, PEAK_PRESSURE, OVERPRESSURE, RESTRAINED, SUMMARY_LENGTH = 0, 1, 2, 5, 6, 7, 8
+DEEPEST, WORST_RESIDUAL, GROUND_FORCE, PEAK_PRESSURE, OVERPRESSURE, RESTRAINED, CROSSED_FOR, SUMMARY_LENGTH = (
+    0,
+    1,
+    2,
+    5,
+    6,
+    7,
+    8,
+    9,
+)
 """Columns of a world's summary: greatest depth of a contact node in the last step, before correction, and
 greatest depth left after it, at most in any step [u]; mean force of the ground on the organs [kg u/s2]; greatest
 pressure on a contact node in any step [kg/(u s2)], and the integral over time of what the greatest pressure exceeds the
-world's limit by [kg/(u s)]; share of the steps in which too great a force kept tools from pushing on."""
+world's limit by [kg/(u s)]; share of the steps in which too great a force kept tools from pushing on; for how long
+organs have crossed [s]."""
 
 
 @kernel(nogil=True)
@@ -96,7 +107,7 @@ def advance_blocks(
         force_limits: (W,) see `drive.restrain` [kg u/s2].
         tool_forces: (W, N, 3) on each tool in the last physics step, before this one and, written, of it [kg u/s2].
         loads: (W, N, 7) written, by the column names of this module.
-        summaries: (W, 8) written, by the column names of this module.
+        summaries: (W, 9) written, by the column names of this module.
         face_pressures: (W, N, F) written, F the faces of the tool with the most: normal force on each face by its area,
             averaged [kg/(u s2)].
         pressures: (W, N, n) written: on each node in the last step, n those of the tool with the most [kg/(u s2)].
@@ -151,7 +162,7 @@ def advance_blocks(
                 for i in range(node_count):
                     for axis in range(3):
                         nodes[w, i, axis] = resolved[i, axis]
-                summaries[w, DEEPEST] = result[PENETRATION]
+                summaries[w, DEEPEST], summaries[w, CROSSED_FOR] = result[PENETRATION], result[LAST_CROSSED_FOR]
                 summaries[w, WORST_RESIDUAL] = max(summaries[w, WORST_RESIDUAL], result[RESIDUAL])
                 for axis in range(3):
                     summaries[w, GROUND_FORCE + axis] -= wrenches[ground, axis] / step_length

@@ -23,7 +23,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,6 +132,9 @@ class BulletWorld:
         self._pushed = np.zeros(start, dtype=np.int64)
         self._forces = np.zeros((start, 3))
         self._initial = self._positions.copy()
+        # Organs are kept apart as tools are; with Bullet's own algorithm by that.
+        for first, second in combinations(self._bodies, 2) if not with_tools else ():
+            bullet.setCollisionFilterPair(first, second, -1, -1, 0, physicsClientId=client)
         self.tools = BulletTools(bullet, client, scene) if with_tools else None
         self._set_state(self._positions)
 

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 
+LONGEST_CROSSED = 0.1
+"""Organs that cross for longer are tangled [s]."""
+
+
 @dataclass(frozen=True)
 class Wrench:
     """What the organs do to one tool, averaged over a step.
@@ -57,6 +61,8 @@ class Report:
             tool's corners in an organ; see `contact.depth` [u].
         queries: How many times each detector was asked: more than once where something moved too far at once.
         reach: How far a push is spread over contact nodes [u].
+        crossings: In how many places organs cross themselves or each other: pairs of an edge and a triangle.
+        crossed_for: For how long they have [s].
     """
 
     scene: Scene
@@ -70,6 +76,13 @@ class Report:
     residual: float
     queries: int
     reach: float
+    crossings: int
+    crossed_for: float
+
+    @property
+    def tangled(self) -> bool:
+        """Whether organs have crossed for longer than `LONGEST_CROSSED`: what happens to them then means nothing."""
+        return self.crossed_for > LONGEST_CROSSED
 
     @property
     def force(self) -> FloatArray:

@@ -110,9 +110,9 @@ class Simulation:
             engine: What integrates the organs. "bullet": PyBullet's soft body. "batch": this package's own, which
                 computes the same, faster; `BatchSimulation` steps many worlds with it. None: "bullet" where PyBullet
                 is installed, else "batch".
-            contact: "flags": the flags method with both its steps. "second_step": without the first step, so that
-                both faces of a thin tool push. "bullet": PyBullet's own collision algorithm; the detector only
-                watches.
+            contact: "flags": the flags method with both its steps; organs are kept apart from themselves and each other
+                too, which the others do not do. "second_step": without the first step, so that both faces of a thin
+                tool push. "bullet": PyBullet's own collision algorithm; the detector only watches.
             first_step: What the flags method's first step looks for, "inside" or "any_hit"; see `FlaggedDetector`.
             precision: In which the batch engine integrates, "single" or "double". Bullet's is always double, as is all
                 contact.
@@ -148,7 +148,7 @@ class Simulation:
         else:
             self._world = BatchWorld(scene, PRECISIONS[precision])
         self._first_step: FirstStep = "off" if contact == "second_step" else first_step
-        self._model = ContactModel(scene, self._world.inverse_masses, self._first_step)
+        self._model = ContactModel(scene, self._world.inverse_masses, self._first_step, keeps_apart=contact == "flags")
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         self._triangles = np.concatenate(
             [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
@@ -222,7 +222,9 @@ class Simulation:
                 self._world.close()
                 self._world = bullet = BulletWorld(self.scene, with_tools=True)
                 self._tools = bullet.tools
-            self._model = ContactModel(self.scene, self._world.inverse_masses, self._first_step)
+            self._model = ContactModel(
+                self.scene, self._world.inverse_masses, self._first_step, keeps_apart=self.contact == "flags"
+            )
         self.reset()
 
     def step(
@@ -270,6 +272,8 @@ class Simulation:
             residual=model.residual,
             queries=model.queries,
             reach=model.reach,
+            crossings=model.crossings,
+            crossed_for=model.crossed_for,
         )
         # A copy: who listens may stop listening.
         for listener in tuple(self.listeners):

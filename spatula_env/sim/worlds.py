@@ -47,6 +47,7 @@ class Loads:
         overpressures: (W,) integral over time of what the greatest pressure exceeds the limit by [kg/(u s)].
         node_pressures: (W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)].
         restrained: (W,) share of the physics steps in which too great a force kept tools from pushing on.
+        tangled: (W,) whether organs have crossed themselves or each other for longer than `report.LONGEST_CROSSED`.
         diverged: (W,) whether positions are no longer finite, or an organ has turned inside out.
     """
 
@@ -62,6 +63,7 @@ class Loads:
     overpressures: FloatArray
     node_pressures: tuple[FloatArray, ...]
     restrained: FloatArray
+    tangled: BoolArray
     diverged: BoolArray
 
 
@@ -280,6 +282,7 @@ class SeparateWorlds:
             overpressures=np.zeros(self.count),
             node_pressures=tuple(np.zeros((self.count, len(placed.tool.nodes))) for placed in tools),
             restrained=np.zeros(self.count),
+            tangled=np.zeros(self.count, dtype=np.bool_),
             diverged=self._diverged,
         )
         endless = np.full(self.count, np.inf)
@@ -348,6 +351,7 @@ class SeparateWorlds:
         loads.overpressures[world] = np.maximum(peaks - pressure_limit, 0.0).sum() * simulation.dt
         loads.restrained[world] = restrained / steps
         report = reports[-1]
+        loads.tangled[world] = report.tangled
         loads.penetrations[world] = report.penetration
         for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):
             flags[world] = np.any([found.flags for found in contacts], axis=0)

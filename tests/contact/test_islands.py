@@ -5,13 +5,28 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from loose import LooseOrgans
 
 from spatula_env.contact.islands import find_islands, greatest_violation
-from spatula_env.contact.structures import GAP, GROUND, INERTIA, OWNER, ROW_LENGTH
+from spatula_env.contact.structures import (
+    FEATURE_LENGTH,
+    GAP,
+    GROUND,
+    INERTIA,
+    NO_VERTEX,
+    NORMAL,
+    ORGANS,
+    OWNER,
+    POINT,
+    ROW_LENGTH,
+)
 from spatula_env.geometry import Tool, box_surface
+
+AFTER_TOOLS = 1000
+"""In the place of the tool that contact of organs counts as: it comes after all others."""
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -19,7 +34,7 @@ seeds = st.integers(0, 2**32 - 1)
 def islands_of(features, inverse_mass, tools):
     """What stands alone on the ground, and the islands, as lists of constraints."""
     holders, order = np.full(len(inverse_mass), -1), np.full(len(features), -1)
-    starts = np.zeros(tools + 1, dtype=np.int64)
+    starts = np.zeros(tools + 2, dtype=np.int64)
     count = find_islands(len(features), features, inverse_mass, tools, holders, order, starts)
     assert (holders == -1).all()
     ends = starts[: count + 1].tolist()
@@ -30,14 +45,16 @@ def islands_of(features, inverse_mass, tools):
 def reference_islands(features, inverse_mass):
     """The same by sets: owners that hold a free vertex in common are joined until none is left to join."""
     groups = []
-    for owner in sorted({int(row[OWNER]) for row in features} - {GROUND}):
-        held = {int(v) for row in features if row[OWNER] == owner for v in row[:3] if inverse_mass[v] > 0.0}
+    owners = np.where(features[:, OWNER] == ORGANS, AFTER_TOOLS, features[:, OWNER])
+    for owner in sorted(set(owners.tolist()) - {GROUND}):
+        ends = features[owners == owner][:, : 4 if owner == AFTER_TOOLS else 3].ravel().tolist()
+        held = {v for v in ends if inverse_mass[v] > 0.0}
         joined = [group for group in groups if group[1] & held]
         groups = [group for group in groups if group not in joined]
         groups.append(({owner}.union(*(g[0] for g in joined)), held.union(*(g[1] for g in joined))))
     lone, islands = [], {min(owners): [] for owners, _ in groups}
     for c, row in enumerate(features):
-        mine = [g for g in groups if (row[OWNER] in g[0] if row[OWNER] != GROUND else int(row[0]) in g[1])]
+        mine = [g for g in groups if (owners[c] in g[0] if owners[c] != GROUND else int(row[0]) in g[1])]
         (islands[min(mine[0][0])] if mine else lone).append(c)
     return lone, [islands[first] for first in sorted(islands)]
 
@@ -48,20 +65,29 @@ def test_islands_are_what_is_connected_by_free_vertices(seed):
     tools, vertices = int(generator.integers(1, 6)), int(generator.integers(3, 40))
     inverse_mass = np.where(generator.uniform(size=vertices) < 0.2, 0.0, 1.0)
     ground = generator.integers(0, vertices, size=generator.integers(0, 6))
-    rows = [[v, v, v, GROUND, -1] for v in ground.tolist() if inverse_mass[v] > 0.0]
+    rows = [[*generator.integers(0, vertices, size=4).tolist(), ORGANS, 0] for _ in range(generator.integers(0, 4))]
+    rows += [[v, v, v, NO_VERTEX, GROUND, -1] for v in ground.tolist() if inverse_mass[v] > 0.0]
     for owner in range(tools):
         for _ in range(generator.integers(0, 5)):
-            rows.append([*generator.integers(0, vertices, size=3).tolist(), owner, 0])
-    features = np.array(rows, dtype=np.int32).reshape(-1, 5)
+            rows.append([*generator.integers(0, vertices, size=3).tolist(), NO_VERTEX, owner, 0])
+    features = np.array(rows, dtype=np.int32).reshape(-1, FEATURE_LENGTH)
     assert islands_of(features, inverse_mass, tools) == reference_islands(features, inverse_mass)
 
 
 def test_the_greatest_violation_is_that_of_what_can_move():
     rows = np.zeros((4, ROW_LENGTH))
     rows[:, GAP], rows[:, INERTIA] = [-0.3, 0.2, -0.1, -0.5], [1.0, 1.0, 1.0, 0.0]
-    assert greatest_violation(np.array([0, 1]), rows) == 0.3
-    assert greatest_violation(np.array([1, 2]), rows) == 0.1
-    assert greatest_violation(np.array([1, 3]), rows) == 0.0
+    features = np.zeros((4, FEATURE_LENGTH), dtype=np.int32)
+    assert greatest_violation(np.array([0, 1]), rows, features) == 0.3
+    assert greatest_violation(np.array([1, 2]), rows, features) == 0.1
+    assert greatest_violation(np.array([1, 3]), rows, features) == 0.0
+
+
+def test_half_of_the_distance_between_organs_may_be_missing():
+    rows, features = np.zeros((1, ROW_LENGTH)), np.zeros((1, FEATURE_LENGTH), dtype=np.int32)
+    rows[0, GAP], rows[0, INERTIA], features[0, OWNER] = -0.3, 1.0, ORGANS
+    rows[0, NORMAL : NORMAL + 3], rows[0, POINT : POINT + 3] = (0.0, 0.6, 0.8), (0.0, 0.24, 0.32)
+    assert greatest_violation(np.array([0]), rows, features) == pytest.approx(0.1)
 
 
 def test_a_tool_on_another_organ_changes_nothing():

@@ -11,10 +11,14 @@ from numba import njit
 from spatula_env.contact.multipliers import expect_vertices
 from spatula_env.contact.structures import (
     DISPLACEMENT,
+    FEATURE_LENGTH,
+    FOURTH,
     GROUND,
+    NO_VERTEX,
     NORMAL,
     OWNER,
     POINT,
+    ROW_LENGTH,
     WEIGHTS,
     make_constraints,
     restore_constraints,
@@ -33,7 +37,8 @@ def expected_vertices(known, warm, inverse_mass, start, linear, angular, part, t
 def kept(displacements, points, owner, vertices=None, normal=(0.0, 0.0, 1.0)):
     """Constraints on single vertices, with what they displaced in the last step [kg u]."""
     count = len(points)
-    rows, features = np.zeros((count, 24)), np.zeros((count, 5), dtype=np.int32)
+    rows, features = np.zeros((count, ROW_LENGTH)), np.zeros((count, FEATURE_LENGTH), dtype=np.int32)
+    features[:, FOURTH] = NO_VERTEX
     rows[:, WEIGHTS], rows[:, NORMAL : NORMAL + 3], rows[:, POINT : POINT + 3] = 1.0, normal, points
     rows[:, DISPLACEMENT : DISPLACEMENT + 3] = np.asarray(displacements)[:, None] * np.asarray(normal)
     features[:, :3] = np.arange(count)[:, None] if vertices is None else np.asarray(vertices)[:, None]

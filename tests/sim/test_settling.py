@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +96,8 @@ def test_collapse_while_settling_is_an_error_and_not_a_start():
     scene = on_the_ground(icosphere(3.0, 4), dt=1.0 / 120.0, gravity=EARTH)
     with pytest.warns(SceneWarning), pytest.raises(SimulationDiverged) as caught:
         Simulation(scene, engine="batch")
-    assert "organs do not come to rest: organ 'icosphere' has collapsed to" in str(caught.value)
+    # In a heap of itself, or inside out.
+    assert re.search("organs do not come to rest: organ 'icosphere' has (collapsed|turned)", str(caught.value))
     assert "a smaller dt, less gravity or a coarser surface helps" in str(caught.value)
 
 

@@ -11,6 +11,7 @@ from driving import Driver, half_thickness, press, start_above
 
 from spatula_env import scenes
 from spatula_env.contact import FlaggedDetector
+from spatula_env.contact.path import RESIDUAL_TOLERANCE
 from spatula_env.geometry import Tool, icosphere
 from spatula_env.geometry.transforms import rotation_matrix
 from spatula_env.sim import Simulation
@@ -247,7 +248,8 @@ def test_a_jump_clean_through_an_organ_is_seen(jump):
     report = simulation.step((0.0, 0.0, -jump / simulation.dt))
     assert simulation.tool_position[2] == pytest.approx(0.8 - jump)
     # All of the ball is before the plate's lower face: none of it has been passed.
-    assert simulation.nodes[:, 2].max() <= 0.8 - jump - 0.0625 + 1e-4
+    # Its walls lie on each other there, and are kept apart in the same solve.
+    assert simulation.nodes[:, 2].max() <= 0.8 - jump - 0.0625 + RESIDUAL_TOLERANCE
     assert not report.contacts.flags[tool.face == 1].any()
     assert report.force[2] > 0.0
     assert report.residual < 0.003

@@ -1,0 +1,482 @@
+"""Contact of organs with themselves and with each other: surfaces that came near stay on the side that they came from.
+
+Two features can keep surfaces apart: a vertex and a triangle, and two edges. Where they were at the last query tells
+the side; a pair that pushed in the last step remembers its own, as contact nodes of a tool remember their flags, for
+what the solve has left may be on the wrong side by a little. Surfaces are kept a small distance apart for the same
+reason.
+
+A pair makes one constraint of four vertices: the point of one feature stays on one side of the point of the other. The
+weights of one point are positive and those of the other negative, so momentum is kept whatever the solve does. See
+`response` for the solve and `near` for which pairs are looked at.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.meeting import fill_volume, find_roots, has_no_root
+from spatula_env.contact.near import MARGIN, find_near, measure_shifts, within_reach
+from spatula_env.contact.rows import ON_EDGES, ON_TRIANGLE, constraint_name
+from spatula_env.contact.skin import CROSSINGS, EDGE_PAIRS, IS_KNOWN, NEAR, SKIN, TOO_MANY, VERTEX_PAIRS
+from spatula_env.contact.structures import (
+    CONSTRAINTS,
+    DISPLACEMENT,
+    FOURTH,
+    FRICTION,
+    IMPULSE,
+    NORMAL,
+    ORGANS,
+    ORIGIN,
+    OWNER,
+    PLANE,
+    POINT,
+    VELOCITY,
+    WEIGHTS,
+    make_constraints,
+    reserve,
+)
+from spatula_env.contact.tangles import find_crossings, hold_back
+
+SEPARATION = 0.03
+"""How far apart surfaces are kept, in mean edges of the organ with the smallest."""
+
+TOUCHING = 2.0
+"""Pairs that are this many times as far apart as they are kept touch: what comes closer in the step is stopped."""
+
+OUTSIDE = 0.02
+"""How far outside of a triangle or beyond the end of an edge, in its size, a point may be and still count as on it."""
+
+PARALLEL = 1e-3
+"""Squared sine of the angle between edges below which they are parallel; vertices then keep them apart."""
+
+DEEPEST = 0.5
+"""A pair that is farther on its wrong side than this, in mean edges, is not pushed back: it has come there round
+something else."""
+
+SIDE_BIT = 1 << 40
+"""Added to a pair's name if the second feature, or the vertex, is on the inner side."""
+
+
+@inline_kernel
+def _fill_sides(points: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool, sides: np.ndarray) -> None:
+    """Write u, v, w (9,): of a triangle a, b, c two sides and the way to a vertex d; or of edges a, b and c, d."""
+    for axis in range(3):
+        start = points[a, axis]
+        sides[axis] = points[b, axis] - start
+        if is_edges:
+            sides[3 + axis] = points[d, axis] - points[c, axis]
+            sides[6 + axis] = points[c, axis] - start
+        else:
+            sides[3 + axis] = points[c, axis] - start
+            sides[6 + axis] = points[d, axis] - start
+
+
+@inline_kernel
+def _fill_place(sides: np.ndarray, is_edges: bool, place: np.ndarray) -> None:
+    """Write where two features are closest: of a triangle the weights of b and c; of edges the fractions along both.
+
+    The third number (3,) is how far outside of the features that is, as a fraction of their size; infinite if they have
+    no extent or edges are parallel.
+    """
+    uu, uv, vv, uw, vw = 0.0, 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        u, v, w = sides[axis], sides[3 + axis], sides[6 + axis]
+        uu, uv, vv, uw, vw = uu + u * u, uv + u * v, vv + v * v, uw + u * w, vw + v * w
+    squared = uu * vv - uv * uv
+    if not squared > (PARALLEL if is_edges else 0.0) * uu * vv:
+        place[2] = np.inf
+    elif is_edges:
+        s, t = (vv * uw - uv * vw) / squared, (uv * uw - uu * vw) / squared
+        place[0], place[1], place[2] = s, t, -min(min(s, t), min(1.0 - s, 1.0 - t))
+    else:
+        b, c = (vv * uw - uv * vw) / squared, (uu * vw - uv * uw) / squared
+        place[0], place[1], place[2] = b, c, -min(b, c, 1.0 - b - c)
+
+
+@inline_kernel
+def _fill_normal(sides: np.ndarray, normal: np.ndarray) -> float:
+    """Write the direction of u x v (3,), and return how far w goes along it; a normal of zeros if there is none."""
+    ux, uy, uz, vx, vy, vz = sides[0], sides[1], sides[2], sides[3], sides[4], sides[5]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    scale = 1.0 / length if length > 0.0 else 0.0
+    normal[0], normal[1], normal[2] = scale * nx, scale * ny, scale * nz
+    distance: float = normal[0] * sides[6] + normal[1] * sides[7] + normal[2] * sides[8]
+    return distance
+
+
+@inline_kernel
+def _side_held(
+    before: np.ndarray,
+    now: np.ndarray,
+    is_edges: bool,
+    known: int,
+    touching: float,
+    deepest: float,
+    normal: np.ndarray,
+    place: np.ndarray,
+) -> int:
+    """On which side of each other two features are to be held, if they have met or are close.
+
+    Args:
+        before: (9,) u, v, w at the last query, see `_fill_sides` [u].
+        now: (9,) now [u].
+        is_edges: Whether these are edges.
+        known: The side on which they were held in the last step; 0 if they were not.
+        touching: How far apart they are at most if they touch [u].
+        deepest: How far on the wrong side they are at most, where they have not been seen to meet [u].
+        normal: (3,) written: direction of u x v now.
+        place: (3,) written: where on the features, see `_fill_place`.
+
+    Returns:
+        1 if w is to go along the normal, -1 if against it, 0 if they are left alone.
+    """
+    distance = _fill_normal(now, normal)
+    if known * distance > touching:
+        return 0
+    if known != 0:
+        # What has slid off a feature may come back to it from the other side.
+        _fill_place(before, is_edges, place)
+        if not place[2] <= OUTSIDE:
+            known = 0
+    volume = np.empty(4)
+    fill_volume(before, now, volume)
+    if not has_no_root(volume):
+        roots, between = np.empty(3), np.empty(9)
+        for k in range(find_roots(volume, roots)):
+            for entry in range(9):
+                between[entry] = before[entry] + roots[k] * (now[entry] - before[entry])
+            _fill_place(between, is_edges, place)
+            if place[2] <= OUTSIDE:
+                # Before its first root a cubic has the sign that it begins with, and changes it at each.
+                side = 1 if (volume[0] > 0.0) == (k % 2 == 0) else -1
+                side = known if known != 0 else side
+                return side if side * distance <= touching else 0
+    if abs(distance) > touching and known == 0:
+        return 0
+    side = known
+    if known == 0:
+        side = 1 if distance >= 0.0 else -1
+    elif side * distance < -deepest:
+        return 0
+    _fill_place(now, is_edges, place)
+    return side if place[2] <= OUTSIDE else 0
+
+
+@inline_kernel
+def append_pair(
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+    vertices: tuple[int, int, int, int],
+    weights: tuple[float, float, float],
+    normal: tuple[float, float, float],
+    separation: float,
+    reference: np.ndarray,
+    friction: float,
+    name: int,
+) -> int:
+    """Append a constraint between two points of organs; the fourth vertex's weight makes their sum zero."""
+    i, j, k, l = vertices  # noqa: E741
+    row = rows[count]
+    features[count, 0], features[count, 1], features[count, 2], features[count, FOURTH] = i, j, k, l
+    features[count, OWNER], features[count, PLANE] = ORGANS, 0
+    names[count] = name
+    a, b, c = weights
+    d = -(a + b + c)
+    row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = a, b, c
+    row[NORMAL], row[NORMAL + 1], row[NORMAL + 2] = normal
+    for axis in range(3):
+        row[POINT + axis] = separation * row[NORMAL + axis]
+        row[VELOCITY + axis] = 0.0
+        row[ORIGIN + axis] = (
+            a * reference[i, axis] + b * reference[j, axis] + c * reference[k, axis] + d * reference[l, axis]
+        )
+        row[DISPLACEMENT + axis] = 0.0
+        row[IMPULSE + axis] = 0.0
+    row[FRICTION] = friction
+    return count + 1
+
+
+@inline_kernel
+def _is_left_out(left_out: np.ndarray, name: int) -> bool:
+    """Whether a name without a side is among those (., ), which are sorted."""
+    if left_out.shape[0] == 0:
+        return False
+    place = np.searchsorted(left_out, name)
+    return bool(place < left_out.shape[0] and left_out[place] == name)
+
+
+@inline_kernel
+def _gather_pairs(
+    constraints: Any,
+    count: int,
+    skin: Any,
+    near: Any,
+    is_edges: bool,
+    held: np.ndarray,
+    vertices: np.ndarray,
+    reference: np.ndarray,
+    mean_edge: float,
+    friction: float,
+) -> int:
+    """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
+    pairs = near.edge_pairs if is_edges else near.vertex_pairs
+    distances, shift = near.edge_distances if is_edges else near.vertex_distances, near.shift
+    triangles, edges, left_out = skin.triangles, skin.edges, skin.left_out
+    separation, deepest = SEPARATION * mean_edge, DEEPEST * mean_edge
+    touching = TOUCHING * separation
+    before, now, normal, place = np.empty(9), np.empty(9), np.empty(3), np.empty(3)
+    tangled, is_tangled = near.tangled, near.crossing[CROSSINGS] > 0
+    for m in range(near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]):
+        first, second = pairs[m, 0], pairs[m, 1]
+        # What was farther apart than it has moved since does not touch.
+        if is_edges:
+            a, b, c, d = edges[first, 0], edges[first, 1], edges[second, 0], edges[second, 1]
+            if max(shift[a], shift[b]) + max(shift[c], shift[d]) < distances[m] - touching:
+                continue
+        else:
+            a, b, c, d = triangles[second, 0], triangles[second, 1], triangles[second, 2], first
+            if max(shift[a], shift[b], shift[c]) + shift[d] < distances[m] - touching:
+                continue
+        # Of what crosses nobody knows the side: it is left to the springs to pull it apart.
+        if is_tangled and tangled[d] and (tangled[a] or tangled[b] or tangled[c]):
+            continue
+        _fill_sides(vertices, a, b, c, d, is_edges, now)
+        _fill_sides(held, a, b, c, d, is_edges, before)
+        side = _side_held(before, now, is_edges, pairs[m, 2], touching, deepest, normal, place)
+        if side == 0:
+            continue
+        name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, first, second)
+        if _is_left_out(left_out, name):
+            continue
+        # The fourth vertex is one of the first edge, or what has come to the triangle.
+        if is_edges:
+            s, t = min(max(place[0], 0.0), 1.0), min(max(place[1], 0.0), 1.0)
+            a, b, c, d = c, d, a, b
+            weights = (1.0 - t, t, s - 1.0)
+        else:
+            weights = (place[0] + place[1] - 1.0, -place[0], -place[1])
+        reserve(constraints, count, count + 1)
+        count = append_pair(
+            constraints.rows, constraints.features, constraints.names, count, (a, b, c, d), weights,
+            (side * normal[0], side * normal[1], side * normal[2]), separation, reference, friction,
+            name | SIDE_BIT if side < 0 else name,
+        )  # fmt: skip
+    return count
+
+
+@kernel(
+    types.int64(
+        CONSTRAINTS, types.int64, SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8_2"], ARRAYS["f8_2"], ARRAYS["f8_2"],
+        types.float64, types.float64,
+    )
+)  # fmt: skip
+def gather_organs(
+    constraints: Any,
+    count: int,
+    skin: Any,
+    near: Any,
+    held: np.ndarray,
+    vertices: np.ndarray,
+    thrown: np.ndarray,
+    reference: np.ndarray,
+    mean_edge: float,
+    friction: float,
+) -> int:
+    """Append constraints where organs have come to themselves or to each other, making room for them.
+
+    Args:
+        constraints: `Constraints`.
+        count: How many there are already.
+        skin: `Skin`.
+        near: `Near`; what is near is found anew if a vertex has got out of reach.
+        held: (V, 3) where the vertices were last on their right sides [u].
+        vertices: (V, 3) where they are [u].
+        thrown: (V, 3) where they would be without contact [u].
+        reference: (V, 3) where they were at the last query, from which friction counts [u].
+        mean_edge: Of the organ with the smallest [u].
+        friction: Coefficient between organs.
+
+    Returns:
+        The new count.
+    """
+    if not within_reach(near, vertices) or not within_reach(near, held):
+        find_again(skin, near, held, vertices, thrown, mean_edge)
+    if near.counts[IS_KNOWN] == TOO_MANY:
+        # Nothing keeps it from crossing, so it is told that it does.
+        near.crossing[CROSSINGS] = 1.0
+        return count
+    if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] == 0:
+        return count
+    measure_shifts(near, held, vertices)
+    for kind in range(2):
+        count = _gather_pairs(constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction)
+    return count
+
+
+@inline_kernel
+def prepare_pairs(
+    skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, mean_edge: float, known: int, warm: Any
+) -> None:
+    """Begin a step: see to it that what is near is known, and tell pairs on which sides they were held in the last one.
+
+    Args:
+        skin: `Skin`.
+        near: `Near`.
+        start: (V, 3) where the vertices are [u].
+        thrown: (V, 3) where the first query looks for contact [u].
+        mean_edge: Of the organ with the smallest [u].
+        known: How many constraints were kept.
+        warm: They, a `Constraints`.
+    """
+    if near.counts[IS_KNOWN] == 0:
+        find_near(skin, near, start, thrown, MARGIN * mean_edge)
+        near.shift[:] = 0.0
+        if near.counts[IS_KNOWN] != TOO_MANY:
+            find_crossings(skin, near, start)
+    remember_sides(near, known, warm)
+
+
+@inline_kernel
+def find_again(
+    skin: Any, near: Any, reference: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
+) -> None:
+    """Find what is near, keeping in mind which sides are known."""
+    names, sides = _known_sides(near)
+    farthest = vertices.copy()
+    for i in range(vertices.shape[0]):
+        here, there = 0.0, 0.0
+        for axis in range(3):
+            here += (vertices[i, axis] - reference[i, axis]) ** 2
+            there += (thrown[i, axis] - reference[i, axis]) ** 2
+        if there > here:
+            for axis in range(3):
+                farthest[i, axis] = thrown[i, axis]
+    find_near(skin, near, reference, farthest, MARGIN * mean_edge)
+    _tell_sides(near, names, sides, names.shape[0])
+
+
+@inline_kernel
+def keep_uncrossed(
+    skin: Any,
+    near: Any,
+    inverse_mass: np.ndarray,
+    known: int,
+    solved: Any,
+    held: np.ndarray,
+    vertices: np.ndarray,
+    mean_edge: float,
+) -> bool:
+    """Hold vertices back from crossing what is near; see `tangles.hold_back`.
+
+    Args:
+        skin: `Skin`.
+        near: `Near`; what is near is found anew if a vertex has got out of reach.
+        inverse_mass: (V,) [1/kg].
+        known: How many constraints pushed in the last solve.
+        solved: They, a `Constraints`.
+        held: (V, 3) where the vertices were last on their right sides [u].
+        vertices: (V, 3) where they are; changed [u].
+        mean_edge: Of the organ with the smallest [u].
+
+    Returns:
+        Whether any has been held back.
+    """
+    if not within_reach(near, vertices) or not within_reach(near, held):
+        find_again(skin, near, held, vertices, vertices, mean_edge)
+    if near.counts[IS_KNOWN] == TOO_MANY:
+        return False
+    measure_shifts(near, held, vertices)
+    pushed = np.zeros(vertices.shape[0], np.bool_)
+    for c in range(known):
+        if solved.features[c, OWNER] >= 0:
+            for corner in range(3):
+                pushed[solved.features[c, corner]] = True
+    return bool(hold_back(skin, near, inverse_mass, pushed, held, vertices))
+
+
+@inline_kernel
+def _known_sides(near: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Names of the pairs whose sides are known, without these, and the sides."""
+    total = near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] if near.counts[IS_KNOWN] else 0
+    names, sides, known = np.empty(total, np.int64), np.empty(total, np.int32), 0
+    for kind in range(2):
+        pairs = near.vertex_pairs if kind == 0 else near.edge_pairs
+        for m in range(near.counts[VERTEX_PAIRS if kind == 0 else EDGE_PAIRS] if total > 0 else 0):
+            if pairs[m, 2] != 0:
+                names[known] = constraint_name(ON_TRIANGLE if kind == 0 else ON_EDGES, 0, pairs[m, 0], pairs[m, 1])
+                sides[known] = pairs[m, 2]
+                known += 1
+    return names[:known], sides[:known]
+
+
+@inline_kernel
+def _tell_sides(near: Any, names: np.ndarray, sides: np.ndarray, known: int) -> None:
+    """Give pairs the sides that are known by name; both come in the same order."""
+    if known == 0:
+        return
+    hint = 0
+    for kind in range(2):
+        pairs = near.vertex_pairs if kind == 0 else near.edge_pairs
+        for m in range(near.counts[VERTEX_PAIRS if kind == 0 else EDGE_PAIRS]):
+            name = constraint_name(ON_TRIANGLE if kind == 0 else ON_EDGES, 0, pairs[m, 0], pairs[m, 1])
+            for k in range(known):
+                place = hint + k if hint + k < known else hint + k - known
+                if names[place] == name:
+                    pairs[m, 2] = sides[place]
+                    hint = place + 1 if place + 1 < known else 0
+                    break
+
+
+@inline_kernel
+def remember_sides(near: Any, known: int, warm: Any) -> None:
+    """Tell pairs on which sides they were held in the last step, by its constraints that pushed.
+
+    Args:
+        near: `Near`, written.
+        known: How many constraints were kept.
+        warm: They, a `Constraints`.
+    """
+    vertex_pairs, edge_pairs = near.vertex_pairs, near.edge_pairs
+    for m in range(near.counts[VERTEX_PAIRS]):
+        vertex_pairs[m, 2] = 0
+    for m in range(near.counts[EDGE_PAIRS]):
+        edge_pairs[m, 2] = 0
+    held = 0
+    while held < known and warm.features[held, OWNER] == ORGANS:
+        held += 1
+    if held == 0:
+        return
+    names, sides = np.empty(held, np.int64), np.empty(held, np.int32)
+    for e in range(held):
+        inner = warm.names[e] & SIDE_BIT
+        names[e] = warm.names[e] - inner
+        sides[e] = -1 if inner else 1
+    _tell_sides(near, names, sides, held)
+
+
+@kernel(ARRAYS["i8"](SKIN, NEAR, ARRAYS["f8_2"], types.float64))
+def touching_pairs(skin: Any, near: Any, vertices: np.ndarray, mean_edge: float) -> np.ndarray:
+    """Names, without a side, of the pairs within one organ that touch where the vertices (V, 3) are; sorted."""
+    find_near(skin, near, vertices, vertices, MARGIN * mean_edge)
+    constraints = make_constraints(64)
+    count = gather_organs(constraints, 0, skin, near, vertices, vertices, vertices, vertices, mean_edge, 0.0)
+    names, touching = np.empty(count, np.int64), 0
+    for c in range(count):
+        features = constraints.features[c]
+        if skin.organs[features[0]] == skin.organs[features[FOURTH]]:
+            names[touching] = constraints.names[c] & ~SIDE_BIT
+            touching += 1
+    return np.sort(names[:touching])
+
+
+@kernel(types.void(SKIN, ARRAYS["i8"]))
+def leave_out(skin: Any, names: np.ndarray) -> None:
+    """Have pairs of features, by their sorted names without a side, never keep each other apart."""
+    skin.left_out = names

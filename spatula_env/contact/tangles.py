@@ -1,0 +1,180 @@
+"""Where organs cross themselves or each other: edges that go through triangles, and how such tangles are undone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.near import find_cross_pairs
+from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
+
+MOST_ATTEMPTS = 12
+"""So often zones are let grow before all vertices stay where they were."""
+
+
+@inline_kernel
+def crosses(points: np.ndarray, p: int, q: int, a: int, b: int, c: int) -> float:
+    """Where an edge p, q goes through a triangle, as a fraction of its way; negative if it does not."""
+    ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
+    ux, uy, uz = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
+    vx, vy, vz = points[c, 0] - ax, points[c, 1] - ay, points[c, 2] - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    px, py, pz = points[p, 0] - ax, points[p, 1] - ay, points[p, 2] - az
+    qx, qy, qz = points[q, 0] - ax, points[q, 1] - ay, points[q, 2] - az
+    first, second = nx * px + ny * py + nz * pz, nx * qx + ny * qy + nz * qz
+    if (first > 0.0) == (second > 0.0) or first == second:
+        return -1.0
+    fraction = first / (first - second)
+    x, y, z = px + fraction * (qx - px), py + fraction * (qy - py), pz + fraction * (qz - pz)
+    squared = nx * nx + ny * ny + nz * nz
+    # Barycentric weights, times the squared normal.
+    wb = nx * (y * vz - z * vy) + ny * (z * vx - x * vz) + nz * (x * vy - y * vx)
+    wc = nx * (uy * z - uz * y) + ny * (uz * x - ux * z) + nz * (ux * y - uy * x)
+    if wb < 0.0 or wc < 0.0 or wb + wc > squared:
+        return -1.0
+    return float(fraction)
+
+
+@inline_kernel
+def _root(parents: np.ndarray, vertex: int) -> int:
+    """The vertex that stands for a vertex's zone."""
+    while parents[vertex] != vertex:
+        parents[vertex] = parents[parents[vertex]]
+        vertex = parents[vertex]
+    return vertex
+
+
+@inline_kernel
+def join_crossing(skin: Any, near: Any, points: np.ndarray, parents: np.ndarray, involved: np.ndarray) -> int:
+    """Join the vertices of edges and triangles that cross into zones.
+
+    Args:
+        skin: `Skin`.
+        near: `Near`.
+        points: (V, 3) vertices, within reach and not farther than by their shifts [u].
+        parents: (V,) a vertex of the same zone for each one, itself at the root; changed.
+        involved: (V,) whether a vertex belongs to what crosses; entries are set.
+
+    Returns:
+        How many of the edges and triangles that are near each other cross.
+    """
+    if near.counts[CROSS_IS_KNOWN] == 0:
+        find_cross_pairs(skin, near)
+    pairs, edges, triangles = near.cross_pairs, skin.edges, skin.triangles
+    distances, shift = near.cross_distances, near.shift
+    count = 0
+    for m in range(near.counts[CROSS_PAIRS]):
+        e, t = pairs[m, 0], pairs[m, 1]
+        p, q, a, b, c = edges[e, 0], edges[e, 1], triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if max(shift[p], shift[q]) + max(shift[a], shift[b], shift[c]) < distances[m]:
+            continue
+        if crosses(points, p, q, a, b, c) >= 0.0:
+            count += 1
+            first = _root(parents, p)
+            for vertex in (p, q, a, b, c):
+                involved[vertex] = True
+                other = _root(parents, vertex)
+                parents[max(first, other)] = min(first, other)
+                first = min(first, other)
+    return count
+
+
+@inline_kernel
+def _move_zones(
+    parents: np.ndarray,
+    involved: np.ndarray,
+    pushed: np.ndarray,
+    inverse_mass: np.ndarray,
+    start: np.ndarray,
+    goal: np.ndarray,
+    points: np.ndarray,
+) -> None:
+    """Move the vertices of each zone alike: as its pushed ones go on the average, or else as all do."""
+    count = points.shape[0]
+    ways, weights, holds = np.zeros((count, 3)), np.zeros((count, 2)), np.zeros(count, np.bool_)
+    for i in range(count):
+        if involved[i]:
+            root = _root(parents, i)
+            holds[root] |= inverse_mass[i] == 0.0
+            weights[root, 0] += pushed[i]
+    for i in range(count):
+        if involved[i]:
+            root = _root(parents, i)
+            if holds[root] or (weights[root, 0] > 0.0 and not pushed[i]):
+                continue
+            mass = 1.0 / inverse_mass[i]
+            weights[root, 1] += mass
+            for axis in range(3):
+                ways[root, axis] += mass * (goal[i, axis] - start[i, axis])
+    for i in range(count):
+        if involved[i]:
+            root = _root(parents, i)
+            scale = 1.0 / weights[root, 1] if weights[root, 1] > 0.0 else 0.0
+            for axis in range(3):
+                points[i, axis] = start[i, axis] + scale * ways[root, axis]
+
+
+@inline_kernel
+def _note_crossings(near: Any, crossings: int, involved: np.ndarray) -> None:
+    """Write in how many places organs cross, and which vertices (V,) are involved."""
+    near.crossing[CROSSINGS] = crossings
+    for i in range(involved.shape[0]):
+        near.tangled[i] = involved[i]
+
+
+@inline_kernel
+def find_crossings(skin: Any, near: Any, points: np.ndarray) -> None:
+    """Find out where organs cross that have just been put somewhere: vertices (V, 3) within reach [u]."""
+    count = points.shape[0]
+    involved = np.zeros(count, np.bool_)
+    crossings = join_crossing(skin, near, points, np.arange(count), involved)
+    _note_crossings(near, crossings, involved)
+
+
+@kernel(types.boolean(SKIN, NEAR, ARRAYS["f8"], ARRAYS["b1"], ARRAYS["f8_2"], ARRAYS["f8_2"]))
+def hold_back(
+    skin: Any, near: Any, inverse_mass: np.ndarray, pushed: np.ndarray, start: np.ndarray, points: np.ndarray
+) -> bool:
+    """Let no organ cross itself or another.
+
+    A solve that has not converged, or was asked for what cannot be had, may leave surfaces crossed. Where they came
+    from they did not cross, so what crosses is moved from there all alike (a rigid impact zone: Provot, Graphics
+    Interface 1997; Bridson et al., ACM Transactions on Graphics 21(3), 2002, section 7.5), with what a tool pushes. If
+    zones keep meeting others, everything stays where it was. Displacements alone are changed, and no momentum.
+
+    Args:
+        skin: `Skin`.
+        near: `Near`; all vertices are within reach, there and here. In how many places organs cross nevertheless is
+            written into it: in none, unless they crossed at the start already. Then nothing is changed.
+        inverse_mass: (V,) [1/kg].
+        pushed: (V,) vertices that a tool has pushed.
+        start: (V, 3) where nothing crosses [u].
+        points: (V, 3) where the vertices are; changed [u].
+
+    Returns:
+        Whether anything was changed.
+    """
+    count = points.shape[0]
+    parents, involved = np.arange(count), np.zeros(count, np.bool_)
+    crossings = join_crossing(skin, near, points, parents, involved)
+    # What crossed already was put there: there is nothing to go back to.
+    if crossings == 0 or near.crossing[CROSSINGS] > 0:
+        _note_crossings(near, crossings, involved)
+        return False
+    goal = points.copy()
+    for attempt in range(MOST_ATTEMPTS):
+        if attempt < MOST_ATTEMPTS - 1:
+            _move_zones(parents, involved, pushed, inverse_mass, start, goal, points)
+        else:
+            for i in range(count):
+                for axis in range(3):
+                    points[i, axis] = start[i, axis]
+        crossings = join_crossing(skin, near, points, parents, involved)
+        if crossings == 0:
+            break
+    involved[:] = False
+    _note_crossings(near, join_crossing(skin, near, points, parents, involved) if crossings > 0 else 0, involved)
+    return True

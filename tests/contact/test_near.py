@@ -1,0 +1,77 @@
+"""What is near each other is found, against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skin_helpers import edges_of, pairs_of, patches_of, skin_of, triangles_of
+
+from spatula_env.contact.near import find_near
+from spatula_env.geometry import box_surface, icosphere
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def segment_distances(p, q, c, d):
+    """Between segments p q (3,) and c d (E, 3), by sampling both finely: an upper bound."""
+    along = np.linspace(0.0, 1.0, 41)
+    first = p + along[:, None] * (q - p)
+    second = c[:, None] + along[None, :, None] * (d - c)[:, None]
+    return np.linalg.norm(first[None, :, None] - second[:, None], axis=-1).min(axis=(1, 2))
+
+
+def test_every_part_of_a_surface_is_in_one_patch():
+    organ = icosphere(1.0, 2)
+    skin, _ = skin_of(organ, box_surface((1.0, 1.0, 1.0), 0.5))
+    parts = patches_of(skin)
+    for starts, order in zip(parts[::2], parts[1::2], strict=True):
+        assert starts[0] == 0 and starts[-1] == len(order) and (np.diff(starts) >= 0).all()
+        np.testing.assert_array_equal(np.sort(order), np.arange(len(order)))
+    assert len(parts[1]) == len(triangles_of(skin)) and len(parts[3]) == len(edges_of(skin))
+
+
+@settings(max_examples=15)
+@given(seeds)
+def test_what_is_within_reach_of_each_other_on_two_organs_is_found(seed):
+    generator = np.random.default_rng(seed)
+    organ = box_surface((1.0, 1.0, 1.0), 0.5)
+    skin, near = skin_of(organ, organ)
+    count = len(organ.vertices)
+    shift = generator.normal(size=3)
+    shift *= generator.uniform(0.9, 1.1) / np.abs(shift).max()
+    points = np.concatenate([organ.vertices, organ.vertices + shift])
+    points = points + 0.02 * generator.normal(size=points.shape)
+    thrown, margin = points + 0.03 * generator.normal(size=points.shape), 0.03
+    find_near(skin, near, points, thrown, margin)
+    _, edge_pairs, _ = pairs_of(near)
+    assert len(edge_pairs) > 0
+    reach = margin + np.linalg.norm(thrown - points, axis=1)
+    edges = edges_of(skin)
+    found = {(min(e, f), max(e, f)) for e, f, _ in edge_pairs.tolist()}
+    first, second = np.flatnonzero(edges[:, 0] < count), np.flatnonzero(edges[:, 0] >= count)
+    for e in first.tolist():
+        distances = segment_distances(*points[edges[e]], points[edges[second, 0]], points[edges[second, 1]])
+        for f in second[distances < reach[edges[e]].min() + reach[edges[second]].min(axis=1)].tolist():
+            assert (e, f) in found
+
+
+def test_a_smooth_surface_is_not_near_itself():
+    organ = icosphere(3.0, 2)
+    skin, near = skin_of(organ)
+    find_near(skin, near, np.array(organ.vertices), np.array(organ.vertices), 0.1)
+    vertex_pairs, edge_pairs, _ = pairs_of(near)
+    assert len(vertex_pairs) == 0 and len(edge_pairs) == 0
+
+
+def test_walls_that_are_pressed_together_are_near_each_other():
+    organ = icosphere(3.0, 2)
+    skin, near = skin_of(organ)
+    flat = organ.vertices * (1.0, 1.0, 0.02)
+    find_near(skin, near, flat, flat, 0.1)
+    vertex_pairs, _, _ = pairs_of(near)
+    triangles = triangles_of(skin)
+    # Each vertex of the upper half is near a triangle of the lower one.
+    upper = np.flatnonzero(organ.vertices[:, 2] > 0.5)
+    below = {int(v) for v, t, _ in vertex_pairs.tolist() if organ.vertices[triangles[t], 2].max() < 0.0}
+    assert set(upper.tolist()) <= below
