@@ -87,26 +87,23 @@ def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> None:
 
 
 @inline_kernel
-def _grown(pairs: np.ndarray, count: int) -> np.ndarray:
-    """The pairs, with room for at least one more after `count`."""
-    if count < pairs.shape[0]:
-        return pairs
-    more = np.zeros((max(2 * count, 64), pairs.shape[1]), np.int32)
-    for p in range(count):
-        for column in range(pairs.shape[1]):
-            more[p, column] = pairs[p, column]
-    return more
-
-
-@inline_kernel
-def _longer(values: np.ndarray, length: int) -> np.ndarray:
-    """The values, with room for so many."""
-    if length <= values.shape[0]:
-        return values
-    more = np.empty(length)
-    for k in range(values.shape[0]):
-        more[k] = values[k]
-    return more
+def _with_pair(
+    pairs: np.ndarray, distances: np.ndarray, count: int, first: int, second: int, distance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs and their distances with one more after `count`, in longer arrays if there is no room."""
+    if count >= pairs.shape[0] or count >= distances.shape[0]:
+        room = max(2 * count, 64)
+        more, longer = np.zeros((room, pairs.shape[1]), np.int32), np.empty(room)
+        for p in range(count):
+            longer[p] = distances[p]
+            for column in range(pairs.shape[1]):
+                more[p, column] = pairs[p, column]
+        pairs, distances = more, longer
+    for column in range(pairs.shape[1]):
+        pairs[count, column] = 0
+    pairs[count, 0], pairs[count, 1] = first, second
+    distances[count] = distance
+    return pairs, distances
 
 
 @inline_kernel
@@ -256,10 +253,7 @@ def _pair_vertices(
             squared = dx * dx + dy * dy + dz * dz
             if squared > limit * limit:
                 continue
-            pairs = _grown(pairs, count)
-            distances = _longer(distances, pairs.shape[0])
-            pairs[count, 0], pairs[count, 1], pairs[count, 2] = v, t, 0
-            distances[count] = np.sqrt(squared)
+            pairs, distances = _with_pair(pairs, distances, count, v, t, np.sqrt(squared))
             count += 1
     near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances = pairs, count, distances
 
@@ -293,10 +287,7 @@ def _pair_edges(
             squared = dx * dx + dy * dy + dz * dz
             if squared > limit * limit:
                 continue
-            pairs = _grown(pairs, count)
-            distances = _longer(distances, pairs.shape[0])
-            pairs[count, 0], pairs[count, 1], pairs[count, 2] = e, f, 0
-            distances[count] = np.sqrt(squared)
+            pairs, distances = _with_pair(pairs, distances, count, e, f, np.sqrt(squared))
             count += 1
     near.edge_pairs, near.counts[EDGE_PAIRS], near.edge_distances = pairs, count, distances
 
@@ -339,10 +330,7 @@ def _pair_crossings(
             distance = max(low, -high, 0.0)
             if distance > max(reach[a], reach[b]) + max(reach[first], reach[second], reach[third]):
                 continue
-            pairs = _grown(pairs, count)
-            distances = _longer(distances, pairs.shape[0])
-            pairs[count, 0], pairs[count, 1] = e, t
-            distances[count] = distance
+            pairs, distances = _with_pair(pairs, distances, count, e, t, distance)
             count += 1
     near.cross_pairs, near.counts[CROSS_PAIRS], near.cross_distances = pairs, count, distances
 

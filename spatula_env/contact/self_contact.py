@@ -182,9 +182,9 @@ def append_pair(
     name: int,
 ) -> int:
     """Append a constraint between two points of organs; the fourth vertex's weight makes their sum zero."""
-    i, j, k, l = vertices  # noqa: E741
+    i, j, k, fourth = vertices
     row = rows[count]
-    features[count, 0], features[count, 1], features[count, 2], features[count, FOURTH] = i, j, k, l
+    features[count, 0], features[count, 1], features[count, 2], features[count, FOURTH] = i, j, k, fourth
     features[count, OWNER], features[count, PLANE] = ORGANS, 0
     names[count] = name
     a, b, c = weights
@@ -195,7 +195,7 @@ def append_pair(
         row[POINT + axis] = separation * row[NORMAL + axis]
         row[VELOCITY + axis] = 0.0
         row[ORIGIN + axis] = (
-            a * reference[i, axis] + b * reference[j, axis] + c * reference[k, axis] + d * reference[l, axis]
+            a * reference[i, axis] + b * reference[j, axis] + c * reference[k, axis] + d * reference[fourth, axis]
         )
         row[DISPLACEMENT + axis] = 0.0
         row[IMPULSE + axis] = 0.0
