@@ -34,7 +34,7 @@ test-without-bullet: setup-test  ## Set up, then run the tests as if PyBullet we
 	@SPATULA_TESTS_WITHOUT_BULLET=1 $(call pytest,$(BIN)) $(ARGS)
 
 test-ray: setup-ray  ## Set up .venv-ray, then run the tests that need Ray
-	@$(call pytest,.venv-ray/bin) -m ray -n 0 $(or $(ARGS),tests/agents/test_rllib.py)
+	@$(call pytest,.venv-ray/bin) -m ray -n 0 $(or $(ARGS),tests/learning/test_rllib.py)
 
 test-lerobot: setup-lerobot  ## Set up .venv-lerobot with Python 3.12 (6 GB), then run the tests that need LeRobot
 	@$(call pytest,.venv-lerobot/bin) -m lerobot -n 0 $(or $(ARGS),tests/data tests/envs/test_lerobot_adapter.py)

@@ -1,3 +1,5 @@
-"""Policies and how to train, clone and evaluate them."""
+"""The scripts that train, clone, export and evaluate policies: `python -m agents.NAME` in a checkout.
 
-from __future__ import annotations
+What they call is `spatula_env.learning`, which is installed; `cleanrl_ppo` and `cleanrl_sac` are whole algorithms in a
+file each.
+"""

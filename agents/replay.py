@@ -1,64 +1,9 @@
-"""A replay buffer that keeps demonstrations apart, so that they are never overwritten and always in a batch.
-
-Needs the extra "train".
-"""
+"""Moved to `spatula_env.learning.replay`; models that earlier versions saved name it here."""
 
 from __future__ import annotations
 
-from typing import Any
+import sys
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from stable_baselines3.common.buffers import ReplayBuffer
-from stable_baselines3.common.type_aliases import ReplayBufferSamples
-from stable_baselines3.common.vec_env import VecNormalize
+from spatula_env.learning import replay
 
-BATCH_PARTS = ("observations", "actions", "next_observations", "dones", "rewards")
-
-
-class DemonstrationReplayBuffer(ReplayBuffer):
-    """Draws a fixed share of each batch from demonstrations and the rest from experience.
-
-    P. Ball et al., "Efficient Online Reinforcement Learning with Offline Data", ICML 2023, have half and half.
-
-    Attributes:
-        share: Of a batch.
-        demonstrations: Transitions that were demonstrated; None: there are none yet.
-        imitated: (N, ...) what demonstrators saw, not normalised, and (N, A) what they wanted to do.
-    """
-
-    def __init__(self, *arguments: Any, share: float, **more: Any) -> None:
-        """Make room.
-
-        Args:
-            *arguments: Of `ReplayBuffer`.
-            share: Of a batch that is demonstrations, in [0, 1].
-            **more: Of `ReplayBuffer`.
-        """
-        super().__init__(*arguments, **more)
-        self.share = share
-        self.demonstrations: ReplayBuffer | None = None
-        self.imitated: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
-
-    def make_room(self, transitions: int) -> ReplayBuffer:
-        """A fresh buffer for demonstrations, to be filled.
-
-        Args:
-            transitions: How many, of all worlds together.
-        """
-        self.demonstrations = ReplayBuffer(
-            transitions, self.observation_space, self.action_space, self.device, n_envs=self.n_envs
-        )
-        return self.demonstrations
-
-    def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """A batch, the demonstrations first."""
-        if self.demonstrations is None or self.share == 0.0:
-            return super().sample(batch_size, env)
-        shown = round(self.share * batch_size) if self.size() > 0 else batch_size
-        if shown == batch_size:
-            return self.demonstrations.sample(batch_size, env)
-        first, second = self.demonstrations.sample(shown, env), super().sample(batch_size - shown, env)
-        joined = [torch.cat([getattr(first, name), getattr(second, name)]) for name in BATCH_PARTS]
-        return ReplayBufferSamples(*joined)
+sys.modules[__name__] = replay

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.configuration import make_environment
 from benchmarks.measure import finish, parser
+from spatula_env.learning.configuration import make_environment
 
 DEFAULT = Path(__file__).parents[1] / "configs" / "press.yaml"
 

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from agents.saving import MODEL, checkpoints_in, read_curve
 from benchmarks.measure import finish, parser
+from spatula_env.learning.saving import MODEL, checkpoints_in, read_curve
 
 STEPS, EVALUATE_EVERY, CHECKPOINT_EVERY = 8_000, 800, 320
 """Of the run, in environment steps."""

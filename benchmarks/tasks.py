@@ -17,10 +17,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import agents.experts as experts
 from benchmarks.measure import finish, load_average, parser, without_bullet
 from benchmarks.parallel import available_cores, results
 from spatula_env import TASKS
+from spatula_env.learning import experts
 
 ENGINES = ("batch", "bullet")
 POLICIES = ("expert", "random")

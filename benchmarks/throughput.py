@@ -36,11 +36,11 @@ import numba
 import numpy as np
 
 import spatula_env
-from agents.experts import PressExpert
 from benchmarks.measure import finish, parser, require_bullet
 from benchmarks.parallel import available_cores
 from benchmarks.parity import DEPTH, HOLD, place_above, press_velocities
 from spatula_env import Simulation, scenes
+from spatula_env.learning.experts import PressExpert
 from spatula_env.sim.batch import BatchSimulation
 from spatula_env.sim.batch_body import BatchBody
 from spatula_env.sim.bullet import BulletWorld

@@ -66,7 +66,7 @@ def solve(task: str, engine: str, seed: int) -> NDArray[np.uint8]:
         engine: "batch" or "bullet".
         seed: Of the episode.
     """
-    expert_type = getattr(import_module(f"agents.experts.{task.lower()}"), f"{task}Expert")
+    expert_type = getattr(import_module(f"spatula_env.learning.experts.{task.lower()}"), f"{task}Expert")
     env: Any = gym.make(f"Spatula/{task}-v0", engine=engine, render_mode="rgb_array", width=SIDE, height=SIDE)
     try:
         expert = expert_type(env)

@@ -80,10 +80,10 @@ import gymnasium as gym
 from spatula_env.cli import main
 from spatula_env.cli.interrupting import endings_like_ctrl_c
 from spatula_env.processes import available_cores, _interrupts_held
-from agents.folders import occupied
+from spatula_env.learning.folders import occupied
 
 try:
-    from agents.checks import memory
+    from spatula_env.learning.checks import memory
 except ModuleNotFoundError as error:
     # The extra "train" is not installed.
     assert error.name in ("torch", "stable_baselines3"), error

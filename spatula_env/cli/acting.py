@@ -43,7 +43,7 @@ def find_actor(name: str, env_id: str) -> Actor:
         FileNotFoundError: If there is no such policy.
         ValueError: If it is one for another environment.
     """
-    from agents.policies import find_policy
+    from spatula_env.learning.finding import find_policy
 
     source = find_policy(name, env_id)
 

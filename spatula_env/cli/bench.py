@@ -82,19 +82,21 @@ def benchmarks() -> dict[str, str]:
     """The first lines of the documentation of all benchmarks, by name. Nothing of them is imported.
 
     Raises:
-        CommandError: If they are not installed.
+        CommandError: If this is no checkout: they are not installed.
     """
     package = find_spec("benchmarks")
-    folders = [] if package is None else list(package.submodule_search_locations or ())
+    folders = [] if package is None else [Path(place) for place in package.submodule_search_locations or ()]
+    # Somebody else's package may have the name.
+    ours = [folder for folder in folders if all((folder / f"{name}.py").exists() for name in CORE)]
     found = {}
-    for file in sorted(Path(folders[0]).glob("*.py")) if folders else ():
+    for file in sorted(ours[0].glob("*.py")) if ours else ():
         text = file.read_text(encoding="utf-8")
         # Others are what the benchmarks are made of.
         if 'if __name__ == "__main__"' in text:
             about = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
             found[file.stem] = about
     if not found:
-        raise CommandError("the benchmarks are not installed")
+        raise CommandError("the benchmarks are not installed: run this in a checkout of the repository")
     return found
 
 

@@ -1,4 +1,4 @@
-"""`spatula train`, `evaluate`, `clone` and `export`: what `python -m agents.NAME` does, with the same options."""
+"""`spatula train`, `evaluate`, `clone`, `export` and `convert`: the commands of `spatula_env.learning`."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ if TYPE_CHECKING:
 
     from spatula_env.cli.common import Parsers
 
-TARGETS: Mapping[str, tuple[str, str]] = MappingProxyType(
+TARGETS: Mapping[str, str] = MappingProxyType(
     {
-        "train": ("agents.train", "train agents"),
-        "evaluate": ("agents.evaluate", "evaluate a policy"),
-        "clone": ("agents.clone", "fit a policy to demonstrations"),
-        "export": ("agents.export", "write a policy into a file that needs no torch"),
+        "train": "train agents",
+        "evaluate": "evaluate a policy",
+        "clone": "fit a policy to demonstrations",
+        "export": "write a policy into a file that needs no torch",
+        "convert": "rewrite runs of earlier versions, which kept pickles",
     }
 )
-"""Modules and what they do, by commands."""
+"""What the commands do; each is a module of `spatula_env.learning.commands`."""
 
 
 def add_parser(commands: Parsers) -> None:
     """List the commands; `run` gets their options, whatever they are."""
-    for name, (_, help_text) in TARGETS.items():
+    for name, help_text in TARGETS.items():
         commands.add_parser(name, help=help_text, add_help=False)
 
 
 def run(name: str, arguments: Sequence[str]) -> int:
-    """Do what ``python -m agents.NAME`` does.
+    """Run a command.
 
     Args:
         name: One of `TARGETS`.
@@ -38,6 +39,6 @@ def run(name: str, arguments: Sequence[str]) -> int:
     Returns:
         The exit status.
     """
-    module = import_module(TARGETS[name][0])
+    module = import_module(f"spatula_env.learning.commands.{name}")
     status = module.main(list(arguments), program=f"spatula {name}")
     return 0 if status is None else int(status)

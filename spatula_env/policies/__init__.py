@@ -9,7 +9,7 @@ Example:
     >>> action = policy(observation)
     >>> env.close()
 
-`agents` trains them and writes them.
+`spatula_env.learning` trains them and writes them.
 """
 
 from __future__ import annotations

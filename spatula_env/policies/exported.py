@@ -1,6 +1,6 @@
 """Policies that are a few arrays: dense layers with their normalisation, which act with NumPy alone.
 
-`agents.export` writes what training has found into one file; `ExportedPolicy` reads it and acts.
+`spatula_env.learning.export` writes what training has found into one file; `ExportedPolicy` reads it and acts.
 """
 
 from __future__ import annotations

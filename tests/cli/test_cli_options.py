@@ -142,11 +142,11 @@ def test_envs_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(json.loads(capsys.readouterr().out)) == env_ids()
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate", "clone", "export"])
+@pytest.mark.parametrize("name", ["train", "evaluate", "clone", "export", "convert"])
 def test_options_of_agents_are_passed_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
     stand_in = SimpleNamespace(main=lambda arguments, program: given.append((program, arguments)) or 3)
-    monkeypatch.setitem(sys.modules, f"agents.{name}", stand_in)
+    monkeypatch.setitem(sys.modules, f"spatula_env.learning.commands.{name}", stand_in)
     assert cli.main([name, "--config", "a.yaml", "--help", "x"]) == 3
     assert given == [(f"spatula {name}", ["--config", "a.yaml", "--help", "x"])]
 

@@ -120,7 +120,7 @@ def test_no_command_runs_what_a_dataset_names(root, poison, tmp_path, capsys):
     ):
         # An error in words, or none: what matters is what has run, which the fixture looks for.
         assert main(words) in (0, 1), words
-    from agents.clone import main as clone
+    from spatula_env.learning.commands.clone import main as clone
 
     pytest.importorskip("stable_baselines3", reason="pip install 'spatula-env[train]'")
     assert clone(["--dataset", ID, "--gradient-steps", "1", "--output", weights]) in (0, 1)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import spatula_env
-from agents.policies import make_expert
 from spatula_env.envs.settings import OBS_MODES
+from spatula_env.learning.policies import make_expert
 
 
 @pytest.mark.parametrize("task", spatula_env.TASKS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import spatula_env
-from agents.experts import PressExpert
+from spatula_env.learning.experts import PressExpert
 
 gym.register_envs(spatula_env)
 

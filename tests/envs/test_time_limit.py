@@ -10,9 +10,9 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv
 
-from agents.policies import make_expert
 from spatula_env.envs import PalpateEnv, PressEnv, PressVectorEnv
 from spatula_env.envs.settings import EnvSettings
+from spatula_env.learning.policies import make_expert
 
 ID = "Spatula/Press-v0"
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from agents.policies import make_expert
+from spatula_env.learning.policies import make_expert
 from spatula_env.teleop.scripted import ScriptedOperator
 from spatula_env.teleop.wrapper import FalconTeleop
 

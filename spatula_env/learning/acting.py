@@ -1,0 +1,92 @@
+"""Trained models that act: as a few arrays where dense layers are all that they have, and else by torch.
+
+Needs the extra "train".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from spatula_env.learning.export import export_policy, is_dense
+from spatula_env.policies import ExportedPolicy, PartSelection
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+
+
+@dataclass(frozen=True, eq=False)
+class TorchPolicy:
+    """A model that acts as it is, with what normalises its observations.
+
+    Attributes:
+        model: Of Stable-Baselines3.
+        normalizer: None: nothing does.
+        metadata: As of `ExportedPolicy`.
+        selection: Which parts of observations count, once an environment is known; None: all.
+    """
+
+    model: BaseAlgorithm
+    normalizer: VecNormalize | None
+    metadata: Mapping[str, Any]
+    selection: PartSelection | None = None
+
+    def begin(self, seeds: Sequence[int]) -> None:
+        """Nothing to do at the beginning of episodes."""
+
+    def bound_to(self, env: Any) -> TorchPolicy:
+        """The policy for an environment.
+
+        Args:
+            env: For one agent or for many, wrapped or not.
+
+        Raises:
+            ValueError: If observations or actions are not those that it was trained with.
+        """
+        selection = PartSelection.of(env, self.metadata.get("parts"))
+        given: Any = getattr(env, "single_observation_space", env.observation_space)
+        if selection is not None:
+            given = selection.space(given)
+        actions = getattr(env, "single_action_space", env.action_space)
+        wanted = self.model.observation_space
+        for what, one, other in (("observations", _shapes(given), _shapes(wanted)),
+                                 ("actions", actions.shape, self.model.action_space.shape)):  # fmt: skip
+            if one != other:
+                raise ValueError(f"{what} must have the shapes {other} for this policy, got {one}")
+        return replace(self, selection=selection)
+
+    def __call__(self, observation: Any) -> NDArray[np.float32]:
+        """The action (A,) for an observation, or the actions (W, A) for those of W worlds."""
+        if self.selection is not None:
+            observation = self.selection(observation)
+        if self.normalizer is not None:
+            observation = self.normalizer.normalize_obs(observation)
+        actions, _ = self.model.predict(observation, deterministic=True)
+        return np.asarray(actions, dtype=np.float32)
+
+
+def acting_policy(
+    model: BaseAlgorithm, normalizer: VecNormalize | None, metadata: Mapping[str, Any]
+) -> ExportedPolicy | TorchPolicy:
+    """What a model does, for `bound_to` an environment.
+
+    Args:
+        model: PPO, SAC or TQC.
+        normalizer: What normalised its observations; None: nothing did.
+        metadata: See `ExportedPolicy`.
+    """
+    if is_dense(model):
+        return export_policy(model, normalizer, metadata)
+    return TorchPolicy(model, normalizer, dict(metadata))
+
+
+def _shapes(space: Any) -> Any:
+    if isinstance(space, spaces.Dict):
+        return {name: one.shape for name, one in space.spaces.items()}
+    return space.shape

@@ -1,0 +1,109 @@
+"""The command that evaluates a policy: `spatula evaluate`, or `python -m agents.evaluate` in a checkout."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from spatula_env.data.files import check_can_write
+from spatula_env.learning.commands.common import add_overwrite_option, check_free, run_command
+from spatula_env.learning.configuration import ENGINES, changed
+from spatula_env.naming import find_environment
+
+PROGRAM = "spatula evaluate"
+
+
+def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
+    """Evaluate.
+
+    Args:
+        arguments: What follows the command's name; None takes them from the command line.
+        program: The command as it was typed.
+
+    Returns:
+        The exit status: 0 if all went well.
+    """
+    parser = argparse.ArgumentParser(prog=program, description="Evaluate a policy.")
+    parser.add_argument(
+        "--env", required=True, metavar="ID",
+        help="environment, such as Spatula/Press-v0, press for short, or MODULE:ID for one of your own",
+    )  # fmt: skip
+    parser.add_argument(
+        "--policy", required=True, help="expert, random, pretrained, or the path of a run or of exported weights"
+    )
+    parser.add_argument("--engine", choices=ENGINES, default="batch", help="default: %(default)s")
+    parser.add_argument("--episodes", type=int, default=100, help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=0, help="of the first episode; default: %(default)s")
+    parser.add_argument("--processes", type=int, help="default: one in the batch engine, one for each core in Bullet")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
+        help="an option of the environment; values are YAML",
+    )  # fmt: skip
+    parser.add_argument("--video", type=Path, metavar="FILE", help="write a film of some episodes, .mp4 or .gif")
+    parser.add_argument("--json", action="store_true", help="end with one JSON object")
+    add_overwrite_option(parser)
+    chosen = parser.parse_args(arguments)
+    for name, least in (("episodes", 1), ("seed", 0), ("processes", 1)):
+        value = getattr(chosen, name)
+        if value is not None and value < least:
+            parser.error(f"--{name} must be {least} or more, got {value}")
+    if chosen.video is not None and chosen.video.suffix not in (".mp4", ".gif"):
+        parser.error(f"--video must end with .mp4 or .gif, got {chosen.video}")
+
+    def report() -> None:
+        found = run(chosen)
+        print(json.dumps(found) if chosen.json else describe(found))
+
+    return run_command(program, "evaluating", "train", report)
+
+
+def run(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Evaluate as the command line says; returns what there is to report."""
+    from spatula_env.learning.evaluation import Plan, evaluate, film, require_moviepy, summarize
+    from spatula_env.learning.finding import find_policy
+
+    env_id = find_environment(chosen.env)
+    if chosen.video is not None:
+        check_free(chosen.video, chosen.overwrite)
+        require_moviepy()
+        check_can_write(chosen.video.parent)
+    source = find_policy(chosen.policy, env_id)
+    kwargs = changed(source.kwargs, chosen.changes)
+    plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)
+    episodes, rate = evaluate(source, plan, processes=chosen.processes)
+    if chosen.video is not None:
+        film(source, plan, chosen.video)
+    return {
+        "env": env_id,
+        "policy": chosen.policy,
+        "engine": chosen.engine,
+        "seed": chosen.seed,
+        "kwargs": kwargs,
+        **summarize(episodes),
+        "steps_per_second": rate,
+        **({"provenance": dict(source.provenance)} if source.provenance else {}),
+    }
+
+
+def describe(report: dict[str, Any]) -> str:
+    """A report for people."""
+    low, high = report["success_interval"]
+    took = report["time_to_success"]
+    lines = [
+        f"{report['policy']} in {report['env']}, {report['engine']} engine, {report['episodes']} episodes",
+        f"  success          {100 * report['success_rate']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})",
+        f"  return           {report['return']:.1f} ± {report['return_deviation']:.1f}",
+        f"  cost             {report['cost']:.1f} Pa s",
+        f"  violations       in {100 * report['violation_rate']:.0f} % of episodes",
+        f"  greatest force   {report['peak_force']:.2f} N (mean), {report['peak_force_max']:.2f} N (most)",
+        f"  pressure         {report['peak_pressure']:.0f} Pa (mean), {report['peak_pressure_max']:.0f} Pa (most)",
+        f"  time to success  {'never' if took is None else f'{took:.2f} s'}",
+        f"  path             {1e3 * report['path_length']:.0f} mm",
+        f"  speed            {report['steps_per_second']:.0f} steps/s",
+    ]
+    if report["diverged"]:
+        lines.append(f"  physics broke down in {report['diverged']} episodes")
+    return "\n".join(lines)

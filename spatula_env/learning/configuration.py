@@ -1,0 +1,645 @@
+"""Reading configurations: YAML files in `configs`, checked before anything is made of them.
+
+A file either says how to make an environment (`read_environment`), or how to train (`read_training`). `find_config`
+finds one by its name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import types
+import typing
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import gymnasium
+import yaml
+
+import spatula_env
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+gymnasium.register_envs(spatula_env)
+
+ENVIRONMENT_KEYS = ("id", "kwargs")
+
+ENGINES = ("batch", "bullet")
+"""What can integrate organs while agents learn."""
+
+ACTIVATIONS = ("relu", "tanh", "elu")
+"""Between the layers of a network."""
+
+CONFIG_FOLDERS = (Path(__file__).parent / "configs", Path(__file__).parents[2] / "configs")
+"""Where the configurations are that come with the package: installed, and in its repository."""
+
+Config = TypeVar("Config", bound="DataclassInstance")
+
+
+def find_config(name: str | os.PathLike[str], holds: str = "algorithm") -> Path:
+    """The file that is meant by a path, or by a name such as "press_sac".
+
+    Args:
+        name: A path, or the name of a configuration that comes with the package, without its ending.
+        holds: A key that a configuration of the kind that is wanted has, which others do not have.
+
+    Raises:
+        FileNotFoundError: If there is no such file; the message lists the names that there are, of that kind.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    folder = next((folder for folder in CONFIG_FOLDERS if (folder / "press_sac.yaml").exists()), None)
+    files = {file.stem: file for file in sorted(folder.glob("*.yaml"))} if folder is not None else {}
+    if str(name) in files:
+        return files[str(name)]
+    fitting = [stem for stem, file in files.items() if holds in _top_keys(file)]
+    raise FileNotFoundError(f"config must be a file or one of {', '.join(fitting)}: no {name}")
+
+
+def _top_keys(file: Path) -> Sequence[str]:
+    content = load_yaml(file)
+    return list(content) if isinstance(content, Mapping) else []
+
+
+def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
+    """What a file says gymnasium.make should be called with.
+
+    Args:
+        path: A YAML file with `id`, and optionally `kwargs`.
+
+    Returns:
+        The id and the keyword arguments.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If the file is not such a mapping; the message names the file, what it has and what is allowed.
+    """
+    file = Path(path)
+    content = load_yaml(file)
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{file} must hold a mapping with the keys {list(ENVIRONMENT_KEYS)}, got {content!r}")
+    unknown = [key for key in content if key not in ENVIRONMENT_KEYS]
+    if unknown:
+        raise ValueError(f"{file} has unknown keys {unknown}; allowed are {list(ENVIRONMENT_KEYS)}")
+    name, kwargs = content.get("id"), content.get("kwargs") or {}
+    if not isinstance(name, str):
+        raise ValueError(f"{file} must name an environment's id, got {name!r}")
+    if not isinstance(kwargs, Mapping) or not all(isinstance(key, str) for key in kwargs):
+        raise ValueError(f"{file}: kwargs must be a mapping from names to values, got {kwargs!r}")
+    return name, dict(kwargs)
+
+
+def make_environment(path: str | os.PathLike[str], **overrides: Any) -> gymnasium.Env[Any, Any]:
+    """Make the environment that a file describes.
+
+    Args:
+        path: See `read_environment`.
+        **overrides: Keyword arguments that replace or add to the file's.
+
+    Returns:
+        The environment.
+    """
+    name, kwargs = read_environment(path)
+    return gymnasium.make(name, **{**kwargs, **overrides})
+
+
+@dataclass(frozen=True)
+class EnvironmentConfig:
+    """Where an agent learns.
+
+    Attributes:
+        id: Of the environment.
+        kwargs: What it is made with, beside the engine; "max_episode_steps" among them is the length of an episode
+            while it learns, not while it is evaluated.
+        engine: What integrates organs while it learns: "batch" or "bullet".
+        parts: The parts of the observation that the agent gets, by name; None: all of them.
+        num_envs: How many worlds are stepped together.
+    """
+
+    id: str
+    kwargs: dict[str, Any] = field(default_factory=dict)
+    engine: str = "batch"
+    parts: tuple[str, ...] | None = None
+    num_envs: int = 64
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _check_choice(self.engine, "environment.engine", ENGINES)
+        _check_least(self.num_envs, "environment.num_envs", 1)
+        if "engine" in self.kwargs:
+            raise ValueError("environment.kwargs must not hold engine: it is a key of environment itself")
+        if self.parts is not None and not self.parts:
+            raise ValueError("environment.parts must be null or name one part at least")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Networks of policy and value, of the same kind.
+
+    Attributes:
+        layers: Number of units in each hidden layer.
+        activation: "relu", "tanh" or "elu".
+    """
+
+    layers: tuple[int, ...] = (128, 128)
+    activation: str = "relu"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for size in self.layers:
+            _check_least(size, "network.layers", 1)
+        _check_choice(self.activation, "network.activation", ACTIVATIONS)
+
+
+@dataclass(frozen=True)
+class NormalizationConfig:
+    """What is brought to mean 0 and deviation 1, by running estimates that are saved with the policy.
+
+    Attributes:
+        observations: Whether observations are.
+        rewards: Whether rewards are divided by the deviation of the discounted return.
+        clip: Greatest size of a normalised number.
+    """
+
+    observations: bool = True
+    rewards: bool = False
+    clip: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _check_positive(self.clip, "normalization.clip")
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """How an agent is evaluated while it learns, in episodes that it does not learn from.
+
+    Attributes:
+        every: Environment steps between evaluations.
+        episodes: In each.
+        engine: "batch" or "bullet".
+        seed: Of the first episode; the next one has the next seed.
+        from_success: Nothing is evaluated while the success rate of the last 100 episodes of training is lower;
+            the last evaluation always is done.
+    """
+
+    every: int = 20_000
+    episodes: int = 64
+    engine: str = "batch"
+    seed: int = 1_000_000
+    from_success: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        _check_least(self.every, "evaluation.every", 1)
+        _check_least(self.episodes, "evaluation.episodes", 1)
+        _check_least(self.seed, "evaluation.seed", 0)
+        _check_choice(self.engine, "evaluation.engine", ENGINES)
+        _check_share(self.from_success, "evaluation.from_success")
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Hyper-parameters of PPO, by Stable-Baselines3's names.
+
+    Attributes:
+        learning_rate: Of Adam.
+        final_learning_rate: What it falls to, linearly; None: it does not fall.
+        n_steps: Steps of each world between updates.
+        batch_size: Samples in a gradient step.
+        n_epochs: How often each sample is used.
+        gamma: Discount.
+        gae_lambda: Of the advantage's estimate.
+        clip_range: Of the ratio of probabilities.
+        ent_coef: Weight of the entropy.
+        vf_coef: Weight of the value's loss.
+        max_grad_norm: Greatest norm of a gradient.
+        target_kl: An update stops beyond 1.5 times this divergence; None: never.
+        log_std_init: Logarithm of the first standard deviation of actions.
+    """
+
+    learning_rate: float = 3e-4
+    final_learning_rate: float | None = None
+    n_steps: int = 64
+    batch_size: int = 512
+    n_epochs: int = 10
+    gamma: float = 0.98
+    gae_lambda: float = 0.95
+    clip_range: float = 0.2
+    ent_coef: float = 0.0
+    vf_coef: float = 0.5
+    max_grad_norm: float = 0.5
+    target_kl: float | None = None
+    log_std_init: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name in ("n_steps", "batch_size", "n_epochs"):
+            _check_least(getattr(self, name), f"hyperparameters.{name}", 1)
+        _check_positive(self.learning_rate, "hyperparameters.learning_rate")
+        for name in ("gamma", "gae_lambda"):
+            _check_share(getattr(self, name), f"hyperparameters.{name}")
+
+
+@dataclass(frozen=True)
+class SACConfig:
+    """Hyper-parameters of SAC, by Stable-Baselines3's names.
+
+    Attributes:
+        learning_rate: Of Adam.
+        final_learning_rate: What it falls to, linearly; None: it does not fall.
+        buffer_size: Transitions that are kept.
+        learning_starts: Environment steps with random actions before the first gradient step.
+        batch_size: Samples in a gradient step.
+        tau: How far the target networks move towards the others in a gradient step.
+        gamma: Discount.
+        gradient_steps: In each step of all worlds together.
+        ent_coef: Weight of the entropy; "auto" finds it, "auto_0.1" begins with 0.1.
+        target_entropy: What "auto" aims at; "auto" is minus the number of actions.
+        n_critics: Number of critics.
+    """
+
+    learning_rate: float = 1e-3
+    final_learning_rate: float | None = None
+    buffer_size: int = 400_000
+    learning_starts: int = 6_400
+    batch_size: int = 256
+    tau: float = 0.01
+    gamma: float = 0.97
+    gradient_steps: int = 8
+    ent_coef: float | str = "auto_0.1"
+    target_entropy: float | str = "auto"
+    n_critics: int = 2
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name, least in (("buffer_size", 1), ("learning_starts", 0), ("batch_size", 1), ("gradient_steps", 1)):
+            _check_least(getattr(self, name), f"hyperparameters.{name}", least)
+        _check_least(self.n_critics, "hyperparameters.n_critics", 1)
+        _check_positive(self.learning_rate, "hyperparameters.learning_rate")
+        for name in ("tau", "gamma"):
+            _check_share(getattr(self, name), f"hyperparameters.{name}")
+        if isinstance(self.ent_coef, str) and self.ent_coef != "auto":
+            first = _number(self.ent_coef.removeprefix("auto_"))
+            if not self.ent_coef.startswith("auto_") or first is None or first <= 0.0:
+                raise ValueError(
+                    "hyperparameters.ent_coef must be a number, 'auto' or 'auto_X' with a positive X, got "
+                    f"{self.ent_coef!r}"
+                )
+        if isinstance(self.target_entropy, str) and self.target_entropy != "auto":
+            raise ValueError(f"hyperparameters.target_entropy must be a number or 'auto', got {self.target_entropy!r}")
+
+
+@dataclass(frozen=True)
+class TQCConfig(SACConfig):
+    """Hyper-parameters of TQC: those of SAC, and two more.
+
+    Attributes:
+        n_quantiles: Of the return, estimated by each critic.
+        top_quantiles_to_drop_per_net: How many of the greatest do not count.
+    """
+
+    n_quantiles: int = 25
+    top_quantiles_to_drop_per_net: int = 2
+
+
+@dataclass(frozen=True)
+class SACHERConfig(SACConfig):
+    """Hyper-parameters of SAC with hindsight replay: those of SAC, and two more.
+
+    Attributes:
+        n_sampled_goal: Transitions with a goal of hindsight for each one with the real goal.
+        goal_selection_strategy: "future", "final" or "episode".
+    """
+
+    n_sampled_goal: int = 4
+    goal_selection_strategy: str = "future"
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        super().__post_init__()
+        _check_least(self.n_sampled_goal, "hyperparameters.n_sampled_goal", 1)
+        allowed = ("future", "final", "episode")
+        _check_choice(self.goal_selection_strategy, "hyperparameters.goal_selection_strategy", allowed)
+
+
+ALGORITHMS: Mapping[str, type[PPOConfig] | type[SACConfig]] = types.MappingProxyType(
+    {"ppo": PPOConfig, "sac": SACConfig, "tqc": TQCConfig, "sac_her": SACHERConfig}
+)
+"""What can be trained, and what its hyper-parameters are."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """All that decides how training goes.
+
+    Attributes:
+        environment: Where the agent learns.
+        algorithm: "ppo", "sac", "tqc" or "sac_her".
+        hyperparameters: Of the algorithm.
+        network: Of policy and value.
+        normalization: Of observations and rewards.
+        total_steps: Environment steps, of all worlds together.
+        evaluation: While it learns.
+        checkpoint_every: Environment steps between checkpoints.
+        success_target: Training stops when an evaluation's success rate is no lower; None: never before the end.
+        demonstrations: Episodes of the scripted expert that the agent knows before training begins.
+        demonstration_noise: Standard deviation of what leads the expert astray; "auto": the greatest that it
+            copes with.
+        demonstration_share: Of each batch, so much is demonstrations, from first to last (P. Ball et al., "Efficient
+            Online Reinforcement Learning with Offline Data", ICML 2023); 0: they are experience like any other.
+        clone_steps: Gradient steps in which the actor imitates the demonstrations before training begins.
+        imitation_weight: Of imitation beside rewards in each update of the actor: see `hold_to_demonstrations`.
+        actor_starts: Environment steps before which critics learn, and the actor stays as it is: a clone.
+        overlap: Whether gradient steps are taken while the worlds are stepped, with the transitions before that step;
+            not for PPO.
+        torch_threads: How many threads torch uses.
+        seeds: One agent is trained for each.
+    """
+
+    environment: EnvironmentConfig
+    algorithm: str
+    hyperparameters: PPOConfig | SACConfig
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    normalization: NormalizationConfig = field(default_factory=NormalizationConfig)
+    total_steps: int = 500_000
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    checkpoint_every: int = 50_000
+    success_target: float | None = 0.97
+    demonstrations: int = 0
+    demonstration_noise: float | str = 0.0
+    demonstration_share: float = 0.0
+    clone_steps: int = 0
+    imitation_weight: float = 0.0
+    actor_starts: int = 0
+    overlap: bool = True
+    torch_threads: int = 1
+    seeds: tuple[int, ...] = (0,)
+
+    def __post_init__(self) -> None:
+        """Check the values, and how they go together."""
+        for name in ("total_steps", "checkpoint_every", "torch_threads"):
+            _check_least(getattr(self, name), name, 1)
+        for name in ("demonstrations", "clone_steps", "actor_starts"):
+            _check_least(getattr(self, name), name, 0)
+        self._check_demonstrations()
+        if self.success_target is not None:
+            _check_share(self.success_target, "success_target")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+            raise ValueError(f"seeds must be different integers, zero or more, got {list(self.seeds)}")
+        sparse = self.environment.kwargs.get("reward") == "sparse"
+        if self.algorithm == "sac_her" and not sparse:
+            raise ValueError("environment.kwargs.reward must be 'sparse' with algorithm 'sac_her'")
+
+    def _check_demonstrations(self) -> None:
+        check_noise(self.demonstration_noise, "demonstration_noise")
+        _check_share(self.demonstration_share, "demonstration_share")
+        if self.algorithm == "ppo" and self.demonstrations:
+            raise ValueError("demonstrations must be 0 with algorithm 'ppo', which has no replay buffer")
+        for name in ("demonstration_share", "clone_steps", "imitation_weight", "actor_starts"):
+            if getattr(self, name) and not self.demonstrations:
+                raise ValueError(f"{name} must be 0 without demonstrations, got {getattr(self, name)!r}")
+        if self.algorithm == "sac_her" and self.demonstration_share:
+            raise ValueError("demonstration_share must be 0 with algorithm 'sac_her', which makes its own batches")
+        if not 0.0 <= self.imitation_weight < math.inf:
+            raise ValueError(f"imitation_weight must be a number from 0 on, got {self.imitation_weight!r}")
+        if self.imitation_weight and not self.demonstration_share:
+            raise ValueError("imitation_weight must be 0 unless demonstration_share keeps demonstrations at hand")
+
+
+def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> TrainingConfig:
+    """Read how to train.
+
+    Args:
+        path: A YAML file with the fields of `TrainingConfig`.
+        changes: Each "key=value" or "key.sub=value", the value in YAML; they replace what the file says.
+
+    Returns:
+        The configuration.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If a key is unknown, one is missing, or a value is of the wrong kind; the message says which, and
+            what is allowed.
+    """
+    file = Path(path)
+    content = load_yaml(file)
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{file} must hold a mapping, got {content!r}")
+    try:
+        return training_from_mapping(changed(content, changes))
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def training_from_mapping(content: Mapping[str, Any]) -> TrainingConfig:
+    """The configuration of a mapping with the fields of `TrainingConfig`, as YAML and JSON have them.
+
+    Raises:
+        ValueError: See `read_training`.
+    """
+    algorithm = content.get("algorithm")
+    if not isinstance(algorithm, str) or algorithm not in ALGORITHMS:
+        raise ValueError(f"algorithm must be one of {sorted(ALGORITHMS)}, got {algorithm!r}")
+    hyperparameters = from_mapping(ALGORITHMS[algorithm], content.get("hyperparameters") or {}, "hyperparameters")
+    return from_mapping(TrainingConfig, {**content, "hyperparameters": hyperparameters}, "")
+
+
+def to_mapping(config: Any) -> dict[str, Any]:
+    """A configuration as plain mappings, lists and numbers, for YAML and JSON."""
+    plain: dict[str, Any] = _plain(dataclasses.asdict(config))
+    return plain
+
+
+def write_training(config: TrainingConfig, path: str | os.PathLike[str]) -> None:
+    """Write a configuration as YAML that `read_training` reads."""
+    Path(path).write_text(yaml.safe_dump(to_mapping(config), sort_keys=False), encoding="utf-8")
+
+
+def changed(content: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
+    """A copy of a nested mapping with some values replaced.
+
+    Args:
+        content: Of mappings in mappings.
+        changes: Each "key=value" or "key.sub=value", the value in YAML.
+
+    Raises:
+        ValueError: If a change is not of that form.
+    """
+    result: dict[str, Any] = {key: value for key, value in content.items()}
+    for change in changes:
+        name, equals, text = change.partition("=")
+        keys = name.strip().split(".")
+        if not equals or not all(keys):
+            raise ValueError(f"a change must be key=value or key.sub=value, got {change!r}")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ValueError(f"the value of {name.strip()} is not YAML: {text!r}") from error
+        place = result
+        for key in keys[:-1]:
+            inner = place.get(key)
+            place[key] = dict(inner) if isinstance(inner, Mapping) else {}
+            place = place[key]
+        place[keys[-1]] = value
+    return result
+
+
+def from_mapping(kind: type[Config], content: Any, name: str) -> Config:
+    """A dataclass from a mapping of its fields, strictly.
+
+    Args:
+        kind: The dataclass; its fields are numbers, texts, mappings, tuples, dataclasses, or None beside one of these.
+        content: The mapping.
+        name: Where it stands in the file, for errors; "" at the top.
+
+    Raises:
+        ValueError: If a key is unknown, one is missing, or a value is of the wrong kind.
+    """
+    where = name or "the configuration"
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{where} must be a mapping, got {content!r}")
+    fields = {each.name: each for each in dataclasses.fields(kind)}
+    unknown = [str(key) for key in content if key not in fields]
+    if unknown:
+        raise ValueError(f"{where} has unknown keys {unknown}; allowed are {sorted(fields)}")
+    required = [
+        each.name
+        for each in fields.values()
+        if each.default is dataclasses.MISSING and each.default_factory is dataclasses.MISSING
+    ]
+    missing = [key for key in required if key not in content]
+    if missing:
+        raise ValueError(f"{where} lacks the keys {missing}")
+    hints = typing.get_type_hints(kind)
+    values = {key: _as(hints[key], value, f"{name}.{key}" if name else key) for key, value in content.items()}
+    return kind(**values)
+
+
+def _as(kind: Any, value: Any, name: str) -> Any:
+    """A value as a type annotation has it."""
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in inner:
+            return None
+        problems = []
+        for each in inner:
+            if each is not type(None):
+                try:
+                    return _as(each, value, name)
+                except ValueError as error:
+                    problems.append(error)
+        raise problems[0]
+    if origin is tuple:
+        if not isinstance(value, Sequence) or isinstance(value, str):
+            raise ValueError(f"{name} must be a list, got {value!r}")
+        return tuple(_as(inner[0], each, name) for each in value)
+    if origin is dict:
+        if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+            raise ValueError(f"{name} must be a mapping from names to values, got {value!r}")
+        return dict(value)
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return value if isinstance(value, kind) else from_mapping(kind, value, name)
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise ValueError(f"{name} must be true or false, got {value!r}")
+        return value
+    if kind is int:
+        # YAML reads 5e5 as a text, and 5.0e5 as a float.
+        number = _number(value)
+        if number is None or number != int(number):
+            raise ValueError(f"{name} must be an integer, got {value!r}")
+        return int(number)
+    if kind is float:
+        number = _number(value)
+        if number is None:
+            raise ValueError(f"{name} must be a number, got {value!r}")
+        return number
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, got {value!r}")
+    return value
+
+
+def _number(value: Any) -> float | None:
+    """A finite number, also one that YAML reads as text, such as 3e-4; None if it is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return value
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """PyYAML takes the last of two values under one key without a word; here that is an error."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """A mapping, of which each key is told once."""
+        seen: set[Any] = set()
+        for key_node, _ in node.value:
+            if key_node.tag == "tag:yaml.org,2002:merge":
+                continue
+            key = self.construct_object(key_node, deep=True)
+            if isinstance(key, Hashable) and key in seen:
+                raise yaml.constructor.ConstructorError(
+                    "while constructing a mapping", node.start_mark, f"the key {key!r} is there twice",
+                    key_node.start_mark,
+                )  # fmt: skip
+            if isinstance(key, Hashable):
+                seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(file: Path) -> Any:
+    """What a YAML file holds; raises ValueError if it is none, or tells a key twice."""
+    try:
+        return yaml.load(file.read_text(encoding="utf-8"), Loader=_StrictLoader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = "" if mark is None else f", line {mark.line + 1}, column {mark.column + 1}"
+        said = getattr(error, "problem", None) or str(error)
+        raise ValueError(f"{file}{where}: this is not YAML: {said}") from error
+    except RecursionError as error:
+        raise ValueError(f"{file}: this is not YAML of a configuration: it is nested too deeply") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: this is not YAML: it is no text in UTF-8") from error
+
+
+def check_noise(value: float | str, name: str) -> None:
+    """Check what says how much noise demonstrations have: a number from 0 on, or "auto"."""
+    if value != "auto" and (isinstance(value, str) or not 0.0 <= value < math.inf):
+        raise ValueError(f"{name} must be a number from 0 on or 'auto', got {value!r}")
+
+
+def _check_choice(value: str, name: str, allowed: Sequence[str]) -> None:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+
+
+def _check_least(value: int, name: str, least: int) -> None:
+    if value < least:
+        raise ValueError(f"{name} must be {least} or more, got {value!r}")
+
+
+def _check_positive(value: float, name: str) -> None:
+    if not 0.0 < value < math.inf:
+        raise ValueError(f"{name} must be positive and finite, got {value!r}")
+
+
+def _check_share(value: float, name: str) -> None:
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name} must be in [0, 1], got {value!r}")

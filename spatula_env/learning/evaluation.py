@@ -1,0 +1,354 @@
+"""How well a policy does: episodes, and what is told of them."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec as find_module
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
+
+import spatula_env
+from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.installing import install_hint
+from spatula_env.learning.policies import Policy, PolicySource
+from spatula_env.naming import find_spec, vector_spec
+from spatula_env.processes import available_cores, in_processes
+
+gymnasium.register_envs(spatula_env)
+
+Episodes = dict[str, NDArray[Any]]
+"""What there is to tell of episodes: (n,) each, under the names in `MEASURES`."""
+
+MEASURES = (
+    "success",
+    "return",
+    "cost",
+    "violation",
+    "peak_force",
+    "peak_pressure",
+    "time_to_success",
+    "path_length",
+    "steps",
+    "diverged",
+)
+"""Of an episode: whether it succeeded, the sum of rewards, of costs [Pa s], whether any step had a violation, the
+greatest force [N] and pressure [Pa], when it succeeded [s] (NaN: never), the way of the tool [m], control steps, and
+whether physics broke down."""
+
+WORLDS_PER_PROCESS = {"batch": 64, "bullet": 1}
+"""How many worlds are stepped together at most: in Bullet each for itself, so that none waits for another."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is evaluated.
+
+    Attributes:
+        env_id: Of the environment, with or without its module, which has been imported.
+        kwargs: What it is made with.
+        engine: "batch" or "bullet".
+        episodes: How many.
+        seed: Of the first episode's environment; the next one has the next seed.
+    """
+
+    env_id: str
+    kwargs: Mapping[str, Any]
+    engine: str
+    episodes: int
+    seed: int
+
+    def make(self, num_envs: int, **more: Any) -> SpatulaVectorEnv:
+        """The environment, in many worlds.
+
+        Raises:
+            ValueError: If it is not one of this package or built on it.
+        """
+        env: Any = gymnasium.make_vec(
+            vector_spec(self.env_id),
+            num_envs=num_envs,
+            autoreset_mode="next_step",
+            **{**self.kwargs, "engine": self.engine, **more},
+        )
+        made = env.unwrapped
+        if not isinstance(made, SpatulaVectorEnv):
+            env.close()
+            raise ValueError(f"{self.env_id} must have a vector environment that is a SpatulaVectorEnv, got {made}")
+        return made
+
+
+def run_episodes(
+    env: SpatulaVectorEnv,
+    policy: Policy,
+    seeds: Sequence[int],
+    *,
+    end_at_success: bool = False,
+    watch: Callable[[SpatulaVectorEnv], None] | None = None,
+) -> Episodes:
+    """Let a policy act, an episode for each seed.
+
+    Args:
+        env: In the mode "next_step", with a limit of steps.
+        policy: What acts.
+        seeds: (n,) of the episodes' environments.
+        end_at_success: Whether an episode is over when its goal has been held.
+        watch: Called with the environment at the beginning and after each step.
+
+    Returns:
+        Measures of the n episodes, in the order of the seeds.
+    """
+    results = []
+    count = env.num_envs
+    for first in range(0, len(seeds), count):
+        chunk = list(seeds[first : first + count])
+        # The last worlds go through episodes that nobody asks for, if there are more worlds than episodes.
+        filled = chunk + [chunk[-1]] * (count - len(chunk))
+        results.append(
+            {name: values[: len(chunk)] for name, values in _run(env, policy, filled, end_at_success, watch).items()}
+        )
+    return {name: np.concatenate([result[name] for result in results]) for name in MEASURES}
+
+
+def _run(
+    env: SpatulaVectorEnv,
+    policy: Policy,
+    seeds: list[int],
+    end_at_success: bool,
+    watch: Callable[[SpatulaVectorEnv], None] | None,
+) -> Episodes:
+    """One episode in each world."""
+    count = env.num_envs
+    observation, _ = env.reset(seed=seeds)
+    policy.begin(seeds)
+    if watch is not None:
+        watch(env)
+    episodes: Episodes = {name: np.zeros(count) for name in MEASURES}
+    episodes["time_to_success"][:] = np.nan
+    for name in ("success", "violation", "diverged"):
+        episodes[name] = np.zeros(count, dtype=np.bool_)
+    going = np.ones(count, dtype=np.bool_)
+    position = _tool_position(env, observation)
+    while going.any():
+        actions = np.where(going[:, None], policy(observation), 0.0)
+        observation, rewards, terminated, truncated, infos = env.step(actions)
+        if watch is not None:
+            watch(env)
+        before, position = position, _tool_position(env, observation)
+        episodes["return"] += np.where(going, rewards, 0.0)
+        episodes["steps"] += going
+        episodes["path_length"] += np.where(going, np.sqrt(((position - before) ** 2).sum(axis=1)), 0.0)
+        first = going & infos["is_success"] & ~episodes["success"]
+        episodes["time_to_success"][first] = infos["time"][first]
+        episodes["success"] |= first
+        episodes["diverged"] |= going & infos["diverged"]
+        # Sums over the episode until now.
+        for name in ("cost", "peak_force", "peak_pressure"):
+            episodes[name] = np.where(going, infos[f"episode_{name}"], episodes[name])
+        episodes["violation"] |= going & (infos["episode_violation_time"] > 0.0)
+        going &= ~(terminated | truncated)
+        done = going & episodes["success"]
+        if end_at_success and done.any():
+            going &= ~done
+            if going.any():
+                # The others go on; at the beginning of an episode, with the tool in the air, a world costs least.
+                observation, _ = env.reset(options={"reset_mask": done})
+                position = _tool_position(env, observation)
+    return episodes
+
+
+def evaluate(
+    source: PolicySource, plan: Plan, *, processes: int | None = None, end_at_success: bool = False
+) -> tuple[Episodes, float]:
+    """Let a policy act, with as many worlds and processes as make sense.
+
+    Args:
+        source: Of the policy.
+        plan: What is evaluated.
+        processes: How many at once; None: one, which shares its worlds out among threads, in the batch engine, and one
+            for each core in Bullet.
+        end_at_success: See `run_episodes`.
+
+    Returns:
+        Measures of the episodes, and how many control steps were made in a second, resets included.
+    """
+    seeds = [plan.seed + k for k in range(plan.episodes)]
+    if processes is None:
+        processes = 1 if plan.engine == "batch" else available_cores()
+    processes = max(1, min(processes, len(seeds)))
+    if processes == 1:
+        episodes, seconds = _evaluate_some(source, plan, seeds, end_at_success)
+        return episodes, float(episodes["steps"].sum()) / seconds
+    shares = [share.tolist() for share in np.array_split(np.array(seeds), processes)]
+    work = partial(_evaluate_some, source, plan, end_at_success=end_at_success)
+    prepare = partial(_register, find_spec(plan.env_id))
+    # An interruption ends the processes at once.
+    with closing(in_processes(work, shares, processes, prepare)) as stream:
+        found = dict(stream)
+    parts = [found[number] for number in range(len(shares))]
+    episodes = {name: np.concatenate([part[0][name] for part in parts]) for name in MEASURES}
+    return episodes, float(episodes["steps"].sum()) / max(part[1] for part in parts)
+
+
+def _register(spec: EnvSpec) -> None:
+    """Let another process know an environment that only this one may have been told of."""
+    gymnasium.registry.setdefault(spec.id, spec)
+
+
+def _evaluate_some(
+    source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool = False
+) -> tuple[Episodes, float]:
+    """Some of the episodes of a plan, in this process, and how long they took without setting up [s]."""
+    worlds = min(WORLDS_PER_PROCESS[plan.engine], len(seeds))
+    # As many rounds, with as few worlds to spare.
+    worlds = math.ceil(len(seeds) / math.ceil(len(seeds) / worlds))
+    env = plan.make(worlds)
+    try:
+        policy = source.make(env)
+        start = time.perf_counter()
+        with warnings.catch_warnings():
+            # It is counted, and told in the report.
+            warnings.filterwarnings("ignore", "physics has diverged", RuntimeWarning)
+            episodes = run_episodes(env, policy, seeds, end_at_success=end_at_success)
+        return episodes, time.perf_counter() - start
+    finally:
+        env.close()
+
+
+def summarize(episodes: Episodes) -> dict[str, Any]:
+    """What is told of episodes, in plain numbers.
+
+    Args:
+        episodes: From `run_episodes`.
+
+    Returns:
+        "success_rate" with "success_interval", Wilson's 95 % interval; means of "return" (with "return_deviation"),
+        "cost" [Pa s], "steps", "path_length" [m]; "violation_rate", the share of episodes with a violation; means and
+        greatest values of "peak_force" [N] and "peak_pressure" [Pa]; mean and median of "time_to_success" [s] over the
+        episodes that succeeded (None if none did); "diverged", a number of episodes.
+    """
+    count = len(episodes["success"])
+    successes = int(episodes["success"].sum())
+    times = episodes["time_to_success"][episodes["success"]]
+    return {
+        "episodes": count,
+        "success_rate": successes / count,
+        "success_interval": list(wilson_interval(successes, count)),
+        "return": float(episodes["return"].mean()),
+        "return_deviation": float(episodes["return"].std()),
+        "cost": float(episodes["cost"].mean()),
+        "violation_rate": float(episodes["violation"].mean()),
+        "peak_force": float(episodes["peak_force"].mean()),
+        "peak_force_max": float(episodes["peak_force"].max()),
+        "peak_pressure": float(episodes["peak_pressure"].mean()),
+        "peak_pressure_max": float(episodes["peak_pressure"].max()),
+        "time_to_success": float(times.mean()) if len(times) else None,
+        "time_to_success_median": float(np.median(times)) if len(times) else None,
+        "path_length": float(episodes["path_length"].mean()),
+        "steps": float(episodes["steps"].mean()),
+        "diverged": int(episodes["diverged"].sum()),
+    }
+
+
+def wilson_interval(successes: int, count: int, z: float = 1.959963984540054) -> tuple[float, float]:
+    """The score interval of a proportion (E. B. Wilson, J Am Stat Assoc 22:209, 1927).
+
+    Args:
+        successes: How many succeeded.
+        count: Of how many.
+        z: Quantile of the normal distribution; the default is that of 95 %, on both sides.
+
+    Returns:
+        Its ends, in [0, 1].
+
+    Raises:
+        ValueError: If there were none, or more successes than trials.
+    """
+    if count < 1 or not 0 <= successes <= count:
+        raise ValueError(f"successes must be 0 to count, and count 1 or more, got {successes} of {count}")
+    share = successes / count
+    middle = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
+    half = z / (1.0 + z * z / count) * math.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count * count))
+    # At the ends the two terms are equal, but for rounding.
+    low = 0.0 if successes == 0 else max(0.0, middle - half)
+    high = 1.0 if successes == count else min(1.0, middle + half)
+    return low, high
+
+
+def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episodes: int = 3) -> None:
+    """Write a film of some episodes, one after the other.
+
+    Args:
+        source: Of the policy.
+        plan: What is evaluated; the first episodes are shown.
+        path: Ends with .mp4 or .gif.
+        episodes: How many at most.
+
+    Raises:
+        ImportError: If the extra "video" is not installed.
+    """
+    require_moviepy()
+    from moviepy import ImageSequenceClip
+
+    frames: list[NDArray[np.uint8]] = []
+
+    def watch(env: SpatulaVectorEnv) -> None:
+        pictures = env.render()
+        assert pictures is not None
+        frames.append(pictures[0])
+
+    env = plan.make(1, render_mode="rgb_array")
+    try:
+        policy = source.make(env)
+        seeds = [plan.seed + k for k in range(min(episodes, plan.episodes))]
+        run_episodes(env, policy, seeds, end_at_success=True, watch=watch)
+        rate = env.metadata["render_fps"]
+    finally:
+        env.close()
+    file = Path(path)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    clip = ImageSequenceClip(frames, fps=rate)
+    # Under another name first: a film that is half written is none.
+    unfinished = file.with_name(f".new-{file.name}")
+    try:
+        if file.suffix == ".gif":
+            clip.write_gif(str(unfinished), logger=None)
+        else:
+            clip.write_videofile(str(unfinished), codec="libx264", audio=False, logger=None)
+        unfinished.replace(file)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def require_moviepy() -> None:
+    """Check that what writes films is installed.
+
+    Raises:
+        ImportError: If not.
+    """
+    if find_module("moviepy") is None:
+        raise ImportError(f"films need moviepy: {install_hint('video')}", name="moviepy")
+
+
+def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:
+    """(W, 3) of the tools as they are observed [m]; the last of several frames."""
+    part = env.observation_builder.slices["tool_position"]
+    if isinstance(observation, Mapping):
+        if "tool_position" in observation:
+            numbers, part = observation["tool_position"], slice(None)
+        else:
+            numbers = observation["state" if "state" in observation else "observation"]
+    else:
+        numbers = observation
+    position = np.asarray(numbers, dtype=np.float64)[..., part]
+    return position.reshape(env.num_envs, -1, 3)[:, -1]

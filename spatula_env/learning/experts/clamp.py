@@ -1,0 +1,75 @@
+"""A scripted policy for Spatula/Clamp-v0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spatula_env.learning.experts.base import Expert, FloatArray
+
+WIDTH = 0.016
+"""Of the ridge [m]."""
+
+SQUEEZE = 0.75
+"""Free width between the jaws that is held, as a part of the ridge's width."""
+
+TIGHTER, SLIPPING, SLIPPED = 0.1, 0.0007, 0.0012
+"""By how much narrower that is if the ridge slips, and slips from where that begins to where it ends [m]."""
+
+CLOSED = 0.0004
+"""How far from that the jaws may be for the lift to begin [m]."""
+
+OPEN = 0.024
+"""Free width with which the jaws go down beside the ridge [m]."""
+
+GAIN, FREE_SPEED = 6.0, 0.05
+"""Speed per distance [1/s], and the greatest [m/s]."""
+
+LIFT_GAIN, LIFT_SPEED = 4.0, 0.02
+"""Speed per missing lift [1/s], and the greatest [m/s]."""
+
+CLOSING_GAIN, CLOSING_SPEED = 10.0, 0.02
+"""Speed of the jaws per width [1/s], and the greatest [m/s]."""
+
+ABOVE, BESIDE = 0.024, 0.02
+"""Heights of the grip above the ridge's middle [m]: where it waits until it is in line, and where it is beside it."""
+
+AT, LOW = 0.006, 0.0025
+"""Heights of the grip above the ridge's middle [m]: from where on the jaws close, and where they grip."""
+
+IN_LINE, IN_PLACE = 0.0012, 0.002
+"""How far off the grip may be to go down: across and along the ridge [m]."""
+
+
+class ClampExpert(Expert):
+    """Goes above the ridge, down beside it with open jaws, closes them, and lifts."""
+
+    task = "clamp"
+
+    def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
+        """See `Expert`."""
+        along, across, down = np.moveaxis(self.part(observation, "ridge_offset"), -1, 0)
+        opening = self.part(observation, "jaw_opening")[..., 0]
+        error, height = self.error(observation), -down
+        missing, slip = error[..., 0], self.goal(observation)[..., 1] - error[..., 1]
+        gripping = height < AT
+        holding = gripping & (opening < SQUEEZE * WIDTH + CLOSED)
+        ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (opening > WIDTH + 0.5 * (OPEN - WIDTH))
+        wanted_height = np.where(ready | (height < BESIDE), LOW, ABOVE)
+
+        def towards(distance: FloatArray) -> FloatArray:
+            return np.where(gripping, 0.0, np.clip(GAIN * distance, -FREE_SPEED, FREE_SPEED))
+
+        going = np.clip(GAIN * (wanted_height - height), -FREE_SPEED, FREE_SPEED)
+        lifting = np.clip(LIFT_GAIN * missing, -LIFT_SPEED, LIFT_SPEED)
+        tighter = TIGHTER * np.clip((slip - SLIPPING) / (SLIPPED - SLIPPING), 0.0, 1.0) * holding
+        width = (SQUEEZE - tighter) * WIDTH
+        closing = np.clip(CLOSING_GAIN * (width - opening), -CLOSING_SPEED, CLOSING_SPEED)
+        return {
+            "velocity_x": towards(along),
+            "velocity_y": towards(across),
+            "velocity_z": np.where(holding, lifting, going),
+            "jaw_speed": np.where(gripping, closing, CLOSING_GAIN * (OPEN - opening)),
+        }

@@ -1,0 +1,77 @@
+"""A scripted policy for Spatula/Retract-v0."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from spatula_env.learning.experts.base import Expert, FloatArray
+
+HALF_THICKNESS = 0.0009
+"""Of the blade [m]."""
+
+EDGE = 0.02
+"""How far the blade's lower edge is below its middle [m]."""
+
+TOP = -0.02
+"""Height of the organ's top at rest, in the workspace frame [m]."""
+
+CLEARANCE = 0.004
+"""How high the lower edge passes over the fold [m]."""
+
+GAP = 0.005
+"""How far from the flank the blade goes down [m]."""
+
+EDGE_DEPTH = 0.008
+"""How far below the patch's middle the lower edge pushes [m]."""
+
+PLACE_GAIN = 8.0
+"""Speed per distance to a place, in the air [1/s]."""
+
+LIFT_SPEED, PUSH_SPEED = 0.04, 0.015
+"""Upwards in the air, and against the fold [m/s]."""
+
+SHIFT_GAIN = 6.0
+"""Speed per error of the patch's displacement [1/s]."""
+
+TOUCH = 0.005
+"""Force that tells that the blade touches the fold [N]."""
+
+LOW, BESIDE, ALIGNED = 0.003, 0.002, 0.004
+"""How exactly the blade is where it goes down, or pushes: above, across the fold, and along it [m]."""
+
+
+class RetractExpert(Expert):
+    """Goes over to the patch's side of the fold, down, and pushes as far as the patch's displacement asks for."""
+
+    task = "retract"
+
+    def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
+        """See `Expert`."""
+        tool, force = self.part(observation, "tool_position"), self.part(observation, "contact_force")
+        shift, error = self.part(observation, "patch_shift"), self.error(observation)
+        rest = self.part(observation, "patch_position") - shift
+        x, y, z = np.moveaxis(tool, -1, 0)
+        side = np.sign(self.goal(observation)[..., 0])
+        place_x = rest[..., 0] - side * (HALF_THICKNESS + GAP)
+        height = rest[..., 2] - EDGE_DEPTH + EDGE
+
+        low = z - height < LOW
+        beside = side * (place_x - x) > -BESIDE
+        lifting = ~low & ~beside & (z - EDGE < TOP + CLEARANCE)
+        aligned = (np.abs(place_x - x) < LOW) & (np.abs(rest[..., 1] - y) < ALIGNED)
+        touching = np.abs(force[..., 0]) > TOUCH
+
+        over_x = np.where(lifting, 0.0, PLACE_GAIN * (place_x - x))
+        over_y = np.where(lifting, 0.0, PLACE_GAIN * (rest[..., 1] - y))
+        over_z = np.where(lifting, LIFT_SPEED, np.where(aligned, PLACE_GAIN * (height - z) - GAP, 0.0))
+        push = np.clip(SHIFT_GAIN * error, -PUSH_SPEED, PUSH_SPEED)
+        push_x = np.where(touching, push[..., 0], side * PUSH_SPEED)
+        push_y = np.where(touching, push[..., 1], PLACE_GAIN * (rest[..., 1] - y))
+        return {
+            "velocity_x": np.where(low, push_x, over_x),
+            "velocity_y": np.where(low, push_y, over_y),
+            "velocity_z": np.where(low, PLACE_GAIN * (height - z), over_z),
+        }

@@ -1,0 +1,108 @@
+"""What acts in an environment: experts, chance, trained policies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from spatula_env.learning.experts import ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert
+from spatula_env.learning.experts.base import Expert
+
+INTERFACE = (
+    "obs_mode",
+    "control",
+    "reward",
+    "observation",
+    "max_speed",
+    "max_rotation_rate",
+    "max_jaw_speed",
+    "control_frequency",
+)
+"""Options of an environment that a policy depends on: what observations and actions mean."""
+
+
+class Policy(Protocol):
+    """Acts in many worlds at once."""
+
+    def begin(self, seeds: Sequence[int]) -> None:
+        """Get ready for new episodes in all worlds, seeded as their environments are."""
+
+    def __call__(self, observation: Any) -> NDArray[np.float32]:
+        """The actions (W, A) for the observations of W worlds."""
+
+
+@dataclass(frozen=True)
+class PolicySource:
+    """How to make a policy, in any process.
+
+    Attributes:
+        make: Makes it for an environment.
+        kwargs: What the environment must be made with for it.
+        description: What it is, in a few words.
+        provenance: Where it comes from, if that is known.
+    """
+
+    make: Callable[[Any], Policy]
+    kwargs: Mapping[str, Any] = field(default_factory=dict)
+    description: str = ""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+class ExpertPolicy:
+    """A scripted expert, which needs nothing at the beginning of an episode."""
+
+    def __init__(self, expert: Expert) -> None:
+        """Let an expert act."""
+        self.expert = expert
+
+    def begin(self, seeds: Sequence[int]) -> None:
+        """Nothing to do."""
+
+    def __call__(self, observation: Any) -> NDArray[np.float32]:
+        """See `Policy`."""
+        return self.expert(observation)
+
+
+class RandomPolicy:
+    """Uniform actions, which depend on the seed of an episode only."""
+
+    def __init__(self, space: gymnasium.spaces.Box) -> None:
+        """Draw from a space."""
+        self._space = space
+        self._generators: list[np.random.Generator] = []
+
+    def begin(self, seeds: Sequence[int]) -> None:
+        """See `Policy`."""
+        # Not the generators of the episodes, which draw goals from the same seeds.
+        self._generators = [np.random.default_rng([seed, 1]) for seed in seeds]
+
+    def __call__(self, observation: Any) -> NDArray[np.float32]:
+        """See `Policy`."""
+        low, high = self._space.low, self._space.high
+        return np.stack([generator.uniform(low, high) for generator in self._generators]).astype(np.float32)
+
+
+def make_expert(env: Any) -> Expert:
+    """The scripted expert of an environment's task.
+
+    Args:
+        env: For one agent or for many, wrapped or not.
+
+    Raises:
+        ValueError: If the environment is not one of this package.
+    """
+    experts = {each.task: each for each in (ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert)}
+    definition = getattr(env.unwrapped, "definition", None)
+    if definition is None or definition.name not in experts:
+        raise ValueError(f"env must be of one of the tasks {sorted(experts)}, got {env}")
+    return experts[definition.name](env)
+
+
+def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of an environment's options that a policy depends on."""
+    return {name: value for name, value in kwargs.items() if name in INTERFACE}

@@ -1,0 +1,146 @@
+"""What finished runs and their evaluations say, in rows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from spatula_env.learning.results.plan import ResultsPlan, Run, planned_references, planned_runs
+from spatula_env.learning.results.runs import evaluation_file, is_finished
+from spatula_env.learning.results.statistics import Estimate, Reached, estimate, when_reached
+from spatula_env.learning.saving import read_curve
+
+QUANTITIES = ("success_rate", "return", "cost", "violation_rate", "time_to_success")
+"""What the tables have of an evaluation."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is said of one algorithm, or of one policy to compare with, on one task.
+
+    Attributes:
+        task: Name of the task.
+        name: Of the algorithm or policy.
+        label: For people.
+        planned: How many seeds there are to be; 0 for a policy to compare with.
+        finished: How many there are.
+        rates: Success rates of the seeds, for each engine that they were evaluated in.
+        quantities: For each engine, what `QUANTITIES` names; nothing if there is no evaluation.
+        reached: When each threshold was; nothing for what is not trained.
+        curves: Of the seeds.
+        steps: Environment steps of training, the mean; None for what is not trained.
+        seconds: Of training, the mean [s]; None for what is not trained.
+    """
+
+    task: str
+    name: str
+    label: str
+    planned: int
+    finished: int
+    rates: Mapping[str, Sequence[float]]
+    quantities: Mapping[str, Mapping[str, Estimate]]
+    reached: Mapping[float, Reached]
+    curves: Sequence[Sequence[Mapping[str, Any]]]
+    steps: float | None
+    seconds: float | None
+
+
+def gather(plan: ResultsPlan) -> list[Row]:
+    """The rows of all tasks, those of what learns first; an algorithm without a finished run has none."""
+    rows = []
+    runs, references = planned_runs(plan), planned_references(plan)
+    for task, planned in plan.tasks.items():
+        for name, algorithm in planned.algorithms.items():
+            own = [run for run in runs if (run.task, run.name) == (task, name)]
+            done = [run for run in own if is_finished(run)]
+            if done:
+                rows.append(_learned(plan, task, name, algorithm.label or name, own, done))
+        for run in references:
+            if run.task == task and (row := _reference(plan, run)) is not None:
+                rows.append(row)
+    return rows
+
+
+def names_of(plan: ResultsPlan, rows: Sequence[Row]) -> dict[str, str]:
+    """What there is to be told of on any task, what learns first: names, and what people call them."""
+    labels = {row.name: row.label for row in rows}
+    learned = {name: label for name, label in labels.items() if name not in plan.references}
+    return {**learned, **labels}
+
+
+def read_evaluation(run: Run, engine: str) -> dict[str, Any] | None:
+    """The evaluation of a run, if there is one."""
+    file = evaluation_file(run, engine)
+    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
+
+
+def read_machines(plan: ResultsPlan) -> list[dict[str, Any]]:
+    """Where runs and evaluations took place: what their provenances say, each once."""
+    found: list[dict[str, Any]] = []
+    for run in [*planned_runs(plan), *planned_references(plan)]:
+        places = [run.folder / "provenance.json", *run.folder.glob("seed-*/provenance.json")]
+        told = [json.loads(place.read_text(encoding="utf-8")) for place in places if place.exists()]
+        told += [read["provenance"] for engine in plan.evaluation.engines if (read := read_evaluation(run, engine))]
+        for each in told:
+            kept = {"machine": each["machine"], "versions": each["versions"], "commit": each["commit"]}
+            if kept not in found:
+                found.append(kept)
+    return found
+
+
+def _learned(plan: ResultsPlan, task: str, name: str, label: str, own: list[Run], done: list[Run]) -> Row:
+    rates: dict[str, list[float]] = {}
+    quantities: dict[str, dict[str, Estimate]] = {}
+    for engine in plan.evaluation.engines:
+        read = [each for run in done if (each := read_evaluation(run, engine)) is not None]
+        if read:
+            rates[engine] = [each["summary"]["success_rate"] for each in read]
+            quantities[engine] = _estimates([each["summary"] for each in read], plan)
+    trained = [run for run in done if run.plan is not None and not run.plan.clone]
+    curves = [read_curve(run.folder / f"seed-{run.seed}" / "curve.jsonl") for run in trained]
+    summaries = [json.loads((run.folder / "summary.json").read_text(encoding="utf-8")) for run in trained]
+    return Row(
+        task=task,
+        name=name,
+        label=label,
+        planned=len(own),
+        finished=len(done),
+        rates=rates,
+        quantities=quantities,
+        reached={threshold: when_reached(curves, threshold) for threshold in plan.thresholds} if trained else {},
+        curves=curves,
+        steps=float(np.mean([each["steps"][0] for each in summaries])) if summaries else None,
+        seconds=float(np.mean([each["seconds"][0] for each in summaries])) if summaries else None,
+    )
+
+
+def _reference(plan: ResultsPlan, run: Run) -> Row | None:
+    rates: dict[str, list[float]] = {}
+    quantities: dict[str, dict[str, Estimate]] = {}
+    for engine in plan.evaluation.engines:
+        read = read_evaluation(run, engine)
+        if read is not None:
+            summary = read["summary"]
+            rates[engine] = [summary["success_rate"]]
+            # One policy: what varies is the episodes, and success has Wilson's interval.
+            quantities[engine] = {
+                quantity: Estimate(summary[quantity]) for quantity in QUANTITIES if summary[quantity] is not None
+            }
+            quantities[engine]["success_rate"] = Estimate(summary["success_rate"], *summary["success_interval"])
+    if not rates:
+        return None
+    labels = {"expert": "scripted expert", "random": "random actions", "pretrained": "pretrained policy"}
+    return Row(run.task, run.name, labels[run.name], 0, 0, rates, quantities, {}, [], None, None)
+
+
+def _estimates(summaries: Sequence[Mapping[str, Any]], plan: ResultsPlan) -> dict[str, Estimate]:
+    found = {}
+    for quantity in QUANTITIES:
+        known = [summary[quantity] for summary in summaries if summary[quantity] is not None]
+        if known:
+            found[quantity] = estimate([known], plan.bootstrap)
+    return found

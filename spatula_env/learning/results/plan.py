@@ -1,0 +1,264 @@
+"""Which runs there are to be: data, read from YAML."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from spatula_env.learning.configuration import (
+    ENGINES,
+    TrainingConfig,
+    find_config,
+    from_mapping,
+    load_yaml,
+    read_training,
+)
+from spatula_env.naming import find_environment, same_environment
+
+REFERENCES = ("expert", "random", "pretrained")
+"""Policies that are there already, to compare with."""
+
+
+@dataclass(frozen=True)
+class AlgorithmPlan:
+    """How agents of one kind are made.
+
+    Attributes:
+        config: Name or path of a configuration of training.
+        clone: Number of demonstrations that are imitated, instead of training; 0: it is trained.
+        rounds: How often what has imitated them acts and is corrected; see `cloning.correct`.
+        changes: Of the configuration, each "key=value".
+        label: What it is called on the page; None: its name.
+    """
+
+    config: str
+    clone: int = 0
+    rounds: int = 0
+    changes: tuple[str, ...] = ()
+    label: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.clone < 0:
+            raise ValueError(f"clone must be 0 or more, got {self.clone}")
+        if self.rounds < 0 or (self.rounds and not self.clone):
+            raise ValueError(f"rounds must be 0 or more, and 0 without clone, got {self.rounds}")
+
+    def read(self, seed: int) -> TrainingConfig:
+        """The configuration for one seed."""
+        return read_training(find_config(self.config), [*self.changes, f"seeds=[{seed}]"])
+
+
+@dataclass(frozen=True)
+class TaskPlan:
+    """What is trained on one task.
+
+    Attributes:
+        environment: Its id.
+        algorithms: By name.
+        note: A sentence for the page.
+    """
+
+    environment: str
+    algorithms: dict[str, AlgorithmPlan]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ScoringPlan:
+    """How finished agents are evaluated.
+
+    Attributes:
+        episodes: In each engine.
+        seed: Of the first episode; agents are never trained or chosen by these.
+        engines: In which; the first one is that of training.
+    """
+
+    episodes: int = 100
+    seed: int = 0
+    engines: tuple[str, ...] = ENGINES
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.episodes < 1:
+            raise ValueError(f"evaluation.episodes must be 1 or more, got {self.episodes}")
+        unknown = [engine for engine in self.engines if engine not in ENGINES]
+        if unknown or not self.engines:
+            raise ValueError(f"evaluation.engines must be some of {list(ENGINES)}, got {list(self.engines)}")
+
+
+@dataclass(frozen=True)
+class BootstrapPlan:
+    """How intervals are found.
+
+    Attributes:
+        resamples: How many.
+        confidence: Of the intervals.
+        seed: Of the resamples.
+    """
+
+    resamples: int = 2_000
+    confidence: float = 0.95
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.resamples < 1:
+            raise ValueError(f"bootstrap.resamples must be 1 or more, got {self.resamples}")
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"bootstrap.confidence must be between 0 and 1, got {self.confidence}")
+
+
+@dataclass(frozen=True)
+class ResultsPlan:
+    """All that the page is made of.
+
+    Attributes:
+        tasks: By name.
+        runs: Folder of the runs.
+        page: File that is written.
+        pictures: Folder of its pictures.
+        seeds: One agent is made for each.
+        evaluation: Of finished agents.
+        thresholds: Success rates; the page says when training first reached them.
+        bootstrap: Of intervals.
+        references: Policies to compare with.
+    """
+
+    tasks: dict[str, TaskPlan]
+    runs: str = "runs/results"
+    page: str = "docs/results.md"
+    pictures: str = "docs/images"
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    evaluation: ScoringPlan = field(default_factory=ScoringPlan)
+    thresholds: tuple[float, ...] = (0.8, 0.95)
+    bootstrap: BootstrapPlan = field(default_factory=BootstrapPlan)
+    references: tuple[str, ...] = ("expert", "random")
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+            raise ValueError(f"seeds must be different integers, zero or more, got {list(self.seeds)}")
+        unknown = [name for name in self.references if name not in REFERENCES]
+        if unknown:
+            raise ValueError(f"references must be some of {list(REFERENCES)}, got {list(self.references)}")
+        for threshold in self.thresholds:
+            if not 0.0 < threshold <= 1.0:
+                raise ValueError(f"thresholds must be in (0, 1], got {threshold}")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One agent that is to be made, or one policy to compare with.
+
+    Attributes:
+        task: Its name.
+        environment: Its id.
+        name: Of the algorithm, or of the policy.
+        seed: None for a policy to compare with.
+        plan: How it is made; None for a policy to compare with.
+        folder: Where it is kept.
+    """
+
+    task: str
+    environment: str
+    name: str
+    seed: int | None
+    plan: AlgorithmPlan | None
+    folder: Path
+
+    @property
+    def title(self) -> str:
+        """For people."""
+        return f"{self.task} {self.name}" + ("" if self.seed is None else f" seed {self.seed}")
+
+
+def read_plan(path: str | os.PathLike[str]) -> ResultsPlan:
+    """Read which runs there are to be.
+
+    Args:
+        path: Of a YAML file.
+
+    Raises:
+        FileNotFoundError: If there is no such file, or a configuration that it names is missing.
+        ValueError: If a key is unknown, one is missing, or a value is not allowed.
+    """
+    file = Path(path)
+    content = load_yaml(file)
+    try:
+        if not isinstance(content, Mapping) or not isinstance(content.get("tasks"), Mapping):
+            raise ValueError("it must be a mapping with the key 'tasks', a mapping from names to tasks")
+        tasks = {str(name): _read_task(str(name), task) for name, task in content["tasks"].items()}
+        return from_mapping(ResultsPlan, {**content, "tasks": tasks}, "")
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def _read_task(name: str, content: Any) -> TaskPlan:
+    where = f"tasks.{name}"
+    if not isinstance(content, Mapping) or not isinstance(content.get("algorithms"), Mapping):
+        raise ValueError(f"{where} must be a mapping with the keys 'environment' and 'algorithms'")
+    algorithms = {
+        str(key): from_mapping(AlgorithmPlan, value, f"{where}.algorithms.{key}")
+        for key, value in content["algorithms"].items()
+    }
+    task = from_mapping(TaskPlan, {**content, "algorithms": algorithms}, where)
+    try:
+        env_id = find_environment(task.environment)
+    except (ImportError, ValueError) as error:
+        raise ValueError(f"{where}.environment must be the id of an environment: {error}") from error
+    for key, algorithm in algorithms.items():
+        trained = find_environment(algorithm.read(0).environment.id)
+        if not same_environment(trained, env_id):
+            raise ValueError(f"{where}.algorithms.{key}: {algorithm.config} is for {trained}, not {task.environment}")
+    return replace(task, environment=env_id)
+
+
+def planned_runs(
+    plan: ResultsPlan,
+    tasks: Iterable[str] | None = None,
+    algorithms: Iterable[str] | None = None,
+    seeds: Sequence[int] | None = None,
+) -> list[Run]:
+    """The agents that a plan has, seed by seed, so that an interrupted plan has a few seeds of everything.
+
+    Args:
+        plan: Of everything.
+        tasks: Of some tasks only; None: of all.
+        algorithms: Of some algorithms only; None: of all.
+        seeds: With some seeds only; None: with all of the plan.
+
+    Raises:
+        ValueError: If there is no such task, algorithm or seed.
+    """
+    known = {name for task in plan.tasks.values() for name in task.algorithms}
+    for what, chosen, allowed in (
+        ("tasks", tasks, set(plan.tasks)),
+        ("algorithms", algorithms, known),
+        ("seeds", seeds, set(plan.seeds)),
+    ):
+        unknown = [each for each in chosen or () if each not in allowed]
+        if unknown:
+            raise ValueError(f"{what} must be some of {sorted(allowed)}, got {unknown}")
+    return [
+        Run(name, task.environment, key, seed, algorithm, Path(plan.runs) / f"{name}-{key}-{seed}")
+        for seed in plan.seeds
+        if seeds is None or seed in seeds
+        for name, task in plan.tasks.items()
+        if tasks is None or name in tasks
+        for key, algorithm in task.algorithms.items()
+        if algorithms is None or key in algorithms
+    ]
+
+
+def planned_references(plan: ResultsPlan, tasks: Iterable[str] | None = None) -> list[Run]:
+    """The policies to compare with, of all tasks or of some."""
+    return [
+        Run(name, task.environment, reference, None, None, Path(plan.runs) / f"{name}-{reference}")
+        for name, task in plan.tasks.items()
+        if tasks is None or name in tasks
+        for reference in plan.references
+    ]

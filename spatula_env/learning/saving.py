@@ -1,0 +1,325 @@
+"""What training leaves on the disk, and reading it again.
+
+A run has a folder for each seed:
+
+    RUN/seed-0/config.yaml          the configuration, with all defaults and changes, and this seed only
+    RUN/seed-0/provenance.json      versions, commit, machine
+    RUN/seed-0/curve.jsonl          a line for each evaluation
+    RUN/seed-0/tensorboard/
+    RUN/seed-0/checkpoints/step-N/  the last two; all that training needs to go on
+    RUN/seed-0/best/                the policy of the best evaluation
+    RUN/seed-0/policy/              the policy at the end
+    RUN/seed-0/summary.json         how it ended; there only when it has
+    RUN/summary.json                all seeds
+
+Files and folders appear whole or not at all: they are written beside their place and then renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import uuid
+from collections.abc import Callable, Mapping
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from spatula_env import __version__
+from spatula_env.engines import BULLET_DISTRIBUTIONS
+from spatula_env.learning.acting import acting_policy
+from spatula_env.learning.configuration import TrainingConfig, read_training, write_training
+from spatula_env.learning.policies import Policy, interface_of
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecNormalize
+
+MODEL, NORMALIZER, CONFIG = "model.zip", "normalizer.npz", "config.yaml"
+
+EVALUATION, PROVENANCE, SUMMARY, CURVE = "evaluation.json", "provenance.json", "summary.json", "curve.jsonl"
+
+BEST, POLICY, CHECKPOINTS = "best", "policy", "checkpoints"
+"""Folders of a seed."""
+
+PACKAGES = (
+    "gymnasium",
+    "numpy",
+    "numba",
+    *BULLET_DISTRIBUTIONS,
+    "torch",
+    "stable-baselines3",
+    "sb3-contrib",
+    "ray",
+)
+"""Whose versions are written down."""
+
+KEPT_CHECKPOINTS = 2
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write a JSON file, all at once."""
+    write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, all at once."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
+    """Write a folder, all at once, in the place of the one that is there, if any.
+
+    Args:
+        path: Where.
+        fill: Writes files into the folder that it is given.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    mark = uuid.uuid4().hex
+    temporary = path.with_name(f".{path.name}.{mark}.tmp")
+    temporary.mkdir()
+    try:
+        fill(temporary)
+        old = path.with_name(f".{path.name}.{mark}.old")
+        if path.exists():
+            os.replace(path, old)
+        os.replace(temporary, path)
+        shutil.rmtree(old, ignore_errors=True)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def sweep(folder: Path) -> None:
+    """Put right what a run that was killed has left: folders that were being replaced, and unfinished ones."""
+    for old in sorted(folder.glob(".*.old")):
+        place = folder / old.name[1:].partition(".")[0]
+        if place.exists():
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            os.replace(old, place)
+    for unfinished in folder.glob(".*.tmp"):
+        if unfinished.is_dir():
+            shutil.rmtree(unfinished, ignore_errors=True)
+        else:
+            unfinished.unlink(missing_ok=True)
+
+
+def save_policy(
+    folder: Path,
+    model: BaseAlgorithm,
+    normalizer: VecNormalize | None,
+    config: TrainingConfig,
+    evaluation: Mapping[str, Any] | None = None,
+) -> None:
+    """Save what is needed to act, and how well that did."""
+
+    def fill(place: Path) -> None:
+        _write_policy(place, model, normalizer, config)
+        if evaluation is not None:
+            write_json(place / EVALUATION, evaluation)
+
+    write_folder(folder, fill)
+
+
+def save_checkpoint(
+    folder: Path,
+    model: BaseAlgorithm,
+    normalizer: VecNormalize | None,
+    config: TrainingConfig,
+    progress: Mapping[str, Any],
+) -> Path:
+    """Save what is needed to go on: also optimisers, replay buffer, and the state of all random numbers.
+
+    Args:
+        folder: Of the checkpoints.
+        model: What is trained.
+        normalizer: What normalises its observations.
+        config: How it is trained.
+        progress: What else to remember, of Python's and NumPy's own types.
+
+    Returns:
+        The checkpoint; all but the last two are removed.
+    """
+    from spatula_env.learning.storage import write_progress
+
+    def fill(place: Path) -> None:
+        _write_policy(place, model, normalizer, config)
+        write_progress(place, model, progress)
+
+    checkpoint = folder / f"step-{model.num_timesteps:012d}"
+    write_folder(checkpoint, fill)
+    for old in checkpoints_in(folder)[:-KEPT_CHECKPOINTS]:
+        shutil.rmtree(old, ignore_errors=True)
+    return checkpoint
+
+
+def restore_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]:
+    """Give a model its replay buffer back, and all random numbers their state; `model` itself is loaded before.
+
+    Returns:
+        What else was remembered.
+
+    Raises:
+        ValueError: If the files are of an earlier version, or do not fit the model.
+    """
+    from spatula_env.learning.storage import read_progress
+
+    return read_progress(checkpoint, model)
+
+
+def checkpoints_in(folder: Path) -> list[Path]:
+    """The checkpoints in a folder, the oldest first."""
+    return sorted(path for path in folder.glob("step-*") if re.fullmatch(r"step-\d+", path.name))
+
+
+def find_saved(path: Path) -> Path:
+    """The policy that a path means: that of a run's best evaluation, its last, or its last checkpoint's.
+
+    Args:
+        path: Of a policy or checkpoint, of a seed's folder, or of a run with one seed.
+
+    Raises:
+        FileNotFoundError: If there is none.
+        ValueError: If a run has several seeds.
+    """
+    if (path / MODEL).exists():
+        return path
+    for candidate in (path / "best", path / "policy", *reversed(checkpoints_in(path / "checkpoints"))):
+        if (candidate / MODEL).exists():
+            return candidate
+    seeds = sorted(path.glob("seed-*"))
+    if len(seeds) > 1:
+        raise ValueError(f"{path} has several seeds; name one of {[str(seed) for seed in seeds]}")
+    if seeds:
+        return find_saved(seeds[0])
+    raise FileNotFoundError(f"there is no policy in {path}")
+
+
+def read_saved_config(folder: Path) -> TrainingConfig:
+    """How a saved policy was trained."""
+    return read_training(folder / CONFIG)
+
+
+def load_model(folder: Path, config: TrainingConfig, env: Any = None) -> BaseAlgorithm:
+    """Read a saved model: it is built by its configuration, and gets its weights. Nothing that its files hold is run.
+
+    Args:
+        folder: Of a policy or checkpoint.
+        config: How it was trained.
+        env: To train in; None: to act only.
+
+    Raises:
+        ValueError: If the files are of an earlier version, or do not fit the configuration.
+    """
+    from spatula_env.learning.storage import read_model
+
+    return read_model(folder, config, env)
+
+
+def load_normalizer(folder: Path, env: VecNormalize | None = None) -> VecNormalize | None:
+    """Read what normalised a saved model's observations.
+
+    Args:
+        folder: Of a policy or checkpoint.
+        env: Gets the estimates; None: a new one, around no worlds.
+
+    Returns:
+        What has them; None if nothing was normalised.
+    """
+    from spatula_env.learning.storage import read_normalizer
+
+    return read_normalizer(folder, env)
+
+
+def load_policy(folder: Path, env: Any) -> Policy:
+    """A saved policy, to act in an environment."""
+    config = read_saved_config(folder)
+    model, normalizer = load_model(folder, config), load_normalizer(folder)
+    return acting_policy(model, normalizer, export_metadata(config)).bound_to(env)
+
+
+def provenance() -> dict[str, Any]:
+    """Versions, commit, time and machine."""
+    versions: dict[str, str | None] = {"python": platform.python_version(), "spatula_env": __version__}
+    for name in PACKAGES:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            versions[name] = None
+    return {
+        "versions": versions,
+        "commit": _git("rev-parse", "HEAD"),
+        "uncommitted_changes": bool(_git("status", "--porcelain", "--untracked-files=no")),
+        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "machine": {"system": platform.platform(), "processor": _processor(), "cores": os.cpu_count()},
+    }
+
+
+def read_curve(path: Path) -> list[dict[str, Any]]:
+    """The lines of a curve; a line that was cut by the end of its process is left out."""
+    if not path.exists():
+        return []
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            lines.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return lines
+
+
+def write_curve(path: Path, lines: list[dict[str, Any]]) -> None:
+    """Write a curve, all at once."""
+    write_text(path, "".join(json.dumps(line) + "\n" for line in lines))
+
+
+def _write_policy(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | None, config: TrainingConfig) -> None:
+    from spatula_env.learning.storage import write_model
+
+    write_model(place, model, normalizer)
+    write_training(config, place / CONFIG)
+
+
+def export_metadata(config: TrainingConfig) -> dict[str, Any]:
+    """What an exported policy has to know about how it was trained."""
+    parts = config.environment.parts
+    return {
+        "env_id": config.environment.id,
+        "env_kwargs": interface_of(config.environment.kwargs),
+        "parts": None if parts is None else list(parts),
+    }
+
+
+def _git(*arguments: str) -> str | None:
+    """What git says about the folder of this package; None without git or repository."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(Path(__file__).parent), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+def _processor() -> str:
+    file = Path("/proc/cpuinfo")
+    if file.exists():
+        for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor()
