@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,24 @@ PATCH = 8
 their number if that is more."""
 
 PATCH_SHARE = 0.25
+
+REACH = 0.35
+"""Pairs are kept in mind that are nearer to each other than this, in lengths of an edge."""
+
+ROOM = 8
+"""So many pairs are kept for each edge. Where there are more, all are looked at."""
+
+SURE = 1.0 - 1e-6
+"""So much of half the reach may be used up: the rest is for rounding."""
+
+FLAT = 1e-9
+"""A triangle whose area is less than this, in squares of its sides, has no plane."""
+
+TURNS = 2
+"""How often in a step the frame that goes with the vertices is turned towards them."""
+
+UNKNOWN = -1
+"""Number of pairs where they have not been found, or are too many."""
 
 ROUNDING = 1e-13
 """A height over a plane is in doubt if it is less than this, in the size of what it is computed from."""
@@ -37,24 +56,95 @@ class Crossings:
     between: int
 
 
+class Net(NamedTuple):
+    """Surfaces, divided into patches, for kernels.
+
+    Attributes:
+        triangles: (T, 3) of closed surfaces, counter-clockwise from outside, patch after patch.
+        triangle_starts: (P + 1,) where each patch's begin, and the end.
+        edges: (E, 2) each in the patch of a triangle that has it.
+        edge_starts: (P + 1,) likewise.
+        triangle_patches: (T,) which patch each triangle is in.
+        edge_patches: (E,) likewise.
+        fan_starts: (V + 1,) where the triangles around each vertex begin in `fans`, and the end.
+        fans: (3 T,) triangles around vertex after vertex.
+        star_starts: (V + 1,) likewise of edges.
+        stars: (2 E,) edges at vertex after vertex.
+        organs: (V,) which organ each vertex belongs to.
+        shape: (V, 3) the vertices in some state, from their mean [u].
+    """
+
+    triangles: NDArray[np.int32]
+    triangle_starts: NDArray[np.int64]
+    edges: NDArray[np.int32]
+    edge_starts: NDArray[np.int64]
+    triangle_patches: NDArray[np.int64]
+    edge_patches: NDArray[np.int64]
+    fan_starts: NDArray[np.int64]
+    fans: NDArray[np.int64]
+    star_starts: NDArray[np.int64]
+    stars: NDArray[np.int64]
+    organs: NDArray[np.int32]
+    shape: FloatArray
+
+
+class Near(NamedTuple):
+    """Which edges and triangles are near each other in each world, for kernels.
+
+    Attributes:
+        counts: (W,) how many pairs there are, `UNKNOWN` if they have not been found or are too many.
+        pairs: (W, n, 2) an edge and a triangle each.
+        turns: (W, 4) orientation of a frame that goes with the vertices, quaternion xyzw; its origin is their mean.
+        found_at: (W, V, 3) where vertices were in that frame when what is near them was found [u].
+        triangle_boxes: (W, T, 6) around them as they were then, lower corner and upper one, half of the reach wider.
+        edge_boxes: (W, E, 6) likewise.
+        patch_boxes: (W, P, 6) around the boxes of their triangles.
+    """
+
+    counts: NDArray[np.int64]
+    pairs: NDArray[np.int32]
+    turns: FloatArray
+    found_at: FloatArray
+    triangle_boxes: FloatArray
+    edge_boxes: FloatArray
+    patch_boxes: FloatArray
+
+
 class CrossingCounter:
-    """Counts crossings of surfaces whose vertices move.
+    """Counts crossings of surfaces whose vertices move, in one world or in many.
+
+    An edge and a triangle that are farther apart than some reach cannot cross before a vertex has moved by half of it.
+    Those pairs are looked at that were nearer than that when they were found; what is near a vertex is found anew when
+    it has moved so far.
 
     Args:
         vertices: (V, 3) of all surfaces in some state: what is near each other then is looked at together [u].
         triangles: (T, 3) of closed surfaces, counter-clockwise from outside.
         organs: (V,) which organ each vertex belongs to; all to one by default.
+        worlds: How many there are.
     """
 
-    def __init__(self, vertices: FloatArray, triangles: ArrayLike, organs: ArrayLike | None = None) -> None:
-        indices = np.array(triangles, dtype=np.int32)
-        patches = _patches(vertices[indices].mean(axis=1), np.arange(len(indices)))
-        self._triangles = np.ascontiguousarray(indices[np.concatenate(patches)])
-        self._starts = np.cumsum([0, *(len(patch) for patch in patches)])
-        self._organs = np.zeros(len(vertices), dtype=np.int32) if organs is None else np.array(organs, dtype=np.int32)
+    def __init__(
+        self, vertices: FloatArray, triangles: ArrayLike, organs: ArrayLike | None = None, worlds: int = 1
+    ) -> None:
+        which = np.zeros(len(vertices), dtype=np.int32) if organs is None else np.array(organs, dtype=np.int32)
+        self._net = _make_net(vertices, np.array(triangles, dtype=np.int32), which)
+        edges, patches = self._net.edges, len(self._net.triangle_starts) - 1
+        lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+        self._reach = REACH * float(np.median(lengths))
+        self._near = Near(
+            counts=np.full(worlds, UNKNOWN),
+            pairs=np.empty((worlds, ROOM * len(edges), 2), dtype=np.int32),
+            turns=np.tile([0.0, 0.0, 0.0, 1.0], (worlds, 1)),
+            found_at=np.zeros((worlds, len(vertices), 3)),
+            triangle_boxes=np.zeros((worlds, len(self._net.triangles), 6)),
+            edge_boxes=np.zeros((worlds, len(edges), 6)),
+            patch_boxes=np.zeros((worlds, patches, 6)),
+        )
+        self._every = np.ones(worlds, dtype=np.bool_)
 
     def count(self, vertices: FloatArray) -> Crossings:
-        """Count them.
+        """Count them in the first world.
 
         Args:
             vertices: (V, 3) finite [u].
@@ -62,8 +152,58 @@ class CrossingCounter:
         Returns:
             How many there are. An edge does not go through a triangle that it only touches, or shares a vertex with.
         """
-        found = count_crossings(np.ascontiguousarray(vertices), self._triangles, self._starts, self._organs)
-        return Crossings(*found)
+        own, between = self.count_all(vertices[None], self._every)
+        return Crossings(int(own[0]), int(between[0]))
+
+    def count_all(self, vertices: FloatArray, active: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Count them in some worlds.
+
+        Args:
+            vertices: (W, V, 3) finite [u].
+            active: (W,) which worlds are looked at.
+
+        Returns:
+            How many there are of one organ, and how many of two, (W,) each; 0 in the other worlds.
+        """
+        counts = np.zeros((len(vertices), 2), dtype=np.int64)
+        count_in_worlds(self._net, np.ascontiguousarray(vertices), active, self._reach, self._near, counts)
+        return counts[:, 0], counts[:, 1]
+
+
+def _make_net(vertices: FloatArray, triangles: NDArray[np.int32], organs: NDArray[np.int32]) -> Net:
+    """A `Net` of triangles (T, 3) whose vertices (V, 3) and organs (V,) are given."""
+    patches = _patches(vertices[triangles].mean(axis=1), np.arange(len(triangles)))
+    sizes = [len(patch) for patch in patches]
+    ordered = np.ascontiguousarray(triangles[np.concatenate(patches)])
+    starts = np.cumsum([0, *sizes])
+    # The two triangles of an edge have it in opposite directions: it is of the one that has it upwards.
+    sides = ordered[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    upwards = sides[:, 0] < sides[:, 1]
+    edges = np.ascontiguousarray(sides[upwards])
+    edge_starts = np.concatenate([[0], np.cumsum(upwards)])[3 * starts]
+    fan_starts, fans = _around(ordered, len(vertices))
+    star_starts, stars = _around(edges, len(vertices))
+    return Net(
+        triangles=ordered,
+        triangle_starts=starts,
+        edges=edges,
+        edge_starts=edge_starts,
+        triangle_patches=np.repeat(np.arange(len(sizes)), sizes),
+        edge_patches=np.repeat(np.arange(len(sizes)), np.diff(edge_starts)),
+        fan_starts=fan_starts,
+        fans=fans,
+        star_starts=star_starts,
+        stars=stars,
+        organs=organs,
+        shape=vertices - vertices.mean(axis=0),
+    )
+
+
+def _around(members: NDArray[np.int32], vertices: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Which edges or triangles (n, k) are at each vertex: where each one's begin, (V + 1,), and their indices."""
+    flat = members.ravel()
+    starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=vertices))])
+    return starts, np.argsort(flat, kind="stable") // members.shape[1]
 
 
 def _patches(middles: FloatArray, members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -151,7 +291,7 @@ def _are_apart(first: np.ndarray, second: np.ndarray) -> bool:
     )  # fmt: skip
 
 
-@kernel("UniTuple(i8, 2)(f8[:,::1], i4[:,::1], i8[::1], i4[::1])")
+@kernel()
 def count_crossings(
     vertices: np.ndarray, triangles: np.ndarray, starts: np.ndarray, organs: np.ndarray
 ) -> tuple[int, int]:
@@ -208,3 +348,310 @@ def count_crossings(
                     else:
                         between += pairs
     return own, between
+
+
+@inline_kernel
+def _share(p: int, q: int, a: int, b: int, c: int) -> bool:
+    """Whether an edge and a triangle have a vertex in common."""
+    return (p == a) | (p == b) | (p == c) | (q == a) | (q == b) | (q == c)
+
+
+@inline_kernel
+def _fill_frame(vertices: np.ndarray, a: int, b: int, c: int, frame: np.ndarray) -> None:
+    """Write four planes (4, 4) of a triangle, unit normal and offset: its own, and those of its sides, outwards.
+
+    A triangle without an area has planes without a normal.
+    """
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+    cx, cy, cz = vertices[c, 0] - ax, vertices[c, 1] - ay, vertices[c, 2] - az
+    x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    area = math.sqrt(x * x + y * y + z * z)
+    if area <= FLAT * (bx * bx + by * by + bz * bz + cx * cx + cy * cy + cz * cz):
+        frame[:] = 0.0
+        return
+    x, y, z = x / area, y / area, z / area
+    frame[0, 0], frame[0, 1], frame[0, 2] = x, y, z
+    frame[0, 3] = x * ax + y * ay + z * az
+    _fill_side(vertices, a, b, x, y, z, frame, 1)
+    _fill_side(vertices, b, c, x, y, z, frame, 2)
+    _fill_side(vertices, c, a, x, y, z, frame, 3)
+
+
+@inline_kernel
+def _fill_side(
+    vertices: np.ndarray, start: int, end: int, x: float, y: float, z: float, frame: np.ndarray, k: int
+) -> None:
+    """Write the plane of a triangle's side, upright on the triangle with the normal x, y, z, into a row of `frame`."""
+    sx, sy, sz = vertices[start, 0], vertices[start, 1], vertices[start, 2]
+    ex, ey, ez = vertices[end, 0] - sx, vertices[end, 1] - sy, vertices[end, 2] - sz
+    length = math.sqrt(ex * ex + ey * ey + ez * ez)
+    ox, oy, oz = (ey * z - ez * y) / length, (ez * x - ex * z) / length, (ex * y - ey * x) / length
+    frame[k, 0], frame[k, 1], frame[k, 2] = ox, oy, oz
+    frame[k, 3] = ox * sx + oy * sy + oz * sz
+
+
+@inline_kernel
+def _are_far(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int, frame: np.ndarray, reach: float) -> bool:
+    """Whether a direction shows that an edge and a triangle are farther apart than some distance.
+
+    Tried are the normals of the triangle's planes, and what is across the edge and one of the triangle's sides.
+    """
+    px, py, pz = vertices[p, 0], vertices[p, 1], vertices[p, 2]
+    qx, qy, qz = vertices[q, 0], vertices[q, 1], vertices[q, 2]
+    for k in range(4):
+        x, y, z, offset = frame[k, 0], frame[k, 1], frame[k, 2], frame[k, 3]
+        first, second = x * px + y * py + z * pz - offset, x * qx + y * qy + z * qz - offset
+        if min(first, second) > reach or (k == 0 and max(first, second) < -reach):
+            return True
+    return (
+        _are_far_across(vertices, p, q, a, b, c, reach)
+        or _are_far_across(vertices, p, q, b, c, a, reach)
+        or _are_far_across(vertices, p, q, c, a, b, reach)
+    )
+
+
+@inline_kernel
+def _are_far_across(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int, reach: float) -> bool:
+    """Whether an edge and a triangle are far from each other along what is across the edge and the side from a to b."""
+    px, py, pz = vertices[p, 0], vertices[p, 1], vertices[p, 2]
+    dx, dy, dz = vertices[q, 0] - px, vertices[q, 1] - py, vertices[q, 2] - pz
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    sx, sy, sz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+    x, y, z = dy * sz - dz * sy, dz * sx - dx * sz, dx * sy - dy * sx
+    side = x * (ax - px) + y * (ay - py) + z * (az - pz)
+    third = x * (vertices[c, 0] - px) + y * (vertices[c, 1] - py) + z * (vertices[c, 2] - pz)
+    nearest = max(min(side, third), -max(side, third))
+    return nearest > 0.0 and nearest * nearest > reach * reach * (x * x + y * y + z * z)
+
+
+@inline_kernel
+def _fill_box(vertices: np.ndarray, corners: np.ndarray, wider: float, box: np.ndarray) -> None:
+    """Write the box (6,), lower corner and upper one, around an edge or a triangle, wider each way."""
+    for axis in range(3):
+        low, high = vertices[corners[0], axis], vertices[corners[0], axis]
+        for k in range(1, corners.shape[0]):
+            x = vertices[corners[k], axis]
+            low, high = min(low, x), max(high, x)
+        box[axis], box[3 + axis] = low - wider, high + wider
+
+
+@inline_kernel
+def _boxes_are_apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
+    """Whether a box of some (n, 6) and one of others have nothing in common."""
+    return (
+        (boxes[i, 0] > others[j, 3]) | (boxes[i, 3] < others[j, 0])
+        | (boxes[i, 1] > others[j, 4]) | (boxes[i, 4] < others[j, 1])
+        | (boxes[i, 2] > others[j, 5]) | (boxes[i, 5] < others[j, 2])
+    )  # fmt: skip
+
+
+@inline_kernel
+def _list_moved(moved: np.ndarray, starts: np.ndarray, around: np.ndarray, flags: np.ndarray, found: np.ndarray) -> int:
+    """Flag and list the edges or triangles at vertices that have moved; returns how many there are."""
+    count = 0
+    for v in range(moved.shape[0]):
+        if moved[v]:
+            for k in range(starts[v], starts[v + 1]):
+                if not flags[around[k]]:
+                    flags[around[k]] = True
+                    found[count] = around[k]
+                    count += 1
+    return count
+
+
+@kernel()
+def find_pairs(net: Net, near: Near, w: int, moved: np.ndarray, reach: float) -> None:
+    """Find anew what is near the vertices that have moved.
+
+    Args:
+        net: The surfaces.
+        near: Changed.
+        w: The world.
+        moved: (V,) which vertices.
+        reach: What is farther apart is not near [u].
+    """
+    vertices, pairs = near.found_at[w], near.pairs[w]
+    boxes, edge_boxes, around = near.triangle_boxes[w], near.edge_boxes[w], near.patch_boxes[w]
+    triangles, edges, patches = net.triangles, net.edges, around.shape[0]
+    triangle_moved, edge_moved = np.zeros(triangles.shape[0], np.bool_), np.zeros(edges.shape[0], np.bool_)
+    patch_moved, some = np.zeros(patches, np.bool_), np.empty(max(triangles.shape[0], edges.shape[0]), np.int64)
+    for k in range(_list_moved(moved, net.star_starts, net.stars, edge_moved, some)):
+        _fill_box(vertices, edges[some[k]], 0.5 * reach, edge_boxes[some[k]])
+    for k in range(_list_moved(moved, net.fan_starts, net.fans, triangle_moved, some)):
+        _fill_box(vertices, triangles[some[k]], 0.5 * reach, boxes[some[k]])
+        patch_moved[net.triangle_patches[some[k]]] = True
+    for patch in range(patches):
+        if patch_moved[patch]:
+            around[patch, :3], around[patch, 3:] = np.inf, -np.inf
+            for t in range(net.triangle_starts[patch], net.triangle_starts[patch + 1]):
+                for axis in range(3):
+                    around[patch, axis] = min(around[patch, axis], boxes[t, axis])
+                    around[patch, 3 + axis] = max(around[patch, 3 + axis], boxes[t, 3 + axis])
+    count = 0
+    for k in range(max(near.counts[w], 0)):
+        if not (edge_moved[pairs[k, 0]] or triangle_moved[pairs[k, 1]]):
+            pairs[count, 0], pairs[count, 1] = pairs[k, 0], pairs[k, 1]
+            count += 1
+    triangle_starts, edge_starts, room = net.triangle_starts, net.edge_starts, pairs.shape[0]
+    frame = np.empty((4, 4))
+    # An edge that has moved has moved triangles of its patch with it.
+    for first in range(patches):
+        if not patch_moved[first]:
+            continue
+        found = 0
+        for second in range(patches):
+            if not _boxes_are_apart(around, first, around, second):
+                some[found] = second
+                found += 1
+        for t in range(triangle_starts[first], triangle_starts[first + 1]):
+            if not triangle_moved[t]:
+                continue
+            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            _fill_frame(vertices, a, b, c, frame)
+            for k in range(found):
+                second = some[k]
+                if _boxes_are_apart(boxes, t, around, second):
+                    continue
+                for e in range(edge_starts[second], edge_starts[second + 1]):
+                    if _boxes_are_apart(boxes, t, edge_boxes, e):
+                        continue
+                    p, q = edges[e, 0], edges[e, 1]
+                    if _share(p, q, a, b, c) or _are_far(vertices, p, q, a, b, c, frame, reach):
+                        continue
+                    if count < room:
+                        pairs[count, 0], pairs[count, 1] = e, t
+                    count += 1
+        for e in range(edge_starts[first], edge_starts[first + 1]):
+            if not edge_moved[e]:
+                continue
+            p, q = edges[e, 0], edges[e, 1]
+            for k in range(found):
+                second = some[k]
+                if _boxes_are_apart(edge_boxes, e, around, second):
+                    continue
+                for t in range(triangle_starts[second], triangle_starts[second + 1]):
+                    if triangle_moved[t] or _boxes_are_apart(edge_boxes, e, boxes, t):
+                        continue
+                    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+                    if _share(p, q, a, b, c):
+                        continue
+                    _fill_frame(vertices, a, b, c, frame)
+                    if _are_far(vertices, p, q, a, b, c, frame, reach):
+                        continue
+                    if count < room:
+                        pairs[count, 0], pairs[count, 1] = e, t
+                    count += 1
+    near.counts[w] = count if count <= room else UNKNOWN
+
+
+@inline_kernel
+def _fill_axes(turn: np.ndarray, axes: np.ndarray) -> None:
+    """Write the axes of a frame, the columns of `axes` (3, 3), from its orientation (4,), quaternion xyzw."""
+    x, y, z, w = turn[0], turn[1], turn[2], turn[3]
+    axes[0, 0], axes[0, 1], axes[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
+    axes[1, 0], axes[1, 1], axes[1, 2] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
+    axes[2, 0], axes[2, 1], axes[2, 2] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
+
+
+@kernel()
+def follow_turn(
+    shape: np.ndarray, vertices: np.ndarray, turn: np.ndarray, axes: np.ndarray
+) -> tuple[float, float, float]:
+    """Let a frame go with vertices as they move, so that they move little in it.
+
+    M. Müller, J. Bender, N. Chentanez and M. Macklin, A robust method to extract the rotational part of deformations,
+    Motion in Games, 2016.
+
+    Args:
+        shape: (V, 3) the vertices at rest, from their mean [u].
+        vertices: (V, 3) now [u].
+        turn: (4,) orientation of the frame, quaternion xyzw; changed.
+        axes: (3, 3) is filled: the frame's axes in columns.
+
+    Returns:
+        Mean of the vertices, the frame's origin [u].
+    """
+    size = vertices.shape[0]
+    mean, moments = np.zeros(3), np.zeros((3, 3))
+    for v in range(size):
+        for k in range(3):
+            mean[k] += vertices[v, k]
+            for m in range(3):
+                moments[k, m] += vertices[v, k] * shape[v, m]
+    for _ in range(TURNS):
+        _fill_axes(turn, axes)
+        x, y, z, w, along = 0.0, 0.0, 0.0, 1.0, 0.0
+        for m in range(3):
+            x += axes[1, m] * moments[2, m] - axes[2, m] * moments[1, m]
+            y += axes[2, m] * moments[0, m] - axes[0, m] * moments[2, m]
+            z += axes[0, m] * moments[1, m] - axes[1, m] * moments[0, m]
+            along += axes[0, m] * moments[0, m] + axes[1, m] * moments[1, m] + axes[2, m] * moments[2, m]
+        # Half the vector of a small rotation, as a quaternion.
+        half = 0.5 / (abs(along) + 1e-300)
+        x, y, z = half * x, half * y, half * z
+        a, b, c, d = turn[0], turn[1], turn[2], turn[3]
+        turn[0] = w * a + x * d + y * c - z * b
+        turn[1] = w * b - x * c + y * d + z * a
+        turn[2] = w * c + x * b - y * a + z * d
+        turn[3] = w * d - x * a - y * b - z * c
+        length = math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2 + turn[3] ** 2)
+        for k in range(4):
+            turn[k] /= length
+    _fill_axes(turn, axes)
+    return mean[0] / size, mean[1] / size, mean[2] / size
+
+
+@inline_kernel
+def _find_moved(net: Net, near: Near, w: int, vertices: np.ndarray, half: float, moved: np.ndarray) -> bool:
+    """Write which vertices (V, 3) have moved farther than half of the reach in their frame, and where to.
+
+    Returns:
+        Whether any have.
+    """
+    axes = np.empty((3, 3))
+    x, y, z = follow_turn(net.shape, vertices, near.turns[w], axes)
+    xx, xy, xz = axes[0, 0], axes[0, 1], axes[0, 2]
+    yx, yy, yz = axes[1, 0], axes[1, 1], axes[1, 2]
+    zx, zy, zz = axes[2, 0], axes[2, 1], axes[2, 2]
+    at, some, every = near.found_at[w], False, near.counts[w] == UNKNOWN
+    for v in range(vertices.shape[0]):
+        dx, dy, dz = vertices[v, 0] - x, vertices[v, 1] - y, vertices[v, 2] - z
+        a, b, c = xx * dx + yx * dy + zx * dz, xy * dx + yy * dy + zy * dz, xz * dx + yz * dy + zz * dz
+        squared = (a - at[v, 0]) ** 2 + (b - at[v, 1]) ** 2 + (c - at[v, 2]) ** 2
+        moved[v] = every or squared > half * half
+        if moved[v]:
+            some = True
+            at[v, 0], at[v, 1], at[v, 2] = a, b, c
+    return some
+
+
+@kernel()
+def count_in_worlds(
+    net: Net, vertices: np.ndarray, active: np.ndarray, reach: float, near: Near, crossings: np.ndarray
+) -> None:
+    """Count the pairs of an edge and a triangle that it goes through, in some worlds.
+
+    Args:
+        net: The surfaces.
+        vertices: (W, V, 3) [u].
+        active: (W,) which worlds are looked at.
+        reach: What is farther apart is not near [u].
+        near: Kept from call to call.
+        crossings: (W, 2) is filled: how many pairs are of one organ, and how many of two.
+    """
+    moved = np.empty(vertices.shape[1], np.bool_)
+    for w in range(vertices.shape[0]):
+        if not active[w]:
+            continue
+        if _find_moved(net, near, w, vertices[w], SURE * 0.5 * reach, moved):
+            find_pairs(net, near, w, moved, reach)
+        if near.counts[w] == UNKNOWN:
+            crossings[w] = count_crossings(vertices[w], net.triangles, net.triangle_starts, net.organs)
+            continue
+        for k in range(near.counts[w]):
+            e, t = near.pairs[w, k, 0], near.pairs[w, k, 1]
+            p, q = net.edges[e, 0], net.edges[e, 1]
+            a, b, c = net.triangles[t, 0], net.triangles[t, 1], net.triangles[t, 2]
+            if _goes_through(vertices[w], p, q, a, b, c):
+                crossings[w, 0 if net.organs[p] == net.organs[a] else 1] += 1

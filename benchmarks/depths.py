@@ -8,13 +8,23 @@ triangle.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from spatula_env._kernels import inline_kernel, kernel
 
+if TYPE_CHECKING:
+    from benchmarks.probes import Points
+
 GRAZE = 1e-12
 """A line passes so near an edge that the side is in doubt, if the triangle of edge and line has no more area [u2]."""
+
+DOUBTFUL = -(2**40)
+"""In the place of a winding number: not known."""
+
+BAND = 0.1
+"""What is within this distance of a tool is near it [u]."""
 
 
 @inline_kernel
@@ -96,113 +106,225 @@ def _squared_distance_to_triangle(p: np.ndarray, a: np.ndarray, b: np.ndarray, c
     )
 
 
-@kernel("void(f8[:,::1], f8[:,::1], i4[:,::1], b1[::1], f8[::1])")
-def locate_points(
-    points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, inside: np.ndarray, depths: np.ndarray
-) -> None:
-    """Say which points a closed surface encloses, and how deep they are.
+@inline_kernel
+def _height_over(u: float, v: float, seen: np.ndarray, a: int, b: int, c: int) -> tuple[int, float]:
+    """Where a line along w goes through a triangle.
+
+    Args:
+        u: Of the line,
+        v: and this.
+        seen: (V, 3) vertices along u, v and w.
+        a: Index of a corner,
+        b: and another,
+        c: and the last.
+
+    Returns:
+        1 where it leaves a surface that the triangle is of, -1 where it enters, 0 where it misses, and `DOUBTFUL` if it
+        passes too near an edge to tell; and where that is along w.
+    """
+    opposite_a = _doubled_area(u, v, seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1])
+    opposite_b = _doubled_area(u, v, seen[c, 0], seen[c, 1], seen[a, 0], seen[a, 1])
+    opposite_c = _doubled_area(u, v, seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1])
+    least = min(opposite_a, opposite_b, opposite_c)
+    most = max(opposite_a, opposite_b, opposite_c)
+    if least > GRAZE or most < -GRAZE:
+        area = opposite_a + opposite_b + opposite_c
+        height = (opposite_a * seen[a, 2] + opposite_b * seen[b, 2] + opposite_c * seen[c, 2]) / area
+        return (1 if area > 0.0 else -1), height
+    if least >= -GRAZE or most <= GRAZE:
+        return DOUBTFUL, np.inf
+    return 0, -np.inf
+
+
+@inline_kernel
+def see(vertices: np.ndarray, seen: np.ndarray) -> None:
+    """Write vertices (V, 3) along u, v and w of `probes.LINES` into `seen` (V, 3)."""
+    for i in range(vertices.shape[0]):
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        seen[i, 0] = (3.0 * x - 6.0 * y + 2.0 * z) / 7.0
+        seen[i, 1] = (6.0 * x + 2.0 * y - 3.0 * z) / 7.0
+        seen[i, 2] = (2.0 * x + 3.0 * y + 6.0 * z) / 7.0
+
+
+@inline_kernel
+def is_inside(
+    point: np.ndarray, line: np.ndarray, vertices: np.ndarray, seen: np.ndarray, triangles: np.ndarray
+) -> bool:
+    """Whether a closed surface's winding number about a point is positive.
+
+    Args:
+        point: (3,) [u].
+        line: (3,) the point along u, v and w.
+        vertices: (V, 3) [u].
+        seen: (V, 3) the vertices along u, v and w.
+        triangles: (T, 3), counter-clockwise from outside.
+    """
+    u, v, w = line[0], line[1], line[2]
+    winding = 0
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if (
+            max(seen[a, 2], seen[b, 2], seen[c, 2]) < w
+            or min(seen[a, 0], seen[b, 0], seen[c, 0]) > u
+            or max(seen[a, 0], seen[b, 0], seen[c, 0]) < u
+            or min(seen[a, 1], seen[b, 1], seen[c, 1]) > v
+            or max(seen[a, 1], seen[b, 1], seen[c, 1]) < v
+        ):
+            continue
+        way, height = _height_over(u, v, seen, a, b, c)
+        if way == DOUBTFUL:
+            return _solid_angles(point, vertices, triangles) > 0.5
+        if height > w:
+            winding += way
+    return winding > 0
+
+
+@kernel()
+def find_inside(
+    points: Points, vertices: np.ndarray, seen: np.ndarray, triangles: np.ndarray, inside: np.ndarray
+) -> bool:
+    """Say which points a closed surface encloses.
 
     A point's winding number is the number of times that a line from it leaves the surface, less the number of times
-    that it enters. Where the line passes too near an edge to tell, the solid angles decide.
+    that it enters. Where the line passes too near an edge to tell, the solid angles decide. Which points a triangle may
+    be over is looked up in the grid of the points.
+
+    Args:
+        points: The points.
+        vertices: (V, 3) of the surface [u].
+        seen: (V, 3) the vertices along u, v and w.
+        triangles: (T, 3), counter-clockwise from outside.
+        inside: (m,) is filled: whether the winding number is positive.
+
+    Returns:
+        Whether any point is inside.
+    """
+    count, cells = points.places.shape[0], points.cells
+    low_u, low_v, dense_u, dense_v = points.grid[0], points.grid[1], points.grid[2], points.grid[3]
+    lines, order, starts = points.seen, points.order, points.starts
+    winding = np.zeros(count, np.int64)
+    lowest = np.inf
+    for i in range(count):
+        lowest = min(lowest, lines[i, 2])
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        least_u, most_u = min(seen[a, 0], seen[b, 0], seen[c, 0]), max(seen[a, 0], seen[b, 0], seen[c, 0])
+        least_v, most_v = min(seen[a, 1], seen[b, 1], seen[c, 1]), max(seen[a, 1], seen[b, 1], seen[c, 1])
+        highest = max(seen[a, 2], seen[b, 2], seen[c, 2])
+        from_u, to_u = (least_u - low_u) * dense_u, (most_u - low_u) * dense_u
+        from_v, to_v = (least_v - low_v) * dense_v, (most_v - low_v) * dense_v
+        if highest < lowest or to_u < 0.0 or to_v < 0.0 or from_u > cells + 1.0 or from_v > cells + 1.0:
+            continue
+        first_v, last_v = int(min(max(from_v, 0.0), cells - 1.0)), int(min(to_v, cells - 1.0))
+        for row in range(int(min(max(from_u, 0.0), cells - 1.0)), int(min(to_u, cells - 1.0)) + 1):
+            for k in range(starts[row * cells + first_v], starts[row * cells + last_v + 1]):
+                i = order[k]
+                u, v, w = lines[i, 0], lines[i, 1], lines[i, 2]
+                if highest < w or u < least_u or u > most_u or v < least_v or v > most_v:
+                    continue
+                way, height = _height_over(u, v, seen, a, b, c)
+                if way == DOUBTFUL:
+                    winding[i] = DOUBTFUL
+                elif height > w and winding[i] != DOUBTFUL:
+                    winding[i] += way
+    found = False
+    for i in range(count):
+        if winding[i] == DOUBTFUL:
+            inside[i] = _solid_angles(points.places[i], vertices, triangles) > 0.5
+        else:
+            inside[i] = winding[i] > 0
+        found = found or inside[i]
+    return found
+
+
+@inline_kernel
+def _fill_ball(vertices: np.ndarray, corners: np.ndarray, ball: np.ndarray) -> None:
+    """Write the middle of a triangle, and how far its corners are from there at most, into `ball` (4,)."""
+    radius = 0.0
+    for k in range(3):
+        ball[k] = (vertices[corners[0], k] + vertices[corners[1], k] + vertices[corners[2], k]) / 3.0
+    for corner in range(3):
+        squared = 0.0
+        for k in range(3):
+            squared += (vertices[corners[corner], k] - ball[k]) ** 2
+        radius = max(radius, squared)
+    ball[3] = math.sqrt(radius)
+
+
+@inline_kernel
+def _search_nearest(
+    point: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, chosen: np.ndarray, balls: np.ndarray, nearest: int
+) -> tuple[float, int]:
+    """Squared distance of a point from the nearest of some triangles, and which of them it is.
+
+    Args:
+        point: (3,).
+        vertices: (V, 3).
+        triangles: (T, 3).
+        chosen: (n,) indices of triangles.
+        balls: (n, 4) around them.
+        nearest: One of them that is likely to be near: the others are then mostly too far.
+    """
+    t = chosen[nearest]
+    best = _squared_distance_to_triangle(
+        point, vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+    )
+    reach = math.sqrt(best)
+    for index in range(chosen.shape[0]):
+        squared = 0.0
+        for k in range(3):
+            squared += (point[k] - balls[index, k]) ** 2
+        if squared < (reach + balls[index, 3]) ** 2:
+            t = chosen[index]
+            squared = _squared_distance_to_triangle(
+                point, vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
+            )
+            if squared < best:
+                best, nearest, reach = squared, index, math.sqrt(squared)
+    return best, nearest
+
+
+@kernel()
+def measure_depths(
+    points: np.ndarray,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    near: np.ndarray,
+    inside: np.ndarray,
+    depths: np.ndarray,
+) -> None:
+    """Say how deep points are in a surface.
 
     Args:
         points: (m, 3) [u].
         vertices: (V, 3) of the surface [u].
-        triangles: (T, 3), counter-clockwise from outside.
-        inside: (m,) is filled: whether the winding number is positive.
+        triangles: (T, 3).
+        near: (n,) all triangles that are within `BAND` of any of the points, and perhaps others.
+        inside: (m,) which points are inside.
         depths: (m,) is filled: distance of each point inside from the nearest triangle, 0 for the others [u].
     """
-    count, size = points.shape[0], triangles.shape[0]
-    # All lines run along w of the right-handed frame (3, -6, 2) / 7, (6, 2, -3) / 7, (2, 3, 6) / 7, a direction that no
-    # face or lattice of a box lies along: surfaces that rest on a face are met at an angle.
-    seen = np.empty((vertices.shape[0], 3))
-    for v in range(vertices.shape[0]):
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        seen[v, 0] = (3.0 * x - 6.0 * y + 2.0 * z) / 7.0
-        seen[v, 1] = (6.0 * x + 2.0 * y - 3.0 * z) / 7.0
-        seen[v, 2] = (2.0 * x + 3.0 * y + 6.0 * z) / 7.0
-    lines = np.empty((count, 3))
-    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
-    for i in range(count):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        lines[i, 0] = (3.0 * x - 6.0 * y + 2.0 * z) / 7.0
-        lines[i, 1] = (6.0 * x + 2.0 * y - 3.0 * z) / 7.0
-        lines[i, 2] = (2.0 * x + 3.0 * y + 6.0 * z) / 7.0
-        low_u, high_u = min(low_u, lines[i, 0]), max(high_u, lines[i, 0])
-        low_v, high_v = min(low_v, lines[i, 1]), max(high_v, lines[i, 1])
-    near = np.empty(size, dtype=np.int32)
-    near_count = 0
-    for t in range(size):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        if (
-            min(seen[a, 0], seen[b, 0], seen[c, 0]) <= high_u
-            and max(seen[a, 0], seen[b, 0], seen[c, 0]) >= low_u
-            and min(seen[a, 1], seen[b, 1], seen[c, 1]) <= high_v
-            and max(seen[a, 1], seen[b, 1], seen[c, 1]) >= low_v
-        ):
-            near[near_count] = t
-            near_count += 1
-    found = False
-    for i in range(count):
-        u, v, w = lines[i, 0], lines[i, 1], lines[i, 2]
-        winding = 0
-        doubtful = False
-        for k in range(near_count):
-            a, b, c = triangles[near[k], 0], triangles[near[k], 1], triangles[near[k], 2]
-            opposite_a = _doubled_area(u, v, seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1])
-            opposite_b = _doubled_area(u, v, seen[c, 0], seen[c, 1], seen[a, 0], seen[a, 1])
-            opposite_c = _doubled_area(u, v, seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1])
-            least = min(opposite_a, opposite_b, opposite_c)
-            most = max(opposite_a, opposite_b, opposite_c)
-            if least > GRAZE or most < -GRAZE:
-                area = opposite_a + opposite_b + opposite_c
-                if (opposite_a * seen[a, 2] + opposite_b * seen[b, 2] + opposite_c * seen[c, 2]) / area > w:
-                    winding += 1 if area > 0.0 else -1
-            elif least >= -GRAZE or most <= GRAZE:
-                doubtful = True
-                break
-        inside[i] = _solid_angles(points[i], vertices, triangles) > 0.5 if doubtful else winding > 0
+    balls = np.empty((near.shape[0], 4))
+    for k in range(near.shape[0]):
+        _fill_ball(vertices, triangles[near[k]], balls[k])
+    everything, all_balls = near[:0], balls[:0]
+    nearest, nearest_of_all = 0, 0
+    for i in range(points.shape[0]):
         depths[i] = 0.0
-        found = found or inside[i]
-    if not found:
-        return
-    middles = np.empty((size, 3))
-    radii = np.empty(size)
-    for t in range(size):
-        radius = 0.0
-        for k in range(3):
-            middles[t, k] = (
-                vertices[triangles[t, 0], k] + vertices[triangles[t, 1], k] + vertices[triangles[t, 2], k]
-            ) / 3.0
-        for corner in range(3):
-            squared = 0.0
-            for k in range(3):
-                squared += (vertices[triangles[t, corner], k] - middles[t, k]) ** 2
-            radius = max(radius, squared)
-        radii[t] = math.sqrt(radius)
-    nearest = 0
-    for i in range(count):
         if not inside[i]:
             continue
-        # The triangle that was nearest to the point before is near this one too: the others are then mostly too far.
-        best = _squared_distance_to_triangle(
-            points[i],
-            vertices[triangles[nearest, 0]],
-            vertices[triangles[nearest, 1]],
-            vertices[triangles[nearest, 2]],
-        )
-        reach = math.sqrt(best)
-        for t in range(size):
-            squared = 0.0
-            for k in range(3):
-                squared += (points[i, k] - middles[t, k]) ** 2
-            if squared < (reach + radii[t]) ** 2:
-                squared = _squared_distance_to_triangle(
-                    points[i], vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-                )
-                if squared < best:
-                    best, nearest, reach = squared, t, math.sqrt(squared)
-        depths[i] = reach
+        best = np.inf
+        if near.shape[0] > 0:
+            best, nearest = _search_nearest(points[i], vertices, triangles, near, balls, nearest)
+        if best > BAND * BAND:
+            if everything.shape[0] == 0:
+                everything = np.arange(triangles.shape[0])
+                all_balls = np.empty((triangles.shape[0], 4))
+                for t in range(triangles.shape[0]):
+                    _fill_ball(vertices, triangles[t], all_balls[t])
+            best, nearest_of_all = _search_nearest(
+                points[i], vertices, triangles, everything, all_balls, nearest_of_all
+            )
+        depths[i] = math.sqrt(best)
 
 
 @inline_kernel
@@ -290,41 +412,43 @@ def _deepest(heights: np.ndarray, known: float, polygons: np.ndarray) -> float:
     return greatest
 
 
-@kernel("f8(f8[:,::1], i4[:,::1], f8[:,::1], f8[::1])")
-def depth_of_surface(vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> float:
+@kernel()
+def depth_of_surface(
+    vertices: np.ndarray, triangles: np.ndarray, near: np.ndarray, normals: np.ndarray, offsets: np.ndarray
+) -> float:
     """Greatest depth of any point of a surface in a convex body: its distance from the nearest of the body's faces.
 
     Args:
         vertices: (V, 3) of the surface, in the body's frame [u].
         triangles: (T, 3).
+        near: (n,) all triangles that meet the body, and perhaps others.
         normals: (F, 3) outward unit normals of the body's faces.
         offsets: (F,) of the faces' planes [u].
 
     Returns:
         The depth, 0 if the surface does not meet the body [u].
     """
-    count, faces = vertices.shape[0], normals.shape[0]
-    under = np.empty((count, faces))
+    count, faces = near.shape[0], normals.shape[0]
+    under = np.empty((count, faces, 3))
     greatest = 0.0
-    for v in range(count):
-        depth = np.inf
-        for f in range(faces):
-            under[v, f] = offsets[f]
-            for k in range(3):
-                under[v, f] -= normals[f, k] * vertices[v, k]
-            depth = min(depth, under[v, f])
-        greatest = max(greatest, depth)
-    heights, polygons = np.empty((faces, 3)), np.empty((3, 2 * faces + 4, 3))
-    for t in range(triangles.shape[0]):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    for index in range(count):
+        for corner in range(3):
+            v = triangles[near[index], corner]
+            depth = np.inf
+            for f in range(faces):
+                height = offsets[f]
+                for k in range(3):
+                    height -= normals[f, k] * vertices[v, k]
+                under[index, f, corner] = height
+                depth = min(depth, height)
+            greatest = max(greatest, depth)
+    polygons = np.empty((3, 2 * faces + 4, 3))
+    for index in range(count):
         apart = False
         for f in range(faces):
-            if max(under[a, f], under[b, f], under[c, f]) <= greatest:
+            if max(under[index, f, 0], under[index, f, 1], under[index, f, 2]) <= greatest:
                 apart = True
                 break
-        if apart:
-            continue
-        for f in range(faces):
-            heights[f, 0], heights[f, 1], heights[f, 2] = under[a, f], under[b, f], under[c, f]
-        greatest = _deepest(heights, greatest, polygons)
+        if not apart:
+            greatest = _deepest(under[index], greatest, polygons)
     return greatest

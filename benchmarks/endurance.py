@@ -18,7 +18,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from benchmarks.inspection import ALLOWED, WorldInspector
+from benchmarks.inspection import ALLOWED, WorldsInspector
 from benchmarks.measure import finish, parser, resident_megabytes, without_bullet
 from benchmarks.physics_steps import look_after_every_step
 from spatula_env import TASKS
@@ -113,7 +113,7 @@ class Watch:
     def __init__(self, worlds: Any) -> None:
         self._worlds = worlds
         count = worlds.count
-        self._inspectors = [WorldInspector(worlds.scene) for _ in range(count)]
+        self._inspector = WorldsInspector(worlds.scene, count)
         self._deep_for, self._crossed_for = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
         self.steps = self.touching = self.deep = self.deep_uncrossed = self.unreported = self.wrong_side = (
             self.crossed
@@ -124,28 +124,26 @@ class Watch:
 
     def forget(self, worlds: Any) -> None:
         """Begin anew in worlds (n,) that have been reset."""
-        for world in worlds:
-            self._inspectors[world].reset()
-            self._deep_for[world] = self._crossed_for[world] = 0
+        self._inspector.reset(worlds)
+        self._deep_for[worlds] = self._crossed_for[worlds] = 0
 
     def _look(self, loads: Any) -> None:
-        worlds = self._worlds
-        nodes, positions, orientations = worlds.nodes, worlds.tool_positions, worlds.tool_orientations
+        worlds, active = self._worlds, ~loads.diverged
         self.residual = max(self.residual, float(loads.residuals.max()))
         self.touching += int((loads.peak_forces > 0.0).any(axis=1).sum())
-        for world in np.flatnonzero(~loads.diverged).tolist():
-            seen = self._inspectors[world].inspect(positions[world], orientations[world], nodes[world])
-            deep, own = int(seen.residual > ALLOWED), seen.crossings.own
-            self.steps += 1
-            self.deep += deep
-            self.deep_uncrossed += deep * int(own == 0)
-            self.unreported += deep * int(loads.residuals[world] <= ALLOWED)
-            self.depth = max(self.depth, seen.residual)
-            self.wrong_side += seen.wrong_side
-            self.crossed += own > 0
-            self.most_crossings = max(self.most_crossings, own)
-            self._deep_for[world] = self._deep_for[world] + 1 if deep else 0
-            self._crossed_for[world] = self._crossed_for[world] + 1 if own else 0
+        seen = self._inspector.inspect(worlds.tool_positions, worlds.tool_orientations, worlds.nodes, active)
+        depths = seen.residuals
+        deep, crossed = depths > ALLOWED, seen.own > 0
+        self.steps += int(active.sum())
+        self.deep += int(deep.sum())
+        self.deep_uncrossed += int((deep & ~crossed).sum())
+        self.unreported += int((deep & (loads.residuals <= ALLOWED)).sum())
+        self.depth = max(self.depth, float(depths.max()))
+        self.wrong_side += int(seen.wrong_side.sum())
+        self.crossed += int(crossed.sum())
+        self.most_crossings = max(self.most_crossings, int(seen.own.max()))
+        self._deep_for[active] = np.where(deep, self._deep_for + 1, 0)[active]
+        self._crossed_for[active] = np.where(crossed, self._crossed_for + 1, 0)[active]
         self.longest_deep = max(self.longest_deep, int(self._deep_for.max()))
         self.longest_crossed = max(self.longest_crossed, int(self._crossed_for.max()))
 

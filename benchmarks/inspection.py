@@ -16,18 +16,19 @@ import argparse
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from benchmarks import motions
 from benchmarks.crossings import CrossingCounter, Crossings
-from benchmarks.depths import depth_of_surface, locate_points
+from benchmarks.depths import BAND, depth_of_surface, find_inside, is_inside, measure_depths, see
 from benchmarks.measure import finish, parser
-from benchmarks.passages import PARALLEL, find_passages
+from benchmarks.passages import count_passages, find_passages
+from benchmarks.probes import RIM, Probe, make_probe
 from spatula_env import Simulation, scenes
+from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.engines import ENGINES
-from spatula_env.geometry.transforms import quaternion_conjugate, rotate
 from spatula_env.sim import SimulationDiverged
 
 if TYPE_CHECKING:
@@ -37,13 +38,6 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]
-
-RIM = 0.1
-"""So near to the rim of a face [u] a surface may slip round it between two inspections: what it does there is a matter
-of depth and not of sides."""
-
-EDGE_SPACING = 0.1
-"""The tool's edges are looked at in points no farther apart than this [u]."""
 
 ALLOWED = 0.01
 """A depth that is no fault [u]: 0.2 mm in the scenes of the tasks."""
@@ -93,6 +87,198 @@ class Inspection:
 APART = Inspection(0.0, 0.0, 0.0, 0.0, centre_inside=False, enclosed=0, passages=0, turned=0)
 """What is seen of a tool that is far from all organs."""
 
+SEEN = np.dtype(
+    [
+        ("node_depth", "f8"),
+        ("corner_depth", "f8"),
+        ("edge_depth", "f8"),
+        ("surface_depth", "f8"),
+        ("enclosed", "i8"),
+        ("passages", "i8"),
+        ("turned", "i8"),
+        ("centre_inside", "?"),
+    ],
+    align=True,
+)
+"""Fields of `Inspection`, for arrays."""
+
+ROUNDING = 1e-9
+"""Boxes that are nearer than this to each other meet [u]."""
+
+DEPTHS = ("node_depth", "corner_depth", "edge_depth", "surface_depth")
+"""Those that are depths."""
+
+
+class Past(NamedTuple):
+    """What is kept of one tool and the organs of each world from one inspection to the next, for kernels.
+
+    Attributes:
+        known: (W,) whether the rest means anything.
+        vertices: (W, V, 3) of the organs, in the tool's frame [u].
+        sides: (W, V) on which outer sides of the tool's box they were, a bit for each.
+        entries: (W, V) by which face each vertex that is inside came in, -1 for the others and where it is not known.
+        strayed: (W, V) by which face those came in that have gone through and not back, -1 for the others.
+    """
+
+    known: NDArray[np.bool_]
+    vertices: FloatArray
+    sides: NDArray[np.uint8]
+    entries: NDArray[np.int32]
+    strayed: NDArray[np.int32]
+
+
+def make_past(worlds: int, vertices: int) -> Past:
+    """A `Past` of which nothing is known.
+
+    Args:
+        worlds: How many.
+        vertices: How many the organs have in each.
+    """
+    return Past(
+        known=np.zeros(worlds, dtype=np.bool_),
+        vertices=np.zeros((worlds, vertices, 3)),
+        sides=np.zeros((worlds, vertices), dtype=np.uint8),
+        entries=np.full((worlds, vertices), -1, dtype=np.int32),
+        strayed=np.full((worlds, vertices), -1, dtype=np.int32),
+    )
+
+
+@inline_kernel
+def _to_frame(vertices: np.ndarray, position: np.ndarray, orientation: np.ndarray, local: np.ndarray) -> None:
+    """Write vertices (V, 3), in a frame with a position (3,) and an orientation (4,), into `local` (V, 3)."""
+    x, y, z, w = orientation[0], orientation[1], orientation[2], orientation[3]
+    xx, xy, xz = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)
+    yx, yy, yz = 2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)
+    zx, zy, zz = 2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)
+    for v in range(vertices.shape[0]):
+        a, b, c = vertices[v, 0] - position[0], vertices[v, 1] - position[1], vertices[v, 2] - position[2]
+        local[v, 0] = xx * a + xy * b + xz * c
+        local[v, 1] = yx * a + yy * b + yz * c
+        local[v, 2] = zx * a + zy * b + zz * c
+
+
+@inline_kernel
+def _fill_sides(vertices: np.ndarray, box: np.ndarray, sides: np.ndarray) -> None:
+    """Write on which outer sides of a box (6,), `BAND` wider each way, vertices (V, 3) are, a bit for each."""
+    for v in range(vertices.shape[0]):
+        bits = 0
+        for axis in range(3):
+            if vertices[v, axis] < box[axis] - BAND:
+                bits |= 1 << axis
+            if vertices[v, axis] > box[3 + axis] + BAND:
+                bits |= 8 << axis
+        sides[v] = bits
+
+
+@inline_kernel
+def _is_off(vertices: np.ndarray, box: np.ndarray, position: np.ndarray, radius: float) -> bool:
+    """Whether a ball is outside of the box around all organs; `box` (6,) is for work."""
+    for axis in range(3):
+        low, high = np.inf, -np.inf
+        for v in range(vertices.shape[0]):
+            low, high = min(low, vertices[v, axis]), max(high, vertices[v, axis])
+        box[axis], box[3 + axis] = low, high
+    for axis in range(3):
+        if position[axis] + radius < box[axis] or position[axis] - radius > box[3 + axis]:
+            return True
+    return False
+
+
+@inline_kernel
+def _find_near(
+    vertices: np.ndarray, triangles: np.ndarray, sides: np.ndarray, box: np.ndarray, near: np.ndarray
+) -> tuple[int, bool]:
+    """Write the triangles that are within `BAND` of a box (6,) into `near` (T,).
+
+    Returns:
+        How many there are, and whether the box around any of them meets this box.
+    """
+    count, touching = 0, False
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if sides[a] & sides[b] & sides[c]:
+            continue
+        near[count] = t
+        count += 1
+        if not touching:
+            touching = True
+            for axis in range(3):
+                x, y, z = vertices[a, axis], vertices[b, axis], vertices[c, axis]
+                if min(x, y, z) > box[3 + axis] + ROUNDING or max(x, y, z) < box[axis] - ROUNDING:
+                    touching = False
+    return count, touching
+
+
+@kernel()
+def inspect_tool(
+    probe: Probe,
+    triangles: np.ndarray,
+    positions: np.ndarray,
+    orientations: np.ndarray,
+    vertices: np.ndarray,
+    active: np.ndarray,
+    past: Past,
+    seen: np.ndarray,
+) -> None:
+    """Look at one tool of some worlds.
+
+    Args:
+        probe: Of the tool.
+        triangles: (T, 3) of the closed surfaces of all organs, counter-clockwise from outside.
+        positions: (W, 3) of the tool [u].
+        orientations: (W, 4) of the tool.
+        vertices: (W, V, 3) of the organs [u].
+        active: (W,) which worlds are looked at.
+        past: Kept from call to call.
+        seen: (W,) `SEEN`, is filled; zero beforehand.
+    """
+    size = vertices.shape[1]
+    local, along = np.empty((size, 3)), np.empty((size, 3))
+    sides, ways = np.empty(size, np.uint8), np.empty(size, np.int32)
+    places, origin = probe.points.places, probe.points.places.shape[0] - 1
+    near, around = np.empty(triangles.shape[0], np.int64), np.empty(6)
+    inside, depths = np.empty(places.shape[0], np.bool_), np.empty(places.shape[0])
+    for w in range(vertices.shape[0]):
+        if not active[w]:
+            continue
+        if _is_off(vertices[w], around, positions[w], probe.radius):
+            past.known[w] = False
+            continue
+        result = seen[w]
+        _to_frame(vertices[w], positions[w], orientations[w], local)
+        _fill_sides(local, probe.box, sides)
+        if not past.known[w]:
+            past.entries[w], past.strayed[w] = -1, -1
+        elif find_passages(
+            past.vertices[w], local, past.sides[w], sides, probe.normals, probe.offsets, RIM, past.entries[w], ways
+        ):
+            result.passages, result.turned = count_passages(
+                past.vertices[w], triangles, probe.normals, ways, past.strayed[w]
+            )
+        past.known[w] = True
+        past.vertices[w], past.sides[w] = local, sides
+        count, touching = _find_near(local, triangles, sides, probe.box, near)
+        see(local, along)
+        # Where no surface comes to the tool, all of it is inside if its origin is.
+        if not touching and not is_inside(places[origin], probe.points.seen[origin], local, along, triangles):
+            continue
+        if touching:
+            result.surface_depth = depth_of_surface(local, triangles, near[:count], probe.normals, probe.offsets)
+        if not find_inside(probe.points, local, along, triangles, inside):
+            continue
+        measure_depths(places, local, triangles, near[:count], inside, depths)
+        for i in range(probe.ends[2]):
+            if i < probe.ends[0]:
+                result.node_depth = max(result.node_depth, depths[i])
+            elif i < probe.ends[1]:
+                result.corner_depth = max(result.corner_depth, depths[i])
+            else:
+                result.edge_depth = max(result.edge_depth, depths[i])
+        result.centre_inside = inside[origin]
+        for k in range(probe.columns.shape[0]):
+            if inside[probe.columns[k, 0]] and inside[probe.columns[k, 1]]:
+                result.enclosed += 1
+
 
 class Inspector:
     """Inspects one tool and one organ, step after step.
@@ -104,26 +290,16 @@ class Inspector:
 
     def __init__(self, tool: Tool, triangles: ArrayLike) -> None:
         self._triangles = np.array(triangles, dtype=np.int32, order="C")
-        self._planes = _distinct_planes(*tool.planes)
-        groups = (tool.nodes, tool.vertices, _edge_points(tool, *self._planes), np.zeros((1, 3)))
-        self._points: FloatArray = np.concatenate(groups)
-        self._ends = np.cumsum([len(group) for group in groups])
-        self._radius = tool.bounding_radius
-        self._columns = _inner_columns(tool, *self._planes)
-        self._inside = np.zeros(len(self._points), dtype=np.bool_)
-        self._depths = np.zeros(len(self._points))
-        self._before: FloatArray | None = None
-        self._entries = np.zeros(0, dtype=np.int32)
-        self._ways = self._entries
-        # Vertices that have gone through, with the normal of the face by which they came in.
-        self._strayed: dict[int, FloatArray] = {}
+        # However far the tool gets: it may go right through in one step.
+        self._probe = make_probe(tool)._replace(radius=np.inf)
+        self._past: Past | None = None
+        self._every = np.ones(1, dtype=np.bool_)
 
     def reset(self) -> None:
         """Forget where the organ was, so that the next inspection counts no passages."""
-        self._before = None
-        self._strayed.clear()
+        self._past = None
 
-    def inspect(self, position: ArrayLike, orientation: FloatArray, vertices: FloatArray) -> Inspection:
+    def inspect(self, position: ArrayLike, orientation: ArrayLike, vertices: FloatArray) -> Inspection:
         """Look at the present state.
 
         Args:
@@ -134,57 +310,25 @@ class Inspector:
         Returns:
             What was seen.
         """
-        local = np.ascontiguousarray(rotate(quaternion_conjugate(orientation), vertices - np.asarray(position)))
-        locate_points(self._points, local, self._triangles, self._inside, self._depths)
-        passages, turned = self._count_passages(local)
-        self._before = local
-        inside = self._inside
-        nodes, corners, edges = (part.max(initial=0.0) for part in np.split(self._depths, self._ends[:3])[:3])
-        return Inspection(
-            node_depth=float(nodes),
-            corner_depth=float(corners),
-            edge_depth=float(edges),
-            surface_depth=depth_of_surface(local, self._triangles, *self._planes),
-            centre_inside=bool(inside[-1]),
-            enclosed=int((inside[self._columns[:, 0]] & inside[self._columns[:, 1]]).sum()),
-            passages=passages,
-            turned=turned,
+        if self._past is None:
+            self._past = make_past(1, len(vertices))
+        seen = np.zeros(1, dtype=SEEN)
+        inspect_tool(
+            self._probe,
+            self._triangles,
+            np.array(position, dtype=np.float64)[None],
+            np.array(orientation, dtype=np.float64)[None],
+            np.ascontiguousarray(vertices)[None],
+            self._every,
+            self._past,
+            seen,
         )
+        return _as_inspection(seen[0])
 
-    def is_apart(self, position: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-        """Whether a ball around the tool is outside of the box around all organs, from its lower corner to its upper.
 
-        Args:
-            position: (3,) of the tool [u].
-            low: (3,) [u].
-            high: (3,) [u].
-        """
-        return bool((position + self._radius < low).any() or (position - self._radius > high).any())
-
-    def _count_passages(self, local: FloatArray) -> tuple[int, int]:
-        """Count vertices that have come through since the last time, the organ's outside and inside ahead."""
-        if self._before is None:
-            self._entries = np.full(len(local), -1, dtype=np.int32)
-            self._ways = np.empty_like(self._entries)
-            return 0, 0
-        normals, offsets = self._planes
-        find_passages(self._before, local, normals, offsets, RIM, self._entries, self._ways)
-        through = np.flatnonzero(self._ways >= 0)
-        if not len(through):
-            return 0, 0
-        outwards = _vertex_normals(self._before, self._triangles)
-        passages, turned = 0, 0
-        for vertex in through.tolist():
-            way = normals[self._ways[vertex]]
-            if self._strayed.get(vertex, way) @ way < 0.0:
-                del self._strayed[vertex]
-                continue
-            self._strayed[vertex] = way
-            if outwards[vertex] @ way < 0.0:
-                passages += 1
-            else:
-                turned += 1
-        return passages, turned
+def _as_inspection(row: Any) -> Inspection:
+    """One record of `SEEN`."""
+    return Inspection(**dict(zip(SEEN.names or (), row.tolist(), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -210,6 +354,99 @@ class WorldInspection:
         return any(seen.wrong_side for seen in self.tools)
 
 
+@dataclass(frozen=True)
+class WorldsInspection:
+    """What is seen of many worlds at one instant. In worlds that are not looked at, nothing is.
+
+    Attributes:
+        tools: (W, N) `SEEN`, of each tool, against all organs together.
+        own: (W,) crossings of organs with themselves.
+        between: (W,) of organs with each other.
+    """
+
+    tools: Any
+    own: NDArray[np.int64]
+    between: NDArray[np.int64]
+
+    @property
+    def residuals(self) -> FloatArray:
+        """(W,) greatest depth of a tool in an organ or the other way round [u]."""
+        return np.max([self.tools[name] for name in DEPTHS], axis=0).max(axis=1)
+
+    @property
+    def wrong_side(self) -> NDArray[np.bool_]:
+        """(W,) whether some of an organ's surface is on the far side of a tool."""
+        tools = self.tools
+        return (tools["centre_inside"] | (tools["enclosed"] > 0) | (tools["passages"] > 0)).any(axis=1)
+
+    def world(self, index: int) -> WorldInspection:
+        """What is seen of one of them."""
+        return WorldInspection(
+            tuple(_as_inspection(row) for row in self.tools[index]),
+            Crossings(int(self.own[index]), int(self.between[index])),
+        )
+
+
+class WorldsInspector:
+    """Inspects all tools and organs of many worlds of one scene, step after step.
+
+    Args:
+        scene: What is in each.
+        worlds: How many.
+    """
+
+    def __init__(self, scene: Scene, worlds: int) -> None:
+        sizes = [len(placed.organ.vertices) for placed in scene.organs]
+        starts = np.cumsum([0, *sizes[:-1]])
+        self._triangles = np.concatenate(
+            [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=True)]
+        ).astype(np.int32)
+        self._probes = [make_probe(placed.tool) for placed in scene.tools]
+        self._pasts = [make_past(worlds, sum(sizes)) for _ in scene.tools]
+        vertices = np.concatenate([placed.vertices for placed in scene.organs])
+        self._crossings = CrossingCounter(vertices, self._triangles, np.repeat(np.arange(len(sizes)), sizes), worlds)
+        self._every = np.ones(worlds, dtype=np.bool_)
+
+    def reset(self, worlds: ArrayLike) -> None:
+        """Forget where the organs of some worlds (n,) were, so that the next inspection counts no passages there."""
+        for past in self._pasts:
+            past.known[np.asarray(worlds, dtype=np.int64)] = False
+
+    def inspect(
+        self,
+        positions: FloatArray,
+        orientations: FloatArray,
+        vertices: FloatArray,
+        active: NDArray[np.bool_] | None = None,
+    ) -> WorldsInspection:
+        """Look at the present state.
+
+        Args:
+            positions: (W, N, 3) of the tools [u].
+            orientations: (W, N, 4) of the tools, unit quaternions xyzw.
+            vertices: (W, V, 3) of all organs, world frame [u], finite where they are looked at.
+            active: (W,) which worlds are looked at; all by default.
+
+        Returns:
+            What was seen.
+        """
+        active = self._every if active is None else active
+        vertices = np.ascontiguousarray(vertices)
+        tools = np.zeros((len(self._probes), len(vertices)), dtype=SEEN)
+        for index, (probe, past) in enumerate(zip(self._probes, self._pasts, strict=True)):
+            inspect_tool(
+                probe,
+                self._triangles,
+                np.ascontiguousarray(positions[:, index]),
+                np.ascontiguousarray(orientations[:, index]),
+                vertices,
+                active,
+                past,
+                tools[index],
+            )
+        return WorldsInspection(tools.T, *self._crossings.count_all(vertices, active))
+
+
 class WorldInspector:
     """Inspects all tools and organs of one world, step after step.
 
@@ -218,19 +455,11 @@ class WorldInspector:
     """
 
     def __init__(self, scene: Scene) -> None:
-        sizes = [len(placed.organ.vertices) for placed in scene.organs]
-        starts = np.cumsum([0, *sizes[:-1]])
-        triangles = np.concatenate(
-            [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=True)]
-        )
-        self._tools = [Inspector(placed.tool, triangles) for placed in scene.tools]
-        vertices = np.concatenate([placed.vertices for placed in scene.organs])
-        self._crossings = CrossingCounter(vertices, triangles, np.repeat(np.arange(len(sizes)), sizes))
+        self._worlds = WorldsInspector(scene, 1)
 
     def reset(self) -> None:
         """Forget where the organs were, so that the next inspection counts no passages."""
-        for inspector in self._tools:
-            inspector.reset()
+        self._worlds.reset([0])
 
     def inspect(self, positions: FloatArray, orientations: FloatArray, vertices: FloatArray) -> WorldInspection:
         """Look at the present state.
@@ -243,58 +472,7 @@ class WorldInspector:
         Returns:
             What was seen.
         """
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        tools = []
-        for inspector, position, orientation in zip(self._tools, positions, orientations, strict=True):
-            if inspector.is_apart(position, low, high):
-                inspector.reset()
-                tools.append(APART)
-            else:
-                tools.append(inspector.inspect(position, orientation, vertices))
-        return WorldInspection(tuple(tools), self._crossings.count(vertices))
-
-
-def _distinct_planes(normals: FloatArray, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The planes of a tool's faces, each once: normals (F, 3) and offsets (F,)."""
-    rows = np.column_stack([normals, offsets])
-    first = np.sort(np.unique(rows.round(9), axis=0, return_index=True)[1])
-    return np.ascontiguousarray(normals[first]), np.ascontiguousarray(offsets[first])
-
-
-def _vertex_normals(vertices: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
-    """Outward normals at the vertices (V, 3): sums of the area vectors of the triangles around each."""
-    a, b, c = vertices[triangles[:, 0]], vertices[triangles[:, 1]], vertices[triangles[:, 2]]
-    normals = np.zeros_like(vertices)
-    np.add.at(normals, triangles.ravel(), np.repeat(np.cross(b - a, c - a), 3, axis=0))
-    return normals
-
-
-def _edge_points(tool: Tool, normals: FloatArray, offsets: FloatArray) -> FloatArray:
-    """Points (m, 3) of a tool's edges, ends left out, no farther apart than `EDGE_SPACING`."""
-    corners = tool.vertices
-    on_plane = np.abs(corners @ normals.T - offsets) < PARALLEL * tool.bounding_radius
-    pairs = np.unique(np.sort(tool.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    points = []
-    for first, second in pairs.tolist():
-        # A triangle's side within a face lies on one plane, an edge of the tool on two.
-        if (on_plane[first] & on_plane[second]).sum() >= 2:
-            parts = int(np.ceil(np.linalg.norm(corners[second] - corners[first]) / EDGE_SPACING))
-            points += [corners[first] + k / parts * (corners[second] - corners[first]) for k in range(1, parts)]
-    return np.array(points).reshape(-1, 3)
-
-
-def _inner_columns(tool: Tool, normals: FloatArray, offsets: FloatArray) -> NDArray[np.int64]:
-    """Pairs of opposite contact nodes (c, 2) whose connection keeps `RIM` from all faces but theirs."""
-    columns = []
-    for node, other in enumerate(tool.opposite.tolist()):
-        if node > other:
-            continue
-        ends = tool.nodes[[node, other]]
-        depths = (offsets - ends @ normals.T).min(axis=0)
-        across = np.abs(normals @ tool.normals[[node, other]].T).max(axis=1) > 1.0 - PARALLEL
-        if (depths[~across] >= RIM).all():
-            columns.append((node, other))
-    return np.array(columns, dtype=np.int64).reshape(-1, 2)
+        return self._worlds.inspect(positions[None], orientations[None], vertices[None]).world(0)
 
 
 @dataclass

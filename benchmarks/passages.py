@@ -4,37 +4,48 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import kernel
+from spatula_env._kernels import inline_kernel, kernel
 
 PARALLEL = 1e-6
 """Normals are opposite when their dot product is less than this above -1."""
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8, i4[::1], i4[::1])")
+@kernel()
 def find_passages(
     before: np.ndarray,
     after: np.ndarray,
+    sides_before: np.ndarray,
+    sides_after: np.ndarray,
     normals: np.ndarray,
     offsets: np.ndarray,
     rim: float,
     entries: np.ndarray,
     ways: np.ndarray,
-) -> None:
+) -> bool:
     """Find the vertices that have gone right through a convex body, on straight paths in its frame.
 
     Args:
         before: (V, 3) where they were, in the body's frame [u].
         after: (V, 3) where they are [u].
+        sides_before: (V,) on which outer sides of a box around the body they were, a bit for each,
+        sides_after: (V,) and on which they are. What stays on one of them is not looked at.
         normals: (F, 3) outward unit normals of the body's faces.
         offsets: (F,) of the faces' planes [u].
         rim: Where a path crosses one of the two faces, it must be this far under the other ones [u].
         entries: (V,) by which face each vertex that is inside came in, -1 for the others and where it is not known;
             kept from call to call.
         ways: (V,) is filled: by which face each vertex came in that came out by the opposite one, -1 for the others.
+
+    Returns:
+        Whether there are any.
     """
     faces = normals.shape[0]
+    found = False
     for v in range(before.shape[0]):
         ways[v] = -1
+        if sides_before[v] & sides_after[v]:
+            entries[v] = -1
+            continue
         first, last = 0.0, 1.0
         entry, out = entries[v], -1
         for f in range(faces):
@@ -78,3 +89,63 @@ def find_passages(
                 within = False
         if within:
             ways[v] = entry
+            found = True
+    return found
+
+
+@inline_kernel
+def _outward(vertices: np.ndarray, triangles: np.ndarray, v: int, way: np.ndarray) -> float:
+    """Component along a way (3,) of the outward normal at a vertex, the sum of area vectors of the triangles around."""
+    x, y, z = 0.0, 0.0, 0.0
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if a == v or b == v or c == v:
+            px, py, pz = (
+                vertices[b, 0] - vertices[a, 0],
+                vertices[b, 1] - vertices[a, 1],
+                vertices[b, 2] - vertices[a, 2],
+            )
+            qx, qy, qz = (
+                vertices[c, 0] - vertices[a, 0],
+                vertices[c, 1] - vertices[a, 1],
+                vertices[c, 2] - vertices[a, 2],
+            )
+            x += py * qz - pz * qy
+            y += pz * qx - px * qz
+            z += px * qy - py * qx
+    total: float = x * way[0] + y * way[1] + z * way[2]
+    return total
+
+
+@kernel()
+def count_passages(
+    before: np.ndarray, triangles: np.ndarray, normals: np.ndarray, ways: np.ndarray, strayed: np.ndarray
+) -> tuple[int, int]:
+    """Count vertices that have come through, the outside and the inside of their surface ahead.
+
+    Args:
+        before: (V, 3) where they were, in the body's frame [u].
+        triangles: (T, 3) of the surface, counter-clockwise from outside.
+        normals: (F, 3) outward unit normals of the body's faces.
+        ways: (V,) by which face they came in, -1 for those that have not come through.
+        strayed: (V,) by which face those came in that have come through and not back, -1 for the others; kept from
+            call to call.
+    """
+    passages, turned = 0, 0
+    for v in range(ways.shape[0]):
+        way = ways[v]
+        if way < 0:
+            continue
+        if strayed[v] >= 0:
+            along = 0.0
+            for k in range(3):
+                along += normals[strayed[v], k] * normals[way, k]
+            if along < 0.0:
+                strayed[v] = -1
+                continue
+        strayed[v] = way
+        if _outward(before, triangles, v, normals[way]) < 0.0:
+            passages += 1
+        else:
+            turned += 1
+    return passages, turned

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference_inspection import ReferenceInspector
 
 from benchmarks import inspection, motions
-from benchmarks.crossings import CrossingCounter, Crossings
+from benchmarks.crossings import UNKNOWN, CrossingCounter, Crossings, count_crossings
 from benchmarks.depths import depth_of_surface
-from benchmarks.inspection import APART, Inspector, Tally, WorldInspection, WorldInspector
+from benchmarks.inspection import (
+    APART,
+    Inspector,
+    Tally,
+    WorldInspection,
+    WorldInspector,
+    WorldsInspector,
+)
 from spatula_env import Simulation, scenes
 from spatula_env.geometry import Tool, box_surface, icosphere, seed_sphere
 from spatula_env.geometry.transforms import random_quaternion, rotate
@@ -26,7 +34,8 @@ ONE = np.array([[0, 1, 2]], dtype=np.int32)
 
 
 def depth_of(points, tool=CUBE, triangles=ONE):
-    return depth_of_surface(np.array(points, dtype=float), triangles, *map(np.array, tool.planes))
+    every = np.arange(len(triangles))
+    return depth_of_surface(np.array(points, dtype=float), triangles, every, *map(np.array, tool.planes))
 
 
 # The surface in the tool --------------------------------------------------------------------------------------------
@@ -123,18 +132,17 @@ def shifted(organ, way):
 
 
 def brute_force(vertices, triangles):
-    """Edges against triangles, one by one, by linear equations."""
+    """Each edge against all triangles, by linear equations."""
     edges = {tuple(sorted((t[k], t[(k + 1) % 3]))) for t in triangles.tolist() for k in range(3)}
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
     count = 0
     for p, q in edges:
-        for a, b, c in triangles.tolist():
-            if {p, q} & {a, b, c}:
-                continue
-            matrix = np.array([vertices[q] - vertices[p], vertices[a] - vertices[b], vertices[a] - vertices[c]]).T
-            if abs(np.linalg.det(matrix)) < 1e-14:
-                continue
-            s, u, v = np.linalg.solve(matrix, vertices[a] - vertices[p])
-            count += 0.0 < s < 1.0 and u > 0.0 and v > 0.0 and u + v < 1.0
+        along = np.broadcast_to(vertices[q] - vertices[p], a.shape)
+        matrices = np.stack([along, a - b, a - c], axis=2)
+        candidates = ~np.isin(triangles, (p, q)).any(axis=1) & (np.abs(np.linalg.det(matrices)) >= 1e-14)
+        right = (a - vertices[p])[candidates, :, None]
+        s, u, v = np.linalg.solve(matrices[candidates], right)[:, :, 0].T
+        count += ((s > 0.0) & (s < 1.0) & (u > 0.0) & (v > 0.0) & (u + v < 1.0)).sum()
     return count
 
 
@@ -177,6 +185,123 @@ def test_crossings_do_not_depend_on_where_and_how_an_organ_lies():
     count = counter.count(crumpled)
     assert count.own > 10
     assert counter.count(rotate(random_quaternion(generator), crumpled) + np.array([3.0, -7.0, 2.0])) == count
+
+
+def test_crossings_are_the_same_however_an_organ_got_there():
+    # It turns, goes away and is crumpled, slowly and at once: what was near is not near any more.
+    generator = np.random.default_rng(8)
+    organ = seed_sphere()
+    counter = CrossingCounter(organ.vertices, organ.triangles)
+    one_patch, one_organ = np.array([0, len(organ.triangles)]), np.zeros(len(organ.vertices), dtype=np.int32)
+    counts = []
+    for step in range(120):
+        crumpled = organ.vertices + 0.4 * np.sin(step / 30.0) ** 2 * np.cos(7.0 * organ.vertices[:, [1, 2, 0]])
+        if step % 10 == 0:
+            crumpled = crumpled + generator.normal(scale=0.1, size=crumpled.shape)
+        turn = (
+            random_quaternion(generator)
+            if step % 25 == 0
+            else np.array([0.0, np.sin(step / 9.0), 0.0, np.cos(step / 9.0)])
+        )
+        vertices = rotate(turn, crumpled) + 0.05 * step
+        counts.append(counter.count(vertices).own)
+        assert counts[-1] == count_crossings(vertices, organ.triangles, one_patch, one_organ)[0]
+    assert min(counts) == 0
+    assert max(counts) > 100
+
+
+def test_crossings_of_what_is_too_crumpled_to_know_what_is_near_are_counted_all_the_same():
+    generator = np.random.default_rng(2)
+    organ = icosphere(1.0, 1)
+    counter = CrossingCounter(organ.vertices, organ.triangles)
+    for scale in (0.0, 1.0, 0.1, 0.01):
+        crumpled = organ.vertices * 0.1 ** (scale > 0.1) + generator.normal(
+            scale=0.3 * scale, size=organ.vertices.shape
+        )
+        assert counter.count(crumpled).own == brute_force(crumpled, organ.triangles)
+        assert (counter._near.counts[0] == UNKNOWN) == (scale == 1.0)
+
+
+# Brute force --------------------------------------------------------------------------------------------------------
+
+
+def unsteady_states(scene, steps, generator):
+    """Tools that go and jump in and out of organs which bulge, crumple, turn and go away: poses and vertices."""
+    rest = np.concatenate([placed.vertices for placed in scene.organs])
+    size = np.ptp(rest, axis=0).max()
+    shift, crumple = np.zeros(3), generator.normal(size=rest.shape)
+    positions = np.array([placed.position for placed in scene.tools])
+    orientations = np.array([placed.orientation for placed in scene.tools])
+    for step in range(steps):
+        if step % 16 == 0:
+            turn, way = random_quaternion(generator), generator.normal(size=(len(positions), 3))
+            amount = generator.choice([0.0, 0.004, 0.02]) * size
+        if step % 24 == 0:
+            # Just over some vertex, at it, or anywhere.
+            at = rest[generator.integers(len(rest), size=len(positions))] + shift
+            positions = at + generator.choice([0.02, 0.2, 2.0]) * generator.normal(size=positions.shape)
+            orientations = np.array([random_quaternion(generator) for _ in positions])
+            if step % 72 == 0:
+                positions[0] += 5.0 * size
+        shift = shift + 0.002 * size * rotate(turn, np.array([1.0, 0.0, 0.0]))
+        positions = positions + generator.choice([0.01, 0.1]) * way
+        yield positions, orientations, rest + amount * np.sin(0.3 * step) * crumple + shift
+
+
+@pytest.mark.parametrize("name", motions.SCENES)
+def test_worlds_are_seen_as_by_brute_force(name):
+    scene = getattr(scenes, name)()
+    count, generator = 3, np.random.default_rng(12)
+    worlds, references = WorldsInspector(scene, count), [ReferenceInspector(scene) for _ in range(count)]
+    kinds = dict.fromkeys(
+        ("apart", "inside", "surface_depth", "node_depth", "enclosed", "passages", "turned", "own"), 0
+    )
+    for step, states in enumerate(
+        zip(*(unsteady_states(scene, 144, child) for child in generator.spawn(count)), strict=True)
+    ):
+        active = generator.random(count) > 0.05
+        if step % 50 == 49:
+            worlds.reset([1])
+            references[1].reset()
+        seen = worlds.inspect(*(np.array(parts) for parts in zip(*states, strict=True)), active)
+        for world in range(count):
+            if not active[world]:
+                assert seen.world(world) == WorldInspection((APART,) * len(scene.tools), Crossings(0, 0))
+                continue
+            expected, found = references[world].inspect(*states[world]), seen.world(world)
+            assert found.crossings == expected.crossings
+            assert seen.residuals[world] == found.residual
+            assert seen.wrong_side[world] == found.wrong_side
+            kinds["own"] += found.crossings.own > 0
+            for one, other in zip(found.tools, expected.tools, strict=True):
+                assert asdict(one) == pytest.approx(asdict(other), abs=1e-12)
+                kinds["apart"] += one == APART
+                kinds["inside"] += one.centre_inside and one.surface_depth == 0.0
+                for kind in ("surface_depth", "node_depth", "enclosed", "passages", "turned"):
+                    kinds[kind] += getattr(one, kind) > 0
+    # Some organs are too thin to hold a tool.
+    assert (kinds.pop("inside") > 0) == (name in ("seed", "palpate", "clamp"))
+    assert min(kinds.values()) > 0, kinds
+
+
+@pytest.mark.parametrize("name", ["seed", "fissure", "clamp"])
+def test_a_motion_is_seen_as_by_brute_force(name):
+    simulation = Simulation(getattr(scenes, name)(), engine="batch")
+    inspector, reference = WorldInspector(simulation.scene), ReferenceInspector(simulation.scene)
+    linear, angular = motions.plough(simulation, 0.3, np.random.default_rng(4))
+    touching = 0
+    try:
+        for v, w in zip(linear, angular, strict=True):
+            report = simulation.step(v, w)
+            touching += bool(report.loads[:, :3].any())
+            state = simulation.tool_positions, simulation.tool_orientations, simulation.nodes
+            seen, expected = inspector.inspect(*state), reference.inspect(*state)
+            assert seen.crossings == expected.crossings
+            for one, other in zip(seen.tools, expected.tools, strict=True):
+                assert asdict(one) == pytest.approx(asdict(other), abs=1e-12)
+    finally:
+        simulation.close()
+    assert touching > 30
 
 
 # Worlds and motions -------------------------------------------------------------------------------------------------

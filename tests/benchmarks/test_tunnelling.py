@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import parallel, pictures, plunges, tunnelling
-from benchmarks.depths import locate_points
-from benchmarks.inspection import APART, RIM, Inspector
+from benchmarks.depths import find_inside, measure_depths, see
+from benchmarks.inspection import APART, Inspector
+from benchmarks.probes import RIM, arrange_points
 from spatula_env import Simulation, scenes
 from spatula_env.geometry import Tool, box_surface, icosphere, seed_sphere, torus
 from spatula_env.geometry.surface import triangle_normals, winding_numbers
@@ -26,8 +27,11 @@ FAST = 38
 
 
 def locate(points, organ):
-    inside, depths = np.zeros(len(points), dtype=bool), np.full(len(points), np.nan)
-    locate_points(np.array(points, dtype=float), np.array(organ.vertices), np.array(organ.triangles), inside, depths)
+    places, vertices, triangles = np.array(points, dtype=float), np.array(organ.vertices), np.array(organ.triangles)
+    inside, depths, seen = np.zeros(len(places), dtype=bool), np.full(len(places), np.nan), np.empty_like(vertices)
+    see(vertices, seen)
+    assert find_inside(arrange_points(places), vertices, seen, triangles, inside) == inside.any()
+    measure_depths(places, vertices, triangles, np.zeros(0, dtype=np.int64), inside, depths)
     return inside, depths
 
 
@@ -179,6 +183,12 @@ def test_an_organ_that_goes_through_in_small_steps_is_seen():
     thick = Tool.box((1.0, 1.0, 0.2))
     seen = visit(thick, *np.linspace(0.5, -0.5, 41))
     assert sum(each.passages + each.turned for each in seen) == len(pebble().vertices)
+
+
+def test_an_organ_that_comes_from_afar_and_goes_far_is_seen():
+    _, after = visit(Tool.box((1.0, 1.0, 0.1)), 50.0, -50.0)
+    assert after.passages > 0
+    assert after.residual == 0.0
 
 
 def test_what_turns_back_does_not_go_through():

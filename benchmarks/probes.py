@@ -1,0 +1,141 @@
+"""What of a tool the inspection looks at: points, columns and faces, arranged so that it is quick about them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from benchmarks.passages import PARALLEL
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from spatula_env.geometry import Tool
+
+    FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.int64]
+
+RIM = 0.1
+"""So near to the rim of a face [u] a surface may slip round it between two inspections: what it does there is a matter
+of depth and not of sides."""
+
+EDGE_SPACING = 0.1
+"""The tool's edges are looked at in points no farther apart than this [u]."""
+
+LINES = np.array([(3.0, -6.0, 2.0), (6.0, 2.0, -3.0), (2.0, 3.0, 6.0)]) / 7.0
+"""All lines run along the third of these axes u, v and w, a direction that no face or lattice of a box lies along:
+surfaces that rest on a face are met at an angle."""
+
+CELLS_PER_POINT = 1.0
+"""Cells of the grid over u and v, for each point."""
+
+
+class Points(NamedTuple):
+    """Points that are looked at together, arranged so that those under a triangle are found quickly, for kernels.
+
+    Attributes:
+        places: (m, 3) [u].
+        seen: (m, 3) along u, v and w.
+        grid: (4,) least u and least v, and how many cells there are for a unit of length each way.
+        cells: How many cells there are each way.
+        starts: (cells**2 + 1,) where the points of each cell begin in `order`, cell after cell along v.
+        order: (m,) points cell by cell.
+    """
+
+    places: FloatArray
+    seen: FloatArray
+    grid: FloatArray
+    cells: int
+    starts: IntArray
+    order: IntArray
+
+
+class Probe(NamedTuple):
+    """What of a tool is looked at, in its own frame [u], for kernels.
+
+    Attributes:
+        points: Contact nodes, corners, points of edges, and the origin.
+        ends: (4,) where each of these groups ends.
+        columns: (c, 2) opposite contact nodes whose connection keeps `RIM` from all faces but theirs.
+        normals: (F, 3) outward unit normals of the faces, each plane once.
+        offsets: (F,) of the planes.
+        box: (6,) lower corner and upper corner.
+        radius: Of a ball about the origin that holds the tool.
+    """
+
+    points: Points
+    ends: IntArray
+    columns: IntArray
+    normals: FloatArray
+    offsets: FloatArray
+    box: FloatArray
+    radius: float
+
+
+def arrange_points(places: FloatArray) -> Points:
+    """Arrange points (m, 3), one at least."""
+    seen = places @ LINES.T
+    cells = max(1, round((CELLS_PER_POINT * len(places)) ** 0.5))
+    low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
+    density = cells / np.maximum(high - low, 1e-9)
+    cell = np.minimum(((seen[:, :2] - low) * density).astype(np.int64), cells - 1) @ [cells, 1]
+    return Points(
+        places=places,
+        seen=seen,
+        grid=np.concatenate([low, density]),
+        cells=cells,
+        starts=np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=cells**2))]),
+        order=np.argsort(cell, kind="stable"),
+    )
+
+
+def make_probe(tool: Tool) -> Probe:
+    """A `Probe` of a tool."""
+    normals, offsets = _distinct_planes(*tool.planes)
+    groups = (tool.nodes, tool.vertices, _edge_points(tool, normals, offsets), np.zeros((1, 3)))
+    places = np.concatenate(groups)
+    return Probe(
+        points=arrange_points(places),
+        ends=np.cumsum([len(group) for group in groups]),
+        columns=_inner_columns(tool, normals, offsets),
+        normals=normals,
+        offsets=offsets,
+        box=np.concatenate([places.min(axis=0), places.max(axis=0)]),
+        radius=float(tool.bounding_radius),
+    )
+
+
+def _distinct_planes(normals: FloatArray, offsets: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The planes of a tool's faces, each once: normals (F, 3) and offsets (F,)."""
+    rows = np.column_stack([normals, offsets])
+    first = np.sort(np.unique(rows.round(9), axis=0, return_index=True)[1])
+    return np.ascontiguousarray(normals[first]), np.ascontiguousarray(offsets[first])
+
+
+def _edge_points(tool: Tool, normals: FloatArray, offsets: FloatArray) -> FloatArray:
+    """Points (m, 3) of a tool's edges, ends left out, no farther apart than `EDGE_SPACING`."""
+    corners = tool.vertices
+    on_plane = np.abs(corners @ normals.T - offsets) < PARALLEL * tool.bounding_radius
+    pairs = np.unique(np.sort(tool.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    points = []
+    for first, second in pairs.tolist():
+        # A triangle's side within a face lies on one plane, an edge of the tool on two.
+        if (on_plane[first] & on_plane[second]).sum() >= 2:
+            parts = int(np.ceil(np.linalg.norm(corners[second] - corners[first]) / EDGE_SPACING))
+            points += [corners[first] + k / parts * (corners[second] - corners[first]) for k in range(1, parts)]
+    return np.array(points).reshape(-1, 3)
+
+
+def _inner_columns(tool: Tool, normals: FloatArray, offsets: FloatArray) -> NDArray[np.int64]:
+    """Pairs of opposite contact nodes (c, 2) whose connection keeps `RIM` from all faces but theirs."""
+    columns = []
+    for node, other in enumerate(tool.opposite.tolist()):
+        if node > other:
+            continue
+        ends = tool.nodes[[node, other]]
+        depths = (offsets - ends @ normals.T).min(axis=0)
+        across = np.abs(normals @ tool.normals[[node, other]].T).max(axis=1) > 1.0 - PARALLEL
+        if (depths[~across] >= RIM).all():
+            columns.append((node, other))
+    return np.array(columns, dtype=np.int64).reshape(-1, 2)
