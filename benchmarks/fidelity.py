@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.curves import Curve
 from benchmarks.ledger import Ledger
 from benchmarks.measure import finish, parser
 from spatula_env import Simulation, scenes
@@ -76,9 +77,6 @@ REST = 0.5
 DEPTHS = tuple(np.linspace(0.1, 1.2, 12).round(3).tolist())
 """At which it waits [u]."""
 
-COMPARED_FROM = 0.2
-"""Curves are compared from this depth on [u]: before, single vertices of the organ come into contact one by one."""
-
 ORIENTATIONS = 6
 """In how many orientations the organ is pressed, for the mean force."""
 
@@ -111,36 +109,6 @@ class Check:
         """For JSON, where what is not finite becomes None."""
         value = self.value if math.isfinite(self.value) else None
         return {**dataclasses.asdict(self), "value": value, "passed": self.passed}
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Force against depth of one slow press.
-
-    Attributes:
-        depths: (k,) of the tool's lower face below the top of the organ at rest [u].
-        forces: (k,) upwards on the tool [kg u/s2].
-        ripple: (k,) standard deviation of the force while it was averaged [kg u/s2].
-    """
-
-    depths: FloatArray
-    forces: FloatArray
-    ripple: FloatArray
-
-    def difference(self, other: Curve) -> tuple[float, float]:
-        """Greatest difference between two curves of the same depths, relative to this one's force, and where [u]."""
-        chosen = self.depths >= COMPARED_FROM - 1e-9
-        differences = np.abs(other.forces[chosen] / self.forces[chosen] - 1.0)
-        return float(differences.max()), float(self.depths[chosen][differences.argmax()])
-
-    @property
-    def fall(self) -> float:
-        """Greatest fall of the force from one depth to the next, relative to the greatest force."""
-        return float(np.maximum(-np.diff(self.forces, prepend=0.0), 0.0).max() / self.forces.max())
-
-    def as_dict(self) -> dict[str, list[float]]:
-        """For JSON."""
-        return {key: value.tolist() for key, value in vars(self).items()}
 
 
 def begin_press(simulation: Simulation) -> tuple[Ledger, float]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from benchmarks.fidelity import Curve
+    from benchmarks.curves import Curve
     from benchmarks.plunges import Outcome
 
 CONTACTS = {"bullet": "Bullet's own contact", "second_step": "second step alone", "flags": "flags method"}

@@ -344,8 +344,8 @@ def _tell_statistics(found: DatasetStatistics) -> None:
 
 
 def _make(chosen: argparse.Namespace) -> int:
-    from spatula_env.data.scripted import make_scripted, scripted_ids
     from spatula_env.learning.policies import make_expert
+    from spatula_env.teleop.scripted_dataset import make_scripted, scripted_ids
 
     known = scripted_ids()
     wanted = [resolve_env(name) for name in chosen.tasks] or list(known)

@@ -19,8 +19,8 @@ from spatula_env.teleop.web.access import find_token
 if TYPE_CHECKING:
     import gymnasium
 
-    from spatula_env.data.recording import RecordingSummary
     from spatula_env.teleop.device import TeleopDevice
+    from spatula_env.teleop.recording import RecordingSummary
     from spatula_env.teleop.session import EpisodeSummary
     from spatula_env.teleop.web.recording import RecordingOptions
 

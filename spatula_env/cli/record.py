@@ -35,7 +35,7 @@ from spatula_env.cli.showing import Film
 if TYPE_CHECKING:
     from spatula_env.cli.acting import Actor
     from spatula_env.cli.common import Parsers
-    from spatula_env.data.recording import RecordingSummary
+    from spatula_env.teleop.recording import RecordingSummary
     from spatula_env.teleop.session import EpisodeSummary
 
 DESCRIPTION = """Record demonstrations as a Minari dataset, episode by episode.
@@ -126,7 +126,7 @@ def run(chosen: argparse.Namespace) -> int:
 def _with_device(chosen: argparse.Namespace, actor: Actor | None) -> RecordingSummary:
     """Record with a device that is held."""
     from spatula_env.data.dataset import check_target
-    from spatula_env.data.recording import record
+    from spatula_env.teleop.recording import record
 
     env = make_environment(chosen, actor.options if actor is not None else None, render_mode=render_mode(chosen))
     film = None

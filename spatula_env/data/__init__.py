@@ -1,15 +1,13 @@
-"""Demonstrations: recording, replay, and datasets in Minari's format.
+"""Demonstrations: episodes, replay, and datasets in Minari's format. What records an operator is `teleop.recording`.
 
 Modules::
 
     episode     one episode in memory
     layout      what the numbers of a dataset are called
     dataset     a dataset on disk, written episode by episode
-    recording   `record`: an operator, a device, a dataset
     replaying   `replay`: by actions, checked, or by states
     catalog     what datasets there are and what is in them; copies without failures, several in one
     statistics  what the episodes are like; plots draws it
-    scripted    demonstrations by a program at an emulated Falcon
     drawing     pictures of recorded states
     lerobot_export    the same in the layout of LeRobot's datasets
     d3rlpy_dataset    the same for d3rlpy
@@ -30,9 +28,7 @@ if TYPE_CHECKING:
     from spatula_env.data.layout import Layout
     from spatula_env.data.lerobot_export import LeRobotExport, export_lerobot
     from spatula_env.data.plots import plot_statistics
-    from spatula_env.data.recording import RecordingSummary, record
     from spatula_env.data.replaying import EpisodeReplay, replay
-    from spatula_env.data.scripted import ScriptedDataset, make_scripted
     from spatula_env.data.statistics import DatasetStatistics
 
 __all__ = [
@@ -45,15 +41,11 @@ __all__ = [
     "EpisodeReplay",
     "Layout",
     "LeRobotExport",
-    "RecordingSummary",
-    "ScriptedDataset",
     "copy_episodes",
     "export_lerobot",
     "list_datasets",
     "load_d3rlpy",
-    "make_scripted",
     "plot_statistics",
-    "record",
     "replay",
     "summarize",
 ]
@@ -69,9 +61,7 @@ def __getattr__(name: str) -> Any:
         ("layout", ("Layout",)),
         ("lerobot_export", ("LeRobotExport", "export_lerobot")),
         ("plots", ("plot_statistics",)),
-        ("scripted", ("ScriptedDataset", "make_scripted")),
         ("statistics", ("DatasetStatistics",)),
-        ("recording", ("RecordingSummary", "record")),
         ("replaying", ("EpisodeReplay", "replay")),
     ):
         if name in names:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from spatula_env.envs.vector import SpatulaVectorEnv
+Worlds: TypeAlias = Any
+"""A `SpatulaVectorEnv`, whose module builds on this one."""
 
 ABOUT_ALL = frozenset(
     {
@@ -31,7 +31,7 @@ ABOUT_ALL = frozenset(
 )
 """What a vector environment has as a whole, and no world of it."""
 
-READ: dict[str, Callable[[SpatulaVectorEnv], Iterable[Any]]] = {
+READ: dict[str, Callable[[Worlds], Iterable[Any]]] = {
     "_max_episode_steps": lambda env: [env.max_episode_steps] * env.num_envs,
     "action_space": lambda env: [env.single_action_space] * env.num_envs,
     "goal": lambda env: env.goals,
@@ -44,7 +44,7 @@ READ: dict[str, Callable[[SpatulaVectorEnv], Iterable[Any]]] = {
 """What differs from world to world, or has another name for one of them."""
 
 
-def call_worlds(env: SpatulaVectorEnv, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+def call_worlds(env: Worlds, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
     """Call a method of every world, or read an attribute, as `gymnasium.vector.SyncVectorEnv.call` does.
 
     Args:
@@ -69,7 +69,7 @@ def call_worlds(env: SpatulaVectorEnv, name: str, *args: Any, **kwargs: Any) -> 
     return values
 
 
-def read_in_worlds(env: SpatulaVectorEnv, name: str) -> tuple[Any, ...]:
+def read_in_worlds(env: Worlds, name: str) -> tuple[Any, ...]:
     """What worlds have under a name, methods as they are.
 
     Args:
@@ -93,10 +93,11 @@ def read_in_worlds(env: SpatulaVectorEnv, name: str) -> tuple[Any, ...]:
             # A property, which says itself why it has nothing here.
             raise
         raise AttributeError(_missing(env, name)) from None
-    return (value,) * env.num_envs
+    worlds: int = env.num_envs
+    return (value,) * worlds
 
 
-def set_in_worlds(env: SpatulaVectorEnv, name: str, values: Any) -> None:
+def set_in_worlds(env: Worlds, name: str, values: Any) -> None:
     """Set an attribute in all worlds, as `gymnasium.vector.SyncVectorEnv.set_attr` does.
 
     Args:
@@ -134,7 +135,7 @@ def _same(one: Any, other: Any) -> bool:
     return one is other or bool(np.all(one == other))
 
 
-def _missing(env: SpatulaVectorEnv, name: str) -> str:
+def _missing(env: Worlds, name: str) -> str:
     """Why a world has no attribute, with what may be meant."""
     known = sorted({*READ, *(each for each in dir(env) if not each.startswith("_"))} - ABOUT_ALL)
     near = difflib.get_close_matches(name, known, 1)

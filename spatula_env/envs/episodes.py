@@ -373,7 +373,7 @@ class Episodes:
         """All that the next step depends on in some worlds (n,) in which episodes have begun, as copies."""
         assert self.situation is not None
         drawn, generators = self._variation.save(worlds)
-        physics = save_physics(self, worlds)
+        physics = save_physics(self.worlds, worlds, self.settings.engine)
         return physics, EpisodesState(
             counters={name: values[worlds] for name, values in self._counters().items()},
             memory={name: values[worlds] for name, values in self._memory.items()},
@@ -391,7 +391,7 @@ class Episodes:
         """Go back, in some worlds (n,), to what `save` returned for n worlds."""
         # Tools before contact: exchanging them clears its memory.
         self._variation.restore(state.drawn, state.generators, worlds)
-        restore_physics(self, physics, worlds)
+        restore_physics(self.worlds, physics, worlds)
         every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
         for mine, saved in (
             (self._counters(), state.counters),

@@ -11,14 +11,13 @@ import numpy as np
 from spatula_env.envs.indices import indices_below
 from spatula_env.sim.batch import BatchState, WorldMemory
 from spatula_env.sim.simulation import SimulationState
-from spatula_env.sim.worlds import SeparateWorlds
+from spatula_env.sim.worlds import SeparateWorlds, Worlds
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from spatula_env.envs.episodes import Episodes
     from spatula_env.envs.settings import EnvSettings
-    from spatula_env.tasks.situation import BoolArray, IntArray, Situation
+    from spatula_env.tasks.situation import BoolArray, IntArray, Setting, Situation
 
 Physics = BatchState | tuple[SimulationState, ...]
 """Of n worlds, as the engine of many worlds has it or one by one."""
@@ -123,14 +122,14 @@ class EnvState:
         )
 
 
-def check_fits(state: EnvState, name: str, settings: EnvSettings, episodes: Episodes) -> None:
+def check_fits(state: EnvState, name: str, settings: EnvSettings, setting: Setting) -> None:
     """Check that a state is one of an environment like this one.
 
     Args:
         state: To be restored.
         name: Of this environment's task.
         settings: Its options.
-        episodes: Its episodes.
+        setting: Its organ and tools.
 
     Raises:
         TypeError: If it is no state of an environment.
@@ -145,32 +144,32 @@ def check_fits(state: EnvState, name: str, settings: EnvSettings, episodes: Epis
         if each.name not in MAY_DIFFER and mine != theirs:
             raise ValueError(f"state must be of an environment with {each.name}={mine!r}, it is of one with {theirs!r}")
     nodes, tools = state.episodes.situation.nodes.shape[1:], state.episodes.situation.tool_positions.shape[1:]
-    mine = len(episodes.setting.rest_nodes), len(episodes.setting.tools)
+    mine = len(setting.rest_nodes), len(setting.tools)
     if (nodes[0], tools[0]) != mine:
         raise ValueError(
             f"state must be of a scene with {mine[0]} nodes and {mine[1]} tools, it has {nodes[0]} and {tools[0]}"
         )
 
 
-def save_physics(episodes: Episodes, worlds: IntArray) -> Physics:
-    """The physics of some worlds (n,), from where it goes on exactly as after `restore_physics`.
+def save_physics(physics: Worlds, worlds: IntArray, engine: str | None) -> Physics:
+    """The state of the physics in some worlds (n,), from where it goes on exactly as after `restore_physics`.
 
     What PyBullet has computed cannot be read to the last bit: its velocities keep rounding errors of all that was
     before. So a simulation of PyBullet is put to its own state, which clears them, and both go on alike. That changes
     how it goes on, by as much as such errors do.
     """
-    physics: Physics = episodes.worlds.save(worlds)
-    if episodes.settings.engine == "bullet":
-        episodes.worlds.restore(physics, worlds)
-    return physics
+    state: Physics = physics.save(worlds)
+    if engine == "bullet":
+        physics.restore(state, worlds)
+    return state
 
 
-def restore_physics(episodes: Episodes, physics: Physics, worlds: IntArray) -> None:
+def restore_physics(physics: Worlds, state: Physics, worlds: IntArray) -> None:
     """Put some worlds (n,) to a state of n worlds, whichever way it was saved."""
-    separate = isinstance(physics, tuple)
-    if isinstance(episodes.worlds, SeparateWorlds) != separate:
-        physics = _joined(physics) if isinstance(physics, tuple) else _separated(physics)
-    episodes.worlds.restore(physics, worlds)
+    separate = isinstance(state, tuple)
+    if isinstance(physics, SeparateWorlds) != separate:
+        state = _joined(state) if isinstance(state, tuple) else _separated(state)
+    physics.restore(state, worlds)
 
 
 def _take(tree: Any, rows: IntArray) -> Any:

@@ -360,7 +360,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             ValueError: If it is that of another environment, or of several worlds; nothing has then changed.
         """
         self._check_open()
-        check_fits(state, self.definition.name, self.settings, self._episodes)
+        check_fits(state, self.definition.name, self.settings, self._episodes.setting)
         if state.count != 1:
             raise ValueError(f"state must be of one world, it is of {state.count}: see EnvState.rows")
         self._episodes.restore(state.physics, state.episodes, np.zeros(1, dtype=np.int64))

@@ -7,7 +7,7 @@ after what it does, and a late spring gives more energy than it took. What learn
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
@@ -17,13 +17,32 @@ from spatula_env.tasks.situation import FloatArray
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from spatula_env.envs.episodes import Episodes
+    from spatula_env.envs.control import VelocityControl
+    from spatula_env.envs.frames import Frames
 
 STEERING = "steering"
 """Under which `info` tells the track of a steered step, and datasets keep it."""
 
 Pilot: TypeAlias = "Callable[[FloatArray], ArrayLike]"
 """Takes where the grip is (3,), workspace frame [m], and gives the action (A,) of the coming physics step."""
+
+
+class Steered(Protocol):
+    """What is steered: the `Episodes` of one world."""
+
+    steps_per_action: int
+    control: VelocityControl
+    frames: Frames
+
+    @property
+    def grips(self) -> FloatArray:
+        """(1, 3) where the middle of the tools is now, workspace frame [m]."""
+
+    def delayed_within(self, action: FloatArray, step: int) -> FloatArray:
+        """What is carried out in a physics step (A,), after what is asked in it (A,)."""
+
+    def motion_now(self, action: FloatArray) -> Motion:
+        """What the tools do in the coming physics step for an action (A,)."""
 
 
 class Steering:
@@ -33,7 +52,7 @@ class Steering:
         track: (S, A) what was asked for in each of its physics steps.
     """
 
-    def __init__(self, episodes: Episodes, pilot: Pilot) -> None:
+    def __init__(self, episodes: Steered, pilot: Pilot) -> None:
         """Prepare.
 
         Args:

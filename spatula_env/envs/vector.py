@@ -316,7 +316,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """
         self._check_open()
         chosen = read_worlds(worlds, self.num_envs)
-        check_fits(state, self.definition.name, self.settings, self._episodes)
+        check_fits(state, self.definition.name, self.settings, self._episodes.setting)
         if state.count not in (1, len(chosen)):
             raise ValueError(f"state must be of {len(chosen)} worlds, or of one, it is of {state.count}")
         if state.count != len(chosen):

@@ -7,7 +7,7 @@ inside an organ. Links follow edges, so components that meet in a vertex are one
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from spatula_env.geometry.meshes import Organ
+    from spatula_env.geometry.arrays import FloatArray
 
     IntArray = NDArray[np.int64]
 
@@ -43,7 +43,19 @@ class Part:
     sheets: int
 
 
-def organ_parts(organ: Organ) -> tuple[Part, ...]:
+class Surface(Protocol):
+    """What an organ has, as far as it matters here."""
+
+    @property
+    def vertices(self) -> FloatArray:
+        """(V, 3) of the nodes [u]."""
+
+    @property
+    def triangles(self) -> NDArray[np.int32]:
+        """(T, 3) which nodes each has."""
+
+
+def organ_parts(organ: Surface) -> tuple[Part, ...]:
     """The parts of an organ, by their first nodes.
 
     Args:

@@ -75,7 +75,7 @@ def make_device(
 
         return Gamepad(index, **options)
     if name == "web":
-        from spatula_env.teleop.web import WebDevice
+        from spatula_env.teleop.web.device import WebDevice
 
         return WebDevice(**options)
     from spatula_env.teleop.spacemouse import SpaceMouse

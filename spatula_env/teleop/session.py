@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from spatula_env.teleop.buttons import DISCARD, FINISH, QUIT
 from spatula_env.teleop.device import TeleopDevice
 from spatula_env.teleop.wrapper import FalconTeleop
 
@@ -13,11 +14,6 @@ if TYPE_CHECKING:
     import gymnasium
 
     from spatula_env.data.episode import EpisodeRecorder
-
-FINISH = "finish"
-DISCARD = "discard"
-QUIT = "quit"
-"""Buttons that end an episode: as it is, so that it counts for nothing, and the session with it."""
 
 
 @dataclass(frozen=True)

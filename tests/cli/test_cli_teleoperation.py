@@ -229,7 +229,7 @@ class TestOptions:
         file = tmp_path / "file"
         file.write_text("")
         monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "datasets"))
-        monkeypatch.setattr("spatula_env.data.recording.run_episode", lambda *_, **__: pytest.fail("it began"))
+        monkeypatch.setattr("spatula_env.teleop.recording.run_episode", lambda *_, **__: pytest.fail("it began"))
         device = [] if "--device" in words else ["--device", "scripted", *SHORT]
         words = [word.replace("{file}", str(file)) for word in words]
         _, noted = run(capsys, "record", "press", *words, *device, status=1)
@@ -241,8 +241,8 @@ class TestWeb:
     @pytest.fixture
     def served(self, monkeypatch):
         """A stand-in for the page, on which two episodes are done."""
-        from spatula_env.data.recording import RecordingSummary
         from spatula_env.teleop import web
+        from spatula_env.teleop.recording import RecordingSummary
         from spatula_env.teleop.session import EpisodeSummary
 
         calls: list[Any] = []

@@ -10,7 +10,7 @@ import pytest
 
 from spatula_env.cli import devices, forward
 from spatula_env.cli.main import make_parser
-from spatula_env.data.scripted import HANDS, Hand, scripted_ids
+from spatula_env.teleop.scripted_dataset import HANDS, Hand, scripted_ids
 
 PAGE = (Path(__file__).parents[2] / "docs" / "demonstrations.md").read_text(encoding="utf-8")
 

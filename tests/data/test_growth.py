@@ -12,10 +12,11 @@ import pytest
 from demonstration_helpers import ID, LAYOUT, made_up_env, make_episode, write_dataset
 
 import spatula_env
-from spatula_env.data import DatasetWriter, EpisodeRecorder, dataset, record, replay
+from spatula_env.data import DatasetWriter, EpisodeRecorder, dataset, replay
 from spatula_env.data.encoding import episode_image
 from spatula_env.data.episode import STATE
 from spatula_env.data.replaying import open_dataset
+from spatula_env.teleop.recording import record
 from spatula_env.teleop.scripted import ScriptedOperator
 
 minari = pytest.importorskip("minari")

@@ -8,10 +8,11 @@ import pytest
 from recording_helpers import ID, make_pictures
 
 import spatula_env
-from spatula_env.data import DatasetWriter, copy_episodes, record, replay
+from spatula_env.data import DatasetWriter, copy_episodes, replay
 from spatula_env.data.dataset import check_target
 from spatula_env.data.replaying import open_dataset, read_entries, recorded_specs
 from spatula_env.data.specs import differences, make_recorded, storable_spec
+from spatula_env.teleop.recording import record
 from spatula_env.teleop.scripted import ScriptedOperator
 
 pytest.importorskip("minari")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import spatula_env
-from spatula_env.data import record, replay
+from spatula_env.data import replay
 from spatula_env.data.replaying import open_dataset, recorded_states
+from spatula_env.teleop.recording import record
 from spatula_env.teleop.replay_device import ReplayDevice
 from spatula_env.teleop.scripted import ScriptedFalcon, ScriptedOperator
 
@@ -131,8 +132,8 @@ def test_a_recording_is_a_device(recorded, env, tmp_path):
 
 
 def test_the_loop_is_recorded_at_its_own_rate(env, tmp_path):
-    from spatula_env.data.recording import haptics_file
     from spatula_env.teleop.haptics.track import HapticTrack
+    from spatula_env.teleop.recording import haptics_file
 
     with ScriptedFalcon(dive) as device:
         summary = record(env, device, ID, root=tmp_path, options={"tool_position": (0.0, 0.0, -0.015)}, haptics=True)

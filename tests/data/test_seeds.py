@@ -6,9 +6,11 @@ import pytest
 from recording_helpers import ID, do_episode, make_pictures
 
 from spatula_env.cli.main import main
-from spatula_env.data import EpisodeRecorder, make_scripted, record
+from spatula_env.data import EpisodeRecorder
 from spatula_env.data.checking import LARGEST
+from spatula_env.teleop.recording import record
 from spatula_env.teleop.scripted import ScriptedOperator
+from spatula_env.teleop.scripted_dataset import make_scripted
 
 pytest.importorskip("minari", reason="pip install 'spatula-env[data]'")
 

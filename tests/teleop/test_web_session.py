@@ -18,11 +18,12 @@ import pytest
 from web_helpers import Script, until
 
 import spatula_env
-from spatula_env.data import DatasetWriteError, DatasetWriter, record
+from spatula_env.data import DatasetWriteError, DatasetWriter
 from spatula_env.data.files import DatasetBusy, recording_lock
 from spatula_env.engines import default_engine
 from spatula_env.installing import install_hint
 from spatula_env.teleop import DeviceBusy, DeviceError, NotCalibrated
+from spatula_env.teleop.recording import record
 from spatula_env.teleop.registry import make_device
 from spatula_env.teleop.web import WebDevice, WebSession, serve
 from spatula_env.teleop.web.recording import RecordingOptions

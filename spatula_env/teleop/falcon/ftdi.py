@@ -7,10 +7,7 @@ firmware (3 MHz / 21 = 142,857 baud), where libraries choose a finer one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from spatula_env.teleop.falcon.transport import Transport
+from typing import Protocol
 
 VENDOR_ID = 0x0403
 PRODUCT_ID = 0xCB48
@@ -56,7 +53,14 @@ LATENCY_BOOT = 16
 LATENCY_NORMAL = 1
 
 
-def request(transport: Transport, number: int, value: int) -> None:
+class ControlTransfers(Protocol):
+    """What makes control transfers without data."""
+
+    def control_transfer(self, request_type: int, request: int, value: int, index: int) -> None:
+        """Make one: bmRequestType, bRequest, wValue, wIndex."""
+
+
+def request(transport: ControlTransfers, number: int, value: int) -> None:
     """Send a control request to the chip.
 
     Args:
@@ -70,7 +74,7 @@ def request(transport: Transport, number: int, value: int) -> None:
     transport.control_transfer(REQUEST_TYPE, number, value, 0)
 
 
-def purge(transport: Transport) -> None:
+def purge(transport: ControlTransfers) -> None:
     """Forget everything that is under way in either direction.
 
     Args:

@@ -15,8 +15,8 @@ import numpy as np
 from spatula_env.geometry.rotations import conjugate, multiply, to_rotation_vector
 from spatula_env.tasks.base import as_seen
 from spatula_env.tasks.marks import Patch
+from spatula_env.teleop.buttons import DISCARD, FINISH, QUIT
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, NotCalibrated, Progress, TeleopDevice
-from spatula_env.teleop.session import DISCARD, FINISH, QUIT
 from spatula_env.teleop.web.page import Page
 from spatula_env.teleop.web.panel import Panel
 from spatula_env.teleop.web.readings import Reading, Status

@@ -12,8 +12,8 @@ from spatula_env.data.dataset import AUTHOR, DatasetWriter, check_dataset_id, ch
 from spatula_env.data.episode import EpisodeRecorder, StateType
 from spatula_env.data.files import recording_lock
 from spatula_env.data.index import read_metadata
-from spatula_env.data.recording import RecordingSummary, episode_attributes, next_seed
 from spatula_env.naming import task_name
+from spatula_env.teleop.recording import RecordingSummary, episode_attributes, next_seed
 
 if TYPE_CHECKING:
     import gymnasium

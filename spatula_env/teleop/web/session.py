@@ -11,8 +11,9 @@ from typing import Any
 
 import gymnasium
 
-from spatula_env.data.recording import RecordingSummary
-from spatula_env.teleop.session import DISCARD, FINISH, QUIT, EpisodeSummary, run_episode
+from spatula_env.teleop.buttons import DISCARD, FINISH, QUIT
+from spatula_env.teleop.recording import RecordingSummary
+from spatula_env.teleop.session import EpisodeSummary, run_episode
 from spatula_env.teleop.web.device import WebDevice
 from spatula_env.teleop.web.readings import Status
 from spatula_env.teleop.web.recording import PageEpisode, PageRecording, RecordingOptions

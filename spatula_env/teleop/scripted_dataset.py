@@ -21,8 +21,8 @@ from spatula_env.data.dataset import DatasetWriter, check_dataset_id, check_targ
 from spatula_env.data.episode import EpisodeRecorder, StateType
 from spatula_env.data.files import recording_lock
 from spatula_env.data.index import METADATA_FILE, read_index, read_metadata
-from spatula_env.data.recording import RecordingSummary, record_into
 from spatula_env.data.specs import spec_from_json
+from spatula_env.teleop.recording import RecordingSummary, record_into
 from spatula_env.teleop.scripted import ScriptedFalcon
 from spatula_env.teleop.session import EpisodeSummary
 from spatula_env.teleop.wrapper import FalconTeleop

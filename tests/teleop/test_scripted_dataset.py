@@ -7,7 +7,7 @@ import pytest
 import spatula_env
 from spatula_env.data import DatasetWriter
 from spatula_env.data.replaying import open_dataset
-from spatula_env.data.scripted import Hand, make_scripted, scripted_id, scripted_ids
+from spatula_env.teleop.scripted_dataset import Hand, make_scripted, scripted_id, scripted_ids
 
 pytest.importorskip("minari")
 OPTIONS = {"engine": "batch", "max_episode_steps": 6}
