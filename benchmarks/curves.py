@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from spatula_env.arrays import FloatArray
 
-    FloatArray = NDArray[np.float64]
 
 COMPARED_FROM = 0.2
 """Curves are compared from this depth on [u]: before, single vertices of the organ come into contact one by one."""

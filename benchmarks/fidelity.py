@@ -39,11 +39,9 @@ from spatula_env.geometry import Tool
 from spatula_env.geometry.transforms import quaternion_conjugate, quaternion_multiply, random_quaternion, rotate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
+    from spatula_env.arrays import FloatArray
     from spatula_env.scenes import Scene
 
-    FloatArray = NDArray[np.float64]
 
 HALF_STEP, HALF_SPACING = "half the time step", "11 nodes along an edge"
 FINER = (HALF_STEP, HALF_SPACING)

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from spatula_env import Simulation
+    from spatula_env.arrays import FloatArray
     from spatula_env.sim import Report
-
-    FloatArray = NDArray[np.float64]
 
 
 class Ledger:

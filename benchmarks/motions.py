@@ -11,11 +11,9 @@ import numpy as np
 from spatula_env.geometry.transforms import rotate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from spatula_env import Simulation
+    from spatula_env.arrays import FloatArray
 
-    FloatArray = NDArray[np.float64]
     Motion = tuple[FloatArray, FloatArray]
 
 SCENES = ("seed", "palpate", "clamp", "fissure", "retract")

@@ -32,9 +32,8 @@ from spatula_env.sim.simulation import SimulationState
 from spatula_env.sim.soft_body import soft_body
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from spatula_env.arrays import FloatArray
 
-    FloatArray = NDArray[np.float64]
 
 FREE_BODY_LIMIT = 1e-6
 """Greatest difference of a free body in double precision [u]."""

@@ -27,9 +27,9 @@ from spatula_env.sim import Report, SceneWarning, SimulationDiverged
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.sim.simulation import ContactName
 
-    FloatArray = NDArray[np.float64]
 
 SPEEDS = (0.1, 2000.0)
 THICKNESSES = (0.02, 0.5)

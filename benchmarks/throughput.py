@@ -49,9 +49,9 @@ from spatula_env.sim.soft_body import soft_body
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.scenes import Scene
 
-    FloatArray = NDArray[np.float64]
 
 gym.register_envs(spatula_env)
 

@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.scenes import Scene
 
-    FloatArray = NDArray[np.float64]
 
 SQUARE_PUNCH = 1.012
 """A square plate on a half-space is this much stiffer than a round one of the same area (R. B. King, International

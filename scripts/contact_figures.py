@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.contact.flags import FirstStep
     from spatula_env.sim.simulation import ContactName
 
-    FloatArray = NDArray[np.float64]
 
 WIDTH = 1000
 """Of every figure, in pixels."""

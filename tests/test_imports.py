@@ -23,7 +23,18 @@ LAYERS = (
     {"contact"},
     {"scenes"},
     {"geometry"},
-    {"engines", "installing", "printing", "processes", "_bullet", "_kernels", "_warnings"},
+    {
+        "engines",
+        "installing",
+        "printing",
+        "processes",
+        "_bullet",
+        "_kernels",
+        "_warnings",
+        "arrays",
+        "changes",
+        "files",
+    },
     {"_compilation", "_kernel_cache"},
 )
 """Modules and packages of `spatula_env`, from top to bottom. Each may import what is in layers below its own."""

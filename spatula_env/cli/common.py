@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from spatula_env import engines
+from spatula_env.changes import with_changes
 from spatula_env.naming import find_environment
 from spatula_env.printing import printable
 
@@ -176,44 +177,13 @@ def make_environment(
         CommandError: If there is no such environment or option.
     """
     env_id = resolve_env(chosen.env)
-    wanted = {**engine_option(chosen), **(options or {}), **read_changes(chosen.changes), **more}
+    wanted = {**engine_option(chosen), **(options or {}), **with_changes({}, chosen.changes), **more}
     try:
         return gymnasium.make(env_id, **wanted)
     except (TypeError, ValueError) as error:
         # Gymnasium adds where it was raised, which is here.
         reason = str(error).partition(" was raised from the environment creator")[0]
         raise CommandError(f"{env_id} cannot be made so: {reason}") from error
-
-
-def read_changes(changes: Iterable[str]) -> dict[str, Any]:
-    """Options from the command line.
-
-    Args:
-        changes: Each "key=value" or "key.sub=value", the value in YAML.
-
-    Raises:
-        CommandError: If one is not of that form.
-    """
-    import yaml
-
-    result: dict[str, Any] = {}
-    for change in changes:
-        name, equals, text = change.partition("=")
-        keys = name.strip().split(".")
-        if not equals or not all(keys):
-            raise CommandError(f"--set must be KEY=VALUE, got {change!r}")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise CommandError(f"--set {name.strip()} must have a value in YAML, got {text!r}") from error
-        place = result
-        for key in keys[:-1]:
-            inner = place.setdefault(key, {})
-            if not isinstance(inner, dict):
-                raise CommandError(f"--set {name.strip()} must not follow a value for {key!r}")
-            place = inner
-        place[keys[-1]] = value
-    return result
 
 
 def print_json(result: Mapping[str, Any]) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from spatula_env.changes import with_changes
 from spatula_env.cli.acting import POLICY_HELP, Actor, find_actor
-from spatula_env.cli.common import CommandError, at_least, engine_option, note, read_changes, resolve_env
+from spatula_env.cli.common import CommandError, at_least, engine_option, note, resolve_env
 from spatula_env.cli.forces import HAPTIC, HELD, add_force_options, force_settings, read_buttons, tell_loop
 from spatula_env.naming import same_environment
 from spatula_env.teleop.web.access import find_token
@@ -286,7 +287,7 @@ def serve_page(
         dataset=dataset,
         root=chosen.root,
         seed=chosen.seed,
-        env_kwargs={**engine_option(chosen), **read_changes(chosen.changes)},
+        env_kwargs={**engine_option(chosen), **with_changes({}, chosen.changes)},
         real_time=not chosen.no_wait,
         recording=recording,
         progress=progress,

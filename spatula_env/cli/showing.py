@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from spatula_env.cli.common import CommandError
 from spatula_env.data.files import check_can_write
+from spatula_env.files import whole_file
 from spatula_env.installing import install_hint
+from spatula_env.render.films import FILMS, check_film, write_film
 
 if TYPE_CHECKING:
     import gymnasium
 
 PICTURES = (".png", ".jpg")
-FILMS = (".gif", ".mp4")
 
 Picture = NDArray[np.uint8]
 
@@ -42,9 +43,9 @@ def check_ending(path: Path, endings: Sequence[str]) -> None:
     """
     if path.suffix not in endings:
         raise CommandError(f"the file must end with {', '.join(endings)}, got {path}")
-    if path.suffix == ".mp4" and find_spec("moviepy") is None:
-        raise ImportError(f"films as .mp4 need moviepy: {install_hint('video')}")
-    if path.suffix != ".mp4" and find_spec("PIL") is None:
+    if path.suffix in FILMS:
+        check_film(path)
+    elif find_spec("PIL") is None:
         raise ImportError(f"pictures need Pillow: {install_hint('demo')}")
 
 
@@ -94,30 +95,11 @@ class Film:
         """
         if not self.frames:
             raise CommandError("there is no picture to write")
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        # Under another name first: a film that is half written is none.
-        unfinished = self._path.with_name(f".new-{self._path.name}")
-        try:
-            self._encode(unfinished)
-            unfinished.replace(self._path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        if self._path.suffix in FILMS:
+            write_film(self._path, self.frames, self._rate, last_seconds=1.5)
+            return self._path
+        from PIL import Image
+
+        with whole_file(self._path) as unfinished:
+            Image.fromarray(self.frames[-1]).save(unfinished)
         return self._path
-
-    def _encode(self, path: Path) -> None:
-        if path.suffix == ".mp4":
-            from moviepy import ImageSequenceClip
-
-            # The encoder wants even numbers of pixels.
-            even = [frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2] for frame in self.frames]
-            clip = ImageSequenceClip(even, fps=self._rate)
-            clip.write_videofile(str(path), codec="libx264", audio=False, logger=None)
-            clip.close()
-        elif path.suffix == ".gif":
-            from spatula_env.demo.animation import encode_gif
-
-            path.write_bytes(encode_gif(self.frames, round(1000 / self._rate), last_duration=1500))
-        else:
-            from PIL import Image
-
-            Image.fromarray(self.frames[-1]).save(path)

@@ -14,8 +14,9 @@ from spatula_env.cli.common import (
     new_parser,
     resolve_env,
 )
-from spatula_env.cli.showing import FILMS, PICTURES, Film, check_ending, has_window
+from spatula_env.cli.showing import PICTURES, Film, check_ending, has_window
 from spatula_env.naming import task_name
+from spatula_env.render.films import FILMS
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers

@@ -24,7 +24,8 @@ from spatula_env.envs.steering import STEERING
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
 
-    FloatArray = NDArray[np.float64]
+    from spatula_env.arrays import FloatArray
+
 
 TOLERANCE = 1e-9
 """Greatest difference of a position that counts as the same [u]."""

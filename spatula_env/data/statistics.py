@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.data.catalog import DatasetSummary, summarize
 from spatula_env.data.dataset import read_layout
 from spatula_env.data.layout import VECTOR, Layout
 from spatula_env.data.replaying import open_dataset, read_entries
-
-FloatArray = NDArray[np.float64]
 
 CELLS = 10
 """Into so many parts each edge of the workspace is divided, to see how much of it was visited."""
@@ -69,7 +68,7 @@ class DatasetStatistics:
         durations: (E,) [s]; None if the dataset does not say how long a step is.
         successes: (E,) whether the goal was reached.
         operators: (E) who did it, "human" or "scripted".
-        success_interval: Wilson's 95 % interval of the success rate.
+        success_interval: Wilson's 95 % interval of the success rate; (0, 1) without episodes.
         force: Magnitude of the contact force, averaged over a control step [N].
         pressure: Greatest contact pressure in a control step [Pa].
         peak_forces: (E,) the greatest force on a tool [N].
@@ -176,7 +175,7 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
         durations=None if frequency is None else np.array(lengths) / frequency,
         successes=successes,
         operators=tuple(str(each.get("operator", "unknown")) for each in attributes),
-        success_interval=success_interval(int(successes.sum()), count),
+        success_interval=wilson_interval(int(successes.sum()), count) if count else (0.0, 1.0),
         force=course("force"),
         pressure=course("peak_pressure"),
         peak_forces=ending("episode_peak_force"),
@@ -212,15 +211,29 @@ def coverage(positions: FloatArray, box: FloatArray) -> float:
     return len(np.unique(np.clip(cells, 0, CELLS - 1), axis=0)) / CELLS**3
 
 
-def success_interval(successes: int, count: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a rate (E. B. Wilson, J Am Stat Assoc 22:209, 1927); (0, 1) of nothing."""
-    if count == 0:
-        return 0.0, 1.0
-    z = 1.959964
-    share, scale = successes / count, 1.0 + z * z / count
-    middle = (share + 0.5 * z * z / count) / scale
-    half = z / scale * math.sqrt(share * (1.0 - share) / count + 0.25 * (z / count) ** 2)
-    return max(0.0, middle - half), min(1.0, middle + half)
+def wilson_interval(successes: int, count: int, z: float = 1.959963984540054) -> tuple[float, float]:
+    """The score interval of a proportion (E. B. Wilson, J Am Stat Assoc 22:209, 1927).
+
+    Args:
+        successes: How many succeeded.
+        count: Of how many.
+        z: Quantile of the normal distribution; the default is that of 95 %, on both sides.
+
+    Returns:
+        Its ends, in [0, 1].
+
+    Raises:
+        ValueError: If there were none, or more successes than trials.
+    """
+    if count < 1 or not 0 <= successes <= count:
+        raise ValueError(f"successes must be 0 to count, and count 1 or more, got {successes} of {count}")
+    share = successes / count
+    middle = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
+    half = z / (1.0 + z * z / count) * math.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count * count))
+    # At the ends the two terms are equal, but for rounding.
+    low = 0.0 if successes == 0 else max(0.0, middle - half)
+    high = 1.0 if successes == count else min(1.0, middle + half)
+    return low, high
 
 
 def _spread(values: NDArray[Any] | None) -> dict[str, float] | None:

@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spatula_env.demo.episode import Episode
 from spatula_env.demo.pictures import FAINT_INK, FILM_VIEW, INK, PAPER, RULE, PressPainter, _font
-from spatula_env.demo.press import Film
+from spatula_env.demo.press import PressFilm
 from spatula_env.render import palette
 
 if TYPE_CHECKING:
     from PIL import Image
 
-RARE_COLORS = tuple(
-    tuple(round(255 * shade * part) for part in color)
-    for color in (palette.FORCE, palette.GOAL, palette.FEASIBLE, palette.UNFEASIBLE)
-    for shade in (0.4, 0.6, 0.8, 1.0)
-)
-"""Arrows and marks are small, and a palette made from all of a picture would have no place for their colours."""
-
 CURVE = tuple(round(255 * part) for part in palette.FORCE)
 
 
-def film_frames(film: Film, width: int = 480) -> list[Image.Image]:
+def film_frames(film: PressFilm, width: int = 480) -> list[Image.Image]:
     """The film with the force drawn as an arrow and, in a strip below, over time.
 
     Args:
@@ -79,7 +69,7 @@ def episode_frames(episode: Episode) -> list[Image.Image]:
 class _ForceStrip:
     """A plot of the force that grows with time."""
 
-    def __init__(self, film: Film, width: int, height: int) -> None:
+    def __init__(self, film: PressFilm, width: int, height: int) -> None:
         self.width, self.height = width, height
         self._title = f"press at {film.speed:g} u/s, hold, release"
         self._forces = film.forces
@@ -126,38 +116,3 @@ class _ForceStrip:
 
     def _y(self, force: float) -> float:
         return self._bottom - (self._bottom - self._top) * force / self._highest
-
-
-def encode_gif(frames: Sequence[Image.Image | NDArray[np.uint8]], duration: int, last_duration: int = 0) -> bytes:
-    """An endless GIF.
-
-    Args:
-        frames: At least one.
-        duration: Of a frame [ms].
-        last_duration: Of the last frame, if longer [ms].
-
-    Returns:
-        The file's content.
-    """
-    from PIL import Image
-
-    pages = [frame if isinstance(frame, Image.Image) else Image.fromarray(frame) for frame in frames]
-    # One palette for all, and no dithering: what does not move then has the same bytes in every frame, which GIF
-    # stores as nothing.
-    samples = pages[:: max(1, len(pages) // 6)]
-    sheet = Image.new("RGB", (pages[0].width, sum(page.height for page in samples)))
-    top = 0
-    for page in samples:
-        sheet.paste(page, (0, top))
-        top += page.height
-    colors = sheet.quantize(256 - len(RARE_COLORS), method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    table = (colors.getpalette() or [])[: 3 * (256 - len(RARE_COLORS))]
-    colors.putpalette([*table, *(part for color in RARE_COLORS for part in color)])
-    few = [page.quantize(palette=colors, dither=Image.Dither.NONE) for page in pages]
-    durations = [duration] * len(few)
-    durations[-1] = max(duration, last_duration)
-    buffer = io.BytesIO()
-    few[0].save(
-        buffer, "GIF", save_all=True, append_images=few[1:], duration=durations, loop=0, optimize=False, disposal=1
-    )
-    return buffer.getvalue()

@@ -36,9 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_extra()
 
     from spatula_env.demo.pictures import figure, side_by_side
-    from spatula_env.demo.report import markdown_table, write_bytes, write_text
+    from spatula_env.demo.report import markdown_table
     from spatula_env.demo.runner import comparison_cases, encode_png, figure_results, film_gif, prepare_folder
     from spatula_env.demo.workers import start_workers, submit_cases
+    from spatula_env.files import write_bytes, write_text
 
     text = chosen.document.read_text(encoding="utf-8")
     replace_table(text, "")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.contact.raycast import cast_ray
-
-FloatArray = NDArray[np.float64]
 
 GRID = 20
 """Rays along each edge of the footprint."""

@@ -15,7 +15,7 @@ from spatula_env.geometry.transforms import rotate
 from spatula_env.render import palette
 from spatula_env.render.camera import Camera
 from spatula_env.render.palette import Color
-from spatula_env.render.primitives import WET_TISSUE, Ground, Mesh
+from spatula_env.render.primitives import WET_TISSUE, GroundPlane, Mesh
 from spatula_env.render.renderer import Renderer
 from spatula_env.render.shapes import arrow_mesh, box_mesh, sphere_mesh
 
@@ -99,7 +99,7 @@ class PressPainter:
         scene = scenes.seed()
         self._tool = scene.tools[0].tool
         self._organ = scene.organs[0].organ
-        self._ground = Ground()
+        self._ground = GroundPlane()
         self._view = view
         self._renderer = Renderer(width, height)
         self._close_renderer = Renderer(inset, round(0.72 * inset)) if inset else None

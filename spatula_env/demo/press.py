@@ -9,16 +9,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from spatula_env import scenes
+from spatula_env.arrays import BoolArray, FloatArray
 from spatula_env.demo.measure import footprint, is_inside, surface_heights
 from spatula_env.demo.verdict import Verdict, judge
 from spatula_env.sim.report import Report
 from spatula_env.sim.simulation import ContactName, Simulation, SimulationDiverged
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 CONTACTS: tuple[ContactName, ...] = ("flags", "second_step", "bullet")
 """The contact models compared."""
@@ -152,7 +149,7 @@ class PressResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Film:
+class PressFilm:
     """A press, hold and release, moment by moment.
 
     Attributes:
@@ -241,7 +238,7 @@ def film_press(
     hold_time: float = 0.5,
     rest_time: float = 0.35,
     stride: int = 4,
-) -> Film:
+) -> PressFilm:
     """Press, hold, release, and keep every so many moments.
 
     Args:
@@ -270,7 +267,7 @@ def film_press(
             forces.append(float(report.force_newtons[2]))
             if index % stride == 0:
                 snapshots.append(_snapshot(simulation, report))
-        return Film(tuple(snapshots), np.array(forces), simulation.dt, speed)
+        return PressFilm(tuple(snapshots), np.array(forces), simulation.dt, speed)
     finally:
         simulation.close()
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
-import tempfile
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from importlib import metadata
@@ -17,6 +15,7 @@ from spatula_env.demo.measure import GRID
 from spatula_env.demo.press import FINAL_HEIGHT, GAP, SURFACE_STRIDE, WINDOW, PressResult
 from spatula_env.demo.verdict import CRITERIA
 from spatula_env.engines import bullet_version
+from spatula_env.files import write_text
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -175,22 +174,3 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
         ValueError: If a number in it is not finite.
     """
     write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text as `write_json` writes a document."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write bytes as `write_json` writes a document."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        # What a temporary file may be read by is the owner alone.
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from spatula_env.demo import require_extra
-from spatula_env.demo.animation import encode_gif, episode_frames, film_frames
+from spatula_env.demo.animation import episode_frames, film_frames
 from spatula_env.demo.episode import Actor, Episode, run_episode, trained_actor
 from spatula_env.demo.pictures import FIGURE_SPEED, figure
 from spatula_env.demo.press import CONTACTS, SPEEDS, PressCase, PressResult, film_press
@@ -19,12 +19,12 @@ from spatula_env.demo.report import (
     as_document,
     markdown_table,
     terminal_table,
-    write_bytes,
     write_json,
-    write_text,
 )
 from spatula_env.demo.workers import start_workers, submit_cases
 from spatula_env.engines import bullet_hint, bullet_is_there
+from spatula_env.files import write_bytes, write_text
+from spatula_env.render.films import encode_gif
 from spatula_env.render.renderer import Renderer
 
 if TYPE_CHECKING:

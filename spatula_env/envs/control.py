@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.geometry.checks import as_floats, check_positive
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
 from spatula_env.tasks.base import PartSpec
 
 if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting, Situation, ToolShape
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

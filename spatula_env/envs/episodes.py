@@ -12,6 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector.utils import create_empty_array
 from numpy.typing import NDArray
 
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.envs.control import VelocityControl
 from spatula_env.envs.frames import Frames
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
@@ -23,7 +24,7 @@ from spatula_env.envs.start_options import check_free, chosen_starts
 from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.tasks.base import Evaluation, weighted_sum
-from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Situation, Start
+from spatula_env.tasks.situation import Situation, Start
 
 if TYPE_CHECKING:
     from spatula_env.envs.control import Motion

@@ -10,13 +10,11 @@ import numpy as np
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, turn
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
+    from spatula_env.arrays import FloatArray, IntArray
     from spatula_env.envs.workspace import Workspace
     from spatula_env.scenes import Scale
-
-    FloatArray = NDArray[np.float64]
-    IntArray = NDArray[np.int64]
 
 
 class Frames:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from spatula_env.tasks.situation import IntArray
+    from spatula_env.arrays import IntArray
 
 
 def indices_below(count: int, value: Any) -> IntArray | None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from spatula_env.tasks.situation import FloatArray
+from spatula_env.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

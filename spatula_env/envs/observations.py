@@ -16,10 +16,11 @@ from spatula_env.tasks.base import PartSpec
 from spatula_env.tasks.surface import farthest_points, surface_samples
 
 if TYPE_CHECKING:
+    from spatula_env.arrays import FloatArray
     from spatula_env.envs.control import VelocityControl
     from spatula_env.envs.settings import ObservationSettings
     from spatula_env.tasks.base import Evaluation, Task
-    from spatula_env.tasks.situation import FloatArray, Setting, Situation
+    from spatula_env.tasks.situation import Setting, Situation
 
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
 """Of one world, or of many with a first axis that counts them."""

@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import IntArray
     from spatula_env.envs.episodes import Episodes, Pictures
-    from spatula_env.tasks.situation import IntArray
 
 
 def observed_pictures(episodes: Episodes) -> Pictures:

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from spatula_env.render.scene_view import SceneView
     from spatula_env.render.window import Window
 
-FloatArray = NDArray[np.float64]
-
 
 class EpisodePictures:
     """Draws the worlds of some episodes, one after the other, with one view.

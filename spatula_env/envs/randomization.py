@@ -13,10 +13,11 @@ import numpy as np
 from spatula_env.tasks.configuration import check_range
 
 if TYPE_CHECKING:
+    from spatula_env.arrays import FloatArray, IntArray
     from spatula_env.envs.frames import Frames
     from spatula_env.scenes import Scene
     from spatula_env.sim.worlds import Worlds
-    from spatula_env.tasks.situation import FloatArray, IntArray, Setting
+    from spatula_env.tasks.situation import Setting
 
 Ranges = Mapping[str, tuple[float, float]]
 """Least and greatest value of each thing that is drawn at random, uniformly, in each episode."""

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.tasks.situation import BoolArray, IntArray, Situation
+from spatula_env.arrays import BoolArray, IntArray
+from spatula_env.tasks.situation import Situation
 
 if TYPE_CHECKING:
     from spatula_env.envs.control import Motion

@@ -16,8 +16,9 @@ from spatula_env.sim.worlds import SeparateWorlds, Worlds
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from spatula_env.arrays import BoolArray, IntArray
     from spatula_env.envs.settings import EnvSettings
-    from spatula_env.tasks.situation import BoolArray, IntArray, Setting, Situation
+    from spatula_env.tasks.situation import Setting, Situation
 
 Physics = BatchState | tuple[SimulationState, ...]
 """Of n worlds, as the engine of many worlds has it or one by one."""

@@ -14,6 +14,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_action
 from spatula_env.envs.episodes import Episodes
@@ -27,7 +28,6 @@ from spatula_env.envs.start_options import START_OPTIONS, own_options
 from spatula_env.envs.time_limit import is_told_in_steps, steps_in
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 from spatula_env.sim.worlds import SeparateWorlds
-from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
     from spatula_env.envs.steering import Pilot

@@ -14,10 +14,11 @@ from spatula_env.geometry.overlap import overlaps
 from spatula_env.geometry.rotations import turn
 
 if TYPE_CHECKING:
+    from spatula_env.arrays import FloatArray, IntArray
     from spatula_env.envs.control import VelocityControl
     from spatula_env.envs.workspace import Workspace
     from spatula_env.tasks.base import Task
-    from spatula_env.tasks.situation import FloatArray, IntArray, Setting
+    from spatula_env.tasks.situation import Setting
 
 START_OPTIONS = ("goal", "tool_position")
 """What of an episode's beginning can be chosen."""

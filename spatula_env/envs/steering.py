@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
+from spatula_env.arrays import FloatArray
 from spatula_env.envs.control import Motion, as_action
-from spatula_env.tasks.situation import FloatArray
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

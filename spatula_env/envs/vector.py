@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from spatula_env.arrays import BoolArray, FloatArray
 from spatula_env.envs.attributes import call_worlds, set_in_worlds
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_actions
@@ -29,7 +30,6 @@ from spatula_env.envs.time_limit import read_step_limit, steps_in
 from spatula_env.envs.vector_arguments import as_autoreset_mode, read_mask, read_seeds, read_worlds
 from spatula_env.geometry.checks import check_count
 from spatula_env.sim.worlds import Worlds, make_worlds
-from spatula_env.tasks.situation import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -15,7 +15,7 @@ from spatula_env.envs.start_options import START_OPTIONS, own_options
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from spatula_env.tasks.situation import IntArray
+    from spatula_env.arrays import IntArray
 
 AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
 """Names of what can happen when an episode has ended."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.geometry.checks import check_positive
-from spatula_env.tasks.situation import FloatArray, Setting, ToolShape
+from spatula_env.tasks.situation import Setting, ToolShape
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

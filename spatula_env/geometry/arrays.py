@@ -5,11 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-IndexArray = NDArray[np.integer]
-BoolArray = NDArray[np.bool_]
-
 
 def read_only(values: ArrayLike, dtype: DTypeLike = np.float64) -> NDArray[np.generic]:
     """Copy values into a contiguous array whose elements cannot be assigned.

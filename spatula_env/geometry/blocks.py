@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spatula_env.geometry.arrays import BoolArray, FloatArray, IntArray
+from spatula_env.arrays import BoolArray, FloatArray, Int32Array
 from spatula_env.geometry.checks import check_positive
 from spatula_env.geometry.meshes import Organ
 from spatula_env.geometry.rings import Loft, loft
@@ -47,11 +47,11 @@ class FissuredBlock(Organ):
         floor_height: z of the lowest line of the floor [u].
     """
 
-    base: IntArray = field(repr=False)
-    walls: tuple[IntArray, IntArray] = field(repr=False)
-    lips: tuple[IntArray, IntArray] = field(repr=False)
-    floor: IntArray = field(repr=False)
-    target: IntArray = field(repr=False)
+    base: Int32Array = field(repr=False)
+    walls: tuple[Int32Array, Int32Array] = field(repr=False)
+    lips: tuple[Int32Array, Int32Array] = field(repr=False)
+    floor: Int32Array = field(repr=False)
+    target: Int32Array = field(repr=False)
     floor_height: float
 
 
@@ -68,9 +68,9 @@ class RidgedBlock(Organ):
         foot_height: z of the top around the ridge [u].
     """
 
-    base: IntArray = field(repr=False)
-    flanks: tuple[IntArray, IntArray] = field(repr=False)
-    crest: IntArray = field(repr=False)
+    base: Int32Array = field(repr=False)
+    flanks: tuple[Int32Array, Int32Array] = field(repr=False)
+    crest: Int32Array = field(repr=False)
     foot_height: float
 
 
@@ -272,7 +272,7 @@ def _check_less(value: float, name: str, limit: float, what: str) -> None:
         raise ValueError(f"{name} must be less than {what} ({limit:g}), got {value:g}")
 
 
-def _indices(members: BoolArray) -> IntArray:
+def _indices(members: BoolArray) -> Int32Array:
     """Where an array is true, as indices that cannot be written to."""
     indices = np.flatnonzero(members).astype(np.int32)
     indices.setflags(write=False)

@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spatula_env.geometry.arrays import FloatArray, IntArray
+from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.geometry.surface import canonical_order, triangle_normals
 
 FACTORS = (1.0, 0.1, 10.0, 0.01, 100.0, 0.001)
 """Factors on the tolerance, tried in turn: where points stand out by just about one, another decides."""
 
 
-def convex_hull(points: ArrayLike, tolerance: float = 1e-10) -> IntArray:
+def convex_hull(points: ArrayLike, tolerance: float = 1e-10) -> Int32Array:
     """Triangles of the convex hull of a set of points.
 
     Points that stand out of the hull of the others by no more than the tolerance, such as points in the

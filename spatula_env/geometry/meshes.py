@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spatula_env._warnings import warn
-from spatula_env.geometry.arrays import FloatArray, IntArray, read_only
+from spatula_env.arrays import FloatArray, Int32Array
+from spatula_env.geometry.arrays import read_only
 from spatula_env.geometry.checks import check_count, check_positive
 from spatula_env.geometry.hull import convex_hull
 from spatula_env.geometry.parts import describe_parts, organ_parts
@@ -38,7 +39,7 @@ class Organ:
     """
 
     vertices: FloatArray = field(repr=False)
-    triangles: IntArray = field(repr=False)
+    triangles: Int32Array = field(repr=False)
     name: str = "organ"
 
     def __post_init__(self) -> None:
@@ -259,7 +260,7 @@ def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | Non
     return organ
 
 
-def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, IntArray]:
+def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, Int32Array]:
     """Vertices and triangles of the one mesh in a file; raise ValueError where there is no such mesh."""
     try:
         import trimesh
@@ -286,7 +287,7 @@ def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, IntArray]:
     return np.array(parts[0].vertices, dtype=np.float64), np.array(parts[0].faces, dtype=np.int32)
 
 
-def _merge_equal(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
+def _merge_equal(vertices: FloatArray, triangles: Int32Array) -> tuple[FloatArray, Int32Array]:
     """Make vertices at exactly the same position one, in the order of their first appearance."""
     _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -295,7 +296,7 @@ def _merge_equal(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray,
     return vertices[first[order]], rank[inverse.reshape(-1)][triangles]
 
 
-def _split_in_four(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
+def _split_in_four(vertices: FloatArray, triangles: Int32Array) -> tuple[FloatArray, Int32Array]:
     """Put a vertex in the middle of every edge and divide every triangle in four."""
     pairs = edges(triangles)
     base = len(vertices)

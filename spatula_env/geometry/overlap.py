@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env.geometry.arrays import FloatArray, IndexArray
+from spatula_env.arrays import FloatArray, IndexArray
 from spatula_env.geometry.surface import triangle_normals, winding_numbers
 
 

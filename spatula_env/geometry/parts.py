@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from spatula_env.geometry.arrays import FloatArray
+    from spatula_env.arrays import FloatArray, IntArray
 
-    IntArray = NDArray[np.int64]
 
 NAMED_PARTS = 8
 """Of how many parts a message tells the size."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.geometry.arrays import FloatArray, IntArray
+from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.geometry.surface import triangle_areas, triangle_normals
 
 COPLANAR = 1e-6
@@ -92,7 +92,7 @@ class Face:
         return np.concatenate(points)
 
 
-def polyhedron_faces(vertices: FloatArray, triangles: IntArray) -> list[Face]:
+def polyhedron_faces(vertices: FloatArray, triangles: Int32Array) -> list[Face]:
     """Join the triangles of a convex polyhedron to its flat faces.
 
     Args:
@@ -132,7 +132,7 @@ def polyhedron_faces(vertices: FloatArray, triangles: IntArray) -> list[Face]:
 
 
 def _face_labels(
-    vertices: FloatArray, triangles: IntArray, normals: FloatArray, areas: FloatArray
+    vertices: FloatArray, triangles: Int32Array, normals: FloatArray, areas: FloatArray
 ) -> NDArray[np.int64]:
     """Number of the face each triangle belongs to, shape (M,)."""
     near = COPLANAR * float(np.ptp(vertices, axis=0).max())

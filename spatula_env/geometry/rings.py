@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.geometry.arrays import FloatArray, IntArray
+from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.geometry.surface import canonical_order
 
 ROUNDNESS = 3.0
@@ -48,7 +48,7 @@ class Loft:
     """
 
     vertices: FloatArray
-    triangles: IntArray
+    triangles: Int32Array
     profile_index: FloatArray
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from spatula_env.arrays import FloatArray
 
 SMALL_ANGLE = 1e-6
 """Below this half angle a quotient of sines is taken from its series [rad]."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spatula_env.geometry.arrays import BoolArray, FloatArray, IndexArray, IntArray
+from spatula_env.arrays import BoolArray, FloatArray, IndexArray, Int32Array
 
 SMALLEST_TRIANGLES = 4
 """A tetrahedron: no closed surface has fewer triangles."""
@@ -27,7 +27,7 @@ def check_surface(
     name: str = "organ",
     smallest: float = 1e-3,
     largest: float = 1e3,
-) -> tuple[FloatArray, IntArray]:
+) -> tuple[FloatArray, Int32Array]:
     """Check that a triangle surface is closed and wound outwards, as rays and soft bodies need it.
 
     Nothing is repaired. The surface may have several components. Each must be wound outwards, with a positive
@@ -135,7 +135,7 @@ def vertex_areas(vertices: FloatArray, triangles: IndexArray) -> FloatArray:
     return sums
 
 
-def edges(triangles: IndexArray) -> IntArray:
+def edges(triangles: IndexArray) -> Int32Array:
     """Edges of the triangles, each once.
 
     Args:
@@ -147,7 +147,7 @@ def edges(triangles: IndexArray) -> IntArray:
     return _edge_uses(triangles)[0]
 
 
-def canonical_order(triangles: IndexArray) -> IntArray:
+def canonical_order(triangles: IndexArray) -> Int32Array:
     """Order triangles in a way that depends on the surface alone, not on how it was made.
 
     Args:
@@ -159,11 +159,11 @@ def canonical_order(triangles: IndexArray) -> IntArray:
     """
     first = np.argmin(triangles, axis=1)[:, None]
     rotated = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
-    ordered: IntArray = rotated[np.lexsort(rotated.T[::-1])].astype(np.int32)
+    ordered: Int32Array = rotated[np.lexsort(rotated.T[::-1])].astype(np.int32)
     return ordered
 
 
-def connected_components(triangles: IndexArray) -> IntArray:
+def connected_components(triangles: IndexArray) -> Int32Array:
     """Label the triangles by connected component; triangles that share an edge are connected.
 
     Args:
@@ -195,7 +195,7 @@ def shared_edges(triangles: IndexArray) -> tuple[NDArray[np.int64], NDArray[np.i
     return order[same], order[same + 1]
 
 
-def label_components(count: int, left: IndexArray, right: IndexArray) -> IntArray:
+def label_components(count: int, left: IndexArray, right: IndexArray) -> Int32Array:
     """Label the members of a set by which of them are connected, directly or through others.
 
     Args:
@@ -220,7 +220,7 @@ def label_components(count: int, left: IndexArray, right: IndexArray) -> IntArra
         if np.array_equal(spread, label):
             break
         label = spread
-    components: IntArray = np.unique(label, return_inverse=True)[1].astype(np.int32)
+    components: Int32Array = np.unique(label, return_inverse=True)[1].astype(np.int32)
     return components
 
 
@@ -254,7 +254,7 @@ def winding_numbers(points: FloatArray, vertices: FloatArray, triangles: IndexAr
     return result / (4.0 * np.pi)
 
 
-def _as_surface(vertices: ArrayLike, triangles: ArrayLike, name: str) -> tuple[FloatArray, IntArray]:
+def _as_surface(vertices: ArrayLike, triangles: ArrayLike, name: str) -> tuple[FloatArray, Int32Array]:
     """Copy a surface into arrays of the right types; raise ValueError for what does not fit."""
     try:
         points = np.array(vertices, dtype=np.float64)
@@ -303,7 +303,7 @@ def _check_size(points: FloatArray, name: str, smallest: float, largest: float) 
     return diagonal
 
 
-def _check_vertices(points: FloatArray, faces: IntArray, name: str) -> None:
+def _check_vertices(points: FloatArray, faces: Int32Array, name: str) -> None:
     """Check that every vertex belongs to a triangle and that no two coincide."""
     unused = np.ones(len(points), dtype=bool)
     unused[faces] = False
@@ -323,7 +323,7 @@ def _check_vertices(points: FloatArray, faces: IntArray, name: str) -> None:
         )
 
 
-def _check_areas(points: FloatArray, faces: IntArray, name: str, diagonal: float) -> None:
+def _check_areas(points: FloatArray, faces: Int32Array, name: str, diagonal: float) -> None:
     """Check that no triangle repeats a vertex or has no area."""
     repeated = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     flat = triangle_areas(points, faces) <= ZERO_AREA * diagonal**2
@@ -337,7 +337,7 @@ def _check_areas(points: FloatArray, faces: IntArray, name: str, diagonal: float
         )
 
 
-def _check_edges(faces: IntArray, name: str) -> None:
+def _check_edges(faces: Int32Array, name: str) -> None:
     """Check that every edge lies in exactly two triangles, which run along it in opposite directions."""
     pairs, uses, forward = _edge_uses(faces)
 
@@ -361,7 +361,7 @@ def _check_edges(faces: IntArray, name: str) -> None:
         )
 
 
-def _check_winding(points: FloatArray, faces: IntArray, name: str, diagonal: float) -> None:
+def _check_winding(points: FloatArray, faces: Int32Array, name: str, diagonal: float) -> None:
     """Check that the surface encloses a volume, its components wound outwards and its cavities inwards."""
     component = connected_components(faces)
     count = int(component.max()) + 1
@@ -388,7 +388,7 @@ def _check_winding(points: FloatArray, faces: IntArray, name: str, diagonal: flo
         )
 
 
-def _is_inside_others(points: FloatArray, faces: IntArray, own: BoolArray) -> bool:
+def _is_inside_others(points: FloatArray, faces: Int32Array, own: BoolArray) -> bool:
     """Whether the triangles ``own`` (T,) lie in the material that the others enclose."""
     corners = np.unique(faces[own])
     # A vertex where two components touch says nothing; the median over a few vertices passes over it.
@@ -423,7 +423,7 @@ def _edge_keys(triangles: IndexArray) -> tuple[NDArray[np.int64], BoolArray, int
     return np.minimum(start, end) * base + np.maximum(start, end), start < end, base
 
 
-def _edge_uses(triangles: IndexArray) -> tuple[IntArray, NDArray[np.int64], NDArray[np.int64]]:
+def _edge_uses(triangles: IndexArray) -> tuple[Int32Array, NDArray[np.int64], NDArray[np.int64]]:
     """Edges (E, 2), how many triangles use each (E,), and how many of these run along it upwards (E,)."""
     keys, upwards, base = _edge_keys(triangles)
     unique, inverse = np.unique(keys, return_inverse=True)

@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spatula_env.geometry.arrays import BoolArray, FloatArray, IntArray, read_only
+from spatula_env.arrays import BoolArray, FloatArray, Int32Array
+from spatula_env.geometry.arrays import read_only
 from spatula_env.geometry.checks import check_count, check_positive
 from spatula_env.geometry.hull import convex_hull
 from spatula_env.geometry.polyhedra import COPLANAR, Face, cell_count, polyhedron_faces
@@ -57,12 +58,12 @@ class Tool:
 
     nodes: FloatArray = field(repr=False)
     normals: FloatArray = field(repr=False)
-    opposite: IntArray = field(repr=False)
-    face: IntArray = field(repr=False)
+    opposite: Int32Array = field(repr=False)
+    face: Int32Array = field(repr=False)
     face_normals: FloatArray = field(repr=False)
     areas: FloatArray = field(repr=False)
     vertices: FloatArray = field(repr=False)
-    triangles: IntArray = field(repr=False)
+    triangles: Int32Array = field(repr=False)
     name: str = "tool"
 
     def __post_init__(self) -> None:
@@ -361,7 +362,7 @@ def _box_pair(
     return nodes.reshape(-1, 3), normals.reshape(-1, 3), np.tile(np.outer(first[1], second[1]).ravel(), 2)
 
 
-def _convex_nodes(faces: list[Face], spacing: float) -> tuple[FloatArray, IntArray, IntArray]:
+def _convex_nodes(faces: list[Face], spacing: float) -> tuple[FloatArray, Int32Array, Int32Array]:
     """Nodes (n, 3), their faces (n,) and their opposites (n,) on a convex polyhedron, ordered by face."""
     normals = np.array([face.normal for face in faces])
     offsets = np.array([face.offset for face in faces])

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from spatula_env.geometry.arrays import FloatArray
+from spatula_env.arrays import FloatArray
 
 UNIT_TOLERANCE = 1e-6
 """How far from 1 the length of a quaternion given by a user may be."""

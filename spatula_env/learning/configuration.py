@@ -14,12 +14,14 @@ import typing
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 import gymnasium
 import yaml
 
 import spatula_env
+from spatula_env.changes import with_changes
+from spatula_env.learning.ranges import Checked, Count, Natural, NotNegative, Positive, Share, one_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -30,6 +32,8 @@ ENVIRONMENT_KEYS = ("id", "kwargs")
 
 ENGINES = ("batch", "bullet")
 """What can integrate organs while agents learn."""
+
+Engine = Annotated[str, one_of(ENGINES)]
 
 ACTIVATIONS = ("relu", "tanh", "elu")
 """Between the layers of a network."""
@@ -109,7 +113,7 @@ def make_environment(path: str | os.PathLike[str], **overrides: Any) -> gymnasiu
 
 
 @dataclass(frozen=True)
-class EnvironmentConfig:
+class EnvironmentConfig(Checked):
     """Where an agent learns.
 
     Attributes:
@@ -121,16 +125,17 @@ class EnvironmentConfig:
         num_envs: How many worlds are stepped together.
     """
 
+    section: ClassVar[str] = "environment"
+
     id: str
     kwargs: dict[str, Any] = field(default_factory=dict)
-    engine: str = "batch"
+    engine: Engine = "batch"
     parts: tuple[str, ...] | None = None
-    num_envs: int = 64
+    num_envs: Count = 64
 
     def __post_init__(self) -> None:
         """Check the values."""
-        _check_choice(self.engine, "environment.engine", ENGINES)
-        _check_least(self.num_envs, "environment.num_envs", 1)
+        super().__post_init__()
         if "engine" in self.kwargs:
             raise ValueError("environment.kwargs must not hold engine: it is a key of environment itself")
         if self.parts is not None and not self.parts:
@@ -138,7 +143,7 @@ class EnvironmentConfig:
 
 
 @dataclass(frozen=True)
-class NetworkConfig:
+class NetworkConfig(Checked):
     """Networks of policy and value, of the same kind.
 
     Attributes:
@@ -146,18 +151,14 @@ class NetworkConfig:
         activation: "relu", "tanh" or "elu".
     """
 
-    layers: tuple[int, ...] = (128, 128)
-    activation: str = "relu"
+    section: ClassVar[str] = "network"
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for size in self.layers:
-            _check_least(size, "network.layers", 1)
-        _check_choice(self.activation, "network.activation", ACTIVATIONS)
+    layers: tuple[Count, ...] = (128, 128)
+    activation: Annotated[str, one_of(ACTIVATIONS)] = "relu"
 
 
 @dataclass(frozen=True)
-class NormalizationConfig:
+class NormalizationConfig(Checked):
     """What is brought to mean 0 and deviation 1, by running estimates that are saved with the policy.
 
     Attributes:
@@ -166,17 +167,15 @@ class NormalizationConfig:
         clip: Greatest size of a normalised number.
     """
 
+    section: ClassVar[str] = "normalization"
+
     observations: bool = True
     rewards: bool = False
-    clip: float = 10.0
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        _check_positive(self.clip, "normalization.clip")
+    clip: Positive = 10.0
 
 
 @dataclass(frozen=True)
-class EvaluationConfig:
+class EvaluationConfig(Checked):
     """How an agent is evaluated while it learns, in episodes that it does not learn from.
 
     Attributes:
@@ -188,23 +187,17 @@ class EvaluationConfig:
             the last evaluation always is done.
     """
 
-    every: int = 20_000
-    episodes: int = 64
-    engine: str = "batch"
-    seed: int = 1_000_000
-    from_success: float = 0.0
+    section: ClassVar[str] = "evaluation"
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        _check_least(self.every, "evaluation.every", 1)
-        _check_least(self.episodes, "evaluation.episodes", 1)
-        _check_least(self.seed, "evaluation.seed", 0)
-        _check_choice(self.engine, "evaluation.engine", ENGINES)
-        _check_share(self.from_success, "evaluation.from_success")
+    every: Count = 20_000
+    episodes: Count = 64
+    engine: Engine = "batch"
+    seed: Natural = 1_000_000
+    from_success: Share = 0.0
 
 
 @dataclass(frozen=True)
-class PPOConfig:
+class PPOConfig(Checked):
     """Hyper-parameters of PPO, by Stable-Baselines3's names.
 
     Attributes:
@@ -223,13 +216,15 @@ class PPOConfig:
         log_std_init: Logarithm of the first standard deviation of actions.
     """
 
-    learning_rate: float = 3e-4
+    section: ClassVar[str] = "hyperparameters"
+
+    learning_rate: Positive = 3e-4
     final_learning_rate: float | None = None
-    n_steps: int = 64
-    batch_size: int = 512
-    n_epochs: int = 10
-    gamma: float = 0.98
-    gae_lambda: float = 0.95
+    n_steps: Count = 64
+    batch_size: Count = 512
+    n_epochs: Count = 10
+    gamma: Share = 0.98
+    gae_lambda: Share = 0.95
     clip_range: float = 0.2
     ent_coef: float = 0.0
     vf_coef: float = 0.5
@@ -237,17 +232,9 @@ class PPOConfig:
     target_kl: float | None = None
     log_std_init: float = 0.0
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for name in ("n_steps", "batch_size", "n_epochs"):
-            _check_least(getattr(self, name), f"hyperparameters.{name}", 1)
-        _check_positive(self.learning_rate, "hyperparameters.learning_rate")
-        for name in ("gamma", "gae_lambda"):
-            _check_share(getattr(self, name), f"hyperparameters.{name}")
-
 
 @dataclass(frozen=True)
-class SACConfig:
+class SACConfig(Checked):
     """Hyper-parameters of SAC, by Stable-Baselines3's names.
 
     Attributes:
@@ -264,26 +251,23 @@ class SACConfig:
         n_critics: Number of critics.
     """
 
-    learning_rate: float = 1e-3
+    section: ClassVar[str] = "hyperparameters"
+
+    learning_rate: Positive = 1e-3
     final_learning_rate: float | None = None
-    buffer_size: int = 400_000
-    learning_starts: int = 6_400
-    batch_size: int = 256
-    tau: float = 0.01
-    gamma: float = 0.97
-    gradient_steps: int = 8
+    buffer_size: Count = 400_000
+    learning_starts: Natural = 6_400
+    batch_size: Count = 256
+    tau: Share = 0.01
+    gamma: Share = 0.97
+    gradient_steps: Count = 8
     ent_coef: float | str = "auto_0.1"
     target_entropy: float | str = "auto"
-    n_critics: int = 2
+    n_critics: Count = 2
 
     def __post_init__(self) -> None:
         """Check the values."""
-        for name, least in (("buffer_size", 1), ("learning_starts", 0), ("batch_size", 1), ("gradient_steps", 1)):
-            _check_least(getattr(self, name), f"hyperparameters.{name}", least)
-        _check_least(self.n_critics, "hyperparameters.n_critics", 1)
-        _check_positive(self.learning_rate, "hyperparameters.learning_rate")
-        for name in ("tau", "gamma"):
-            _check_share(getattr(self, name), f"hyperparameters.{name}")
+        super().__post_init__()
         if isinstance(self.ent_coef, str) and self.ent_coef != "auto":
             first = _number(self.ent_coef.removeprefix("auto_"))
             if not self.ent_coef.startswith("auto_") or first is None or first <= 0.0:
@@ -317,15 +301,8 @@ class SACHERConfig(SACConfig):
         goal_selection_strategy: "future", "final" or "episode".
     """
 
-    n_sampled_goal: int = 4
-    goal_selection_strategy: str = "future"
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        super().__post_init__()
-        _check_least(self.n_sampled_goal, "hyperparameters.n_sampled_goal", 1)
-        allowed = ("future", "final", "episode")
-        _check_choice(self.goal_selection_strategy, "hyperparameters.goal_selection_strategy", allowed)
+    n_sampled_goal: Count = 4
+    goal_selection_strategy: Annotated[str, one_of(("future", "final", "episode"))] = "future"
 
 
 ALGORITHMS: Mapping[str, type[PPOConfig] | type[SACConfig]] = types.MappingProxyType(
@@ -335,7 +312,7 @@ ALGORITHMS: Mapping[str, type[PPOConfig] | type[SACConfig]] = types.MappingProxy
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(Checked):
     """All that decides how training goes.
 
     Attributes:
@@ -367,29 +344,24 @@ class TrainingConfig:
     hyperparameters: PPOConfig | SACConfig
     network: NetworkConfig = field(default_factory=NetworkConfig)
     normalization: NormalizationConfig = field(default_factory=NormalizationConfig)
-    total_steps: int = 500_000
+    total_steps: Count = 500_000
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    checkpoint_every: int = 50_000
-    success_target: float | None = 0.97
-    demonstrations: int = 0
+    checkpoint_every: Count = 50_000
+    success_target: Share | None = 0.97
+    demonstrations: Natural = 0
     demonstration_noise: float | str = 0.0
-    demonstration_share: float = 0.0
-    clone_steps: int = 0
-    imitation_weight: float = 0.0
-    actor_starts: int = 0
+    demonstration_share: Share = 0.0
+    clone_steps: Natural = 0
+    imitation_weight: NotNegative = 0.0
+    actor_starts: Natural = 0
     overlap: bool = True
-    torch_threads: int = 1
+    torch_threads: Count = 1
     seeds: tuple[int, ...] = (0,)
 
     def __post_init__(self) -> None:
         """Check the values, and how they go together."""
-        for name in ("total_steps", "checkpoint_every", "torch_threads"):
-            _check_least(getattr(self, name), name, 1)
-        for name in ("demonstrations", "clone_steps", "actor_starts"):
-            _check_least(getattr(self, name), name, 0)
+        super().__post_init__()
         self._check_demonstrations()
-        if self.success_target is not None:
-            _check_share(self.success_target, "success_target")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
             raise ValueError(f"seeds must be different integers, zero or more, got {list(self.seeds)}")
         sparse = self.environment.kwargs.get("reward") == "sparse"
@@ -398,7 +370,6 @@ class TrainingConfig:
 
     def _check_demonstrations(self) -> None:
         check_noise(self.demonstration_noise, "demonstration_noise")
-        _check_share(self.demonstration_share, "demonstration_share")
         if self.algorithm == "ppo" and self.demonstrations:
             raise ValueError("demonstrations must be 0 with algorithm 'ppo', which has no replay buffer")
         for name in ("demonstration_share", "clone_steps", "imitation_weight", "actor_starts"):
@@ -406,8 +377,6 @@ class TrainingConfig:
                 raise ValueError(f"{name} must be 0 without demonstrations, got {getattr(self, name)!r}")
         if self.algorithm == "sac_her" and self.demonstration_share:
             raise ValueError("demonstration_share must be 0 with algorithm 'sac_her', which makes its own batches")
-        if not 0.0 <= self.imitation_weight < math.inf:
-            raise ValueError(f"imitation_weight must be a number from 0 on, got {self.imitation_weight!r}")
         if self.imitation_weight and not self.demonstration_share:
             raise ValueError("imitation_weight must be 0 unless demonstration_share keeps demonstrations at hand")
 
@@ -432,7 +401,7 @@ def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> 
     if not isinstance(content, Mapping):
         raise ValueError(f"{file} must hold a mapping, got {content!r}")
     try:
-        return training_from_mapping(changed(content, changes))
+        return training_from_mapping(with_changes(content, changes))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
 
@@ -459,35 +428,6 @@ def to_mapping(config: Any) -> dict[str, Any]:
 def write_training(config: TrainingConfig, path: str | os.PathLike[str]) -> None:
     """Write a configuration as YAML that `read_training` reads."""
     Path(path).write_text(yaml.safe_dump(to_mapping(config), sort_keys=False), encoding="utf-8")
-
-
-def changed(content: Mapping[str, Any], changes: Sequence[str]) -> dict[str, Any]:
-    """A copy of a nested mapping with some values replaced.
-
-    Args:
-        content: Of mappings in mappings.
-        changes: Each "key=value" or "key.sub=value", the value in YAML.
-
-    Raises:
-        ValueError: If a change is not of that form.
-    """
-    result: dict[str, Any] = {key: value for key, value in content.items()}
-    for change in changes:
-        name, equals, text = change.partition("=")
-        keys = name.strip().split(".")
-        if not equals or not all(keys):
-            raise ValueError(f"a change must be key=value or key.sub=value, got {change!r}")
-        try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ValueError(f"the value of {name.strip()} is not YAML: {text!r}") from error
-        place = result
-        for key in keys[:-1]:
-            inner = place.get(key)
-            place[key] = dict(inner) if isinstance(inner, Mapping) else {}
-            place = place[key]
-        place[keys[-1]] = value
-    return result
 
 
 def from_mapping(kind: type[Config], content: Any, name: str) -> Config:
@@ -623,23 +563,3 @@ def check_noise(value: float | str, name: str) -> None:
     """Check what says how much noise demonstrations have: a number from 0 on, or "auto"."""
     if value != "auto" and (isinstance(value, str) or not 0.0 <= value < math.inf):
         raise ValueError(f"{name} must be a number from 0 on or 'auto', got {value!r}")
-
-
-def _check_choice(value: str, name: str, allowed: Sequence[str]) -> None:
-    if value not in allowed:
-        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
-
-
-def _check_least(value: int, name: str, least: int) -> None:
-    if value < least:
-        raise ValueError(f"{name} must be {least} or more, got {value!r}")
-
-
-def _check_positive(value: float, name: str) -> None:
-    if not 0.0 < value < math.inf:
-        raise ValueError(f"{name} must be positive and finite, got {value!r}")
-
-
-def _check_share(value: float, name: str) -> None:
-    if not 0.0 <= value <= 1.0:
-        raise ValueError(f"{name} must be in [0, 1], got {value!r}")

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec as find_module
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,12 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 import spatula_env
+from spatula_env.data.statistics import wilson_interval
 from spatula_env.envs.vector import SpatulaVectorEnv
-from spatula_env.installing import install_hint
 from spatula_env.learning.policies import Policy, PolicySource
 from spatula_env.naming import find_spec, vector_spec
 from spatula_env.processes import available_cores, in_processes
+from spatula_env.render.films import check_film, write_film
 
 gymnasium.register_envs(spatula_env)
 
@@ -260,31 +260,6 @@ def summarize(episodes: Episodes) -> dict[str, Any]:
     }
 
 
-def wilson_interval(successes: int, count: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """The score interval of a proportion (E. B. Wilson, J Am Stat Assoc 22:209, 1927).
-
-    Args:
-        successes: How many succeeded.
-        count: Of how many.
-        z: Quantile of the normal distribution; the default is that of 95 %, on both sides.
-
-    Returns:
-        Its ends, in [0, 1].
-
-    Raises:
-        ValueError: If there were none, or more successes than trials.
-    """
-    if count < 1 or not 0 <= successes <= count:
-        raise ValueError(f"successes must be 0 to count, and count 1 or more, got {successes} of {count}")
-    share = successes / count
-    middle = (share + z * z / (2.0 * count)) / (1.0 + z * z / count)
-    half = z / (1.0 + z * z / count) * math.sqrt(share * (1.0 - share) / count + z * z / (4.0 * count * count))
-    # At the ends the two terms are equal, but for rounding.
-    low = 0.0 if successes == 0 else max(0.0, middle - half)
-    high = 1.0 if successes == count else min(1.0, middle + half)
-    return low, high
-
-
 def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episodes: int = 3) -> None:
     """Write a film of some episodes, one after the other.
 
@@ -295,11 +270,9 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
         episodes: How many at most.
 
     Raises:
-        ImportError: If the extra "video" is not installed.
+        ImportError: If what encodes it is not installed: the extra "video" for .mp4, "demo" for .gif.
     """
-    require_moviepy()
-    from moviepy import ImageSequenceClip
-
+    check_film(Path(path))
     frames: list[NDArray[np.uint8]] = []
 
     def watch(env: SpatulaVectorEnv) -> None:
@@ -315,29 +288,7 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
         rate = env.metadata["render_fps"]
     finally:
         env.close()
-    file = Path(path)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    clip = ImageSequenceClip(frames, fps=rate)
-    # Under another name first: a film that is half written is none.
-    unfinished = file.with_name(f".new-{file.name}")
-    try:
-        if file.suffix == ".gif":
-            clip.write_gif(str(unfinished), logger=None)
-        else:
-            clip.write_videofile(str(unfinished), codec="libx264", audio=False, logger=None)
-        unfinished.replace(file)
-    finally:
-        unfinished.unlink(missing_ok=True)
-
-
-def require_moviepy() -> None:
-    """Check that what writes films is installed.
-
-    Raises:
-        ImportError: If not.
-    """
-    if find_module("moviepy") is None:
-        raise ImportError(f"films need moviepy: {install_hint('video')}", name="moviepy")
+    write_film(Path(path), frames, rate)
 
 
 def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:

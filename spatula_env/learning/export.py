@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.arrays import Float32Array
 from spatula_env.policies import Entry, ExportedPolicy
-from spatula_env.policies.exported import FloatArray
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -52,7 +52,7 @@ def export_policy(
             "evaluate and view take it from its run's folder"
         )
     names = {nn.ReLU: "relu", nn.Tanh: "tanh", nn.ELU: "elu"}
-    layers: list[tuple[FloatArray, FloatArray]] = []
+    layers: list[tuple[Float32Array, Float32Array]] = []
     activations = set()
     for module in modules:
         if isinstance(module, nn.Linear):
@@ -98,5 +98,5 @@ def is_dense(model: BaseAlgorithm) -> bool:
     return next(iter(features.parameters()), None) is None
 
 
-def _array(tensor: Any) -> FloatArray:
+def _array(tensor: Any) -> Float32Array:
     return np.ascontiguousarray(tensor.detach().cpu().numpy(), dtype=np.float32)

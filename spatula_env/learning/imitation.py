@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from spatula_env.learning.ranges import Checked, Count, Positive
+
 CALM = math.log(0.2)
 """Logarithm of the standard deviation, before the squashing, that an actor begins to explore with after imitation."""
 
@@ -22,7 +24,7 @@ reward."""
 
 
 @dataclass(frozen=True)
-class CloneConfig:
+class CloneConfig(Checked):
     """How cloning goes.
 
     Attributes:
@@ -32,18 +34,10 @@ class CloneConfig:
         seed: Of networks and batches.
     """
 
-    gradient_steps: int = 6_000
-    batch_size: int = 256
-    learning_rate: float = 1e-3
+    gradient_steps: Count = 6_000
+    batch_size: Count = 256
+    learning_rate: Positive = 1e-3
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for name in ("gradient_steps", "batch_size"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)!r}")
-        if not 0.0 < self.learning_rate < math.inf:
-            raise ValueError(f"learning_rate must be positive and finite, got {self.learning_rate!r}")
 
 
 def imitate(model: Any, observations: Any, actions: NDArray[np.float32], how: CloneConfig) -> list[float]:

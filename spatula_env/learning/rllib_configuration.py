@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
+from spatula_env.changes import with_changes
 from spatula_env.learning.configuration import (
     EnvironmentConfig,
     EvaluationConfig,
     NetworkConfig,
     NormalizationConfig,
-    changed,
     from_mapping,
     load_yaml,
 )
+from spatula_env.learning.ranges import Checked, Count, Natural, Positive, Share
 
 
 @dataclass(frozen=True)
-class EnvRunnersConfig:
+class EnvRunnersConfig(Checked):
     """The processes that collect experience; each holds a vector environment of `environment.num_envs` worlds.
 
     Attributes:
@@ -34,29 +35,20 @@ class EnvRunnersConfig:
         restore_seconds: How long a new one may take to be ready [s].
     """
 
-    count: int = 2
-    cpus: int = 1
-    fragment: int = 32
-    restart: bool = True
-    greatest_restarts: int = 100
-    probe_seconds: float = 30.0
-    sample_seconds: float = 120.0
-    restore_seconds: float = 300.0
+    section: ClassVar[str] = "env_runners"
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for name, least in (("count", 0), ("cpus", 1), ("fragment", 1), ("greatest_restarts", 0)):
-            value = getattr(self, name)
-            if value < least:
-                raise ValueError(f"env_runners.{name} must be {least} or more, got {value}")
-        for name in ("probe_seconds", "sample_seconds", "restore_seconds"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"env_runners.{name} must be positive and finite, got {value}")
+    count: Natural = 2
+    cpus: Count = 1
+    fragment: Count = 32
+    restart: bool = True
+    greatest_restarts: Natural = 100
+    probe_seconds: Positive = 30.0
+    sample_seconds: Positive = 120.0
+    restore_seconds: Positive = 300.0
 
 
 @dataclass(frozen=True)
-class RLlibPPOConfig:
+class RLlibPPOConfig(Checked):
     """Hyper-parameters of RLlib's PPO.
 
     Attributes:
@@ -72,33 +64,22 @@ class RLlibPPOConfig:
         max_grad_norm: Greatest norm of a gradient.
     """
 
-    learning_rate: float = 1e-3
-    minibatch_size: int = 512
-    epochs: int = 10
-    gamma: float = 0.95
-    gae_lambda: float = 0.9
+    section: ClassVar[str] = "hyperparameters"
+
+    learning_rate: Positive = 1e-3
+    minibatch_size: Count = 512
+    epochs: Count = 10
+    gamma: Share = 0.95
+    gae_lambda: Share = 0.9
     clip_range: float = 0.2
     value_clip: float = 100.0
     ent_coef: float = 0.0
     vf_coef: float = 0.5
     max_grad_norm: float = 0.5
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        for name in ("minibatch_size", "epochs"):
-            value = getattr(self, name)
-            if value < 1:
-                raise ValueError(f"hyperparameters.{name} must be 1 or more, got {value}")
-        for name in ("gamma", "gae_lambda"):
-            value = getattr(self, name)
-            if not 0.0 <= value <= 1.0:
-                raise ValueError(f"hyperparameters.{name} must be in [0, 1], got {value}")
-        if not 0.0 < self.learning_rate < math.inf:
-            raise ValueError(f"hyperparameters.learning_rate must be positive and finite, got {self.learning_rate}")
-
 
 @dataclass(frozen=True)
-class RLlibConfig:
+class RLlibConfig(Checked):
     """All that decides how training goes.
 
     Attributes:
@@ -119,25 +100,21 @@ class RLlibConfig:
     hyperparameters: RLlibPPOConfig = field(default_factory=RLlibPPOConfig)
     network: NetworkConfig = field(default_factory=lambda: NetworkConfig((64, 64), "tanh"))
     normalization: NormalizationConfig = field(default_factory=NormalizationConfig)
-    total_steps: int = 1_000_000
+    total_steps: Count = 1_000_000
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    checkpoint_every: int = 100_000
-    success_target: float | None = 0.97
-    seed: int = 0
+    checkpoint_every: Count = 100_000
+    success_target: Share | None = 0.97
+    seed: Natural = 0
 
     def __post_init__(self) -> None:
         """Check the values, and how they go together."""
-        for name, least in (("total_steps", 1), ("checkpoint_every", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+        super().__post_init__()
         if self.network.activation not in ("relu", "tanh"):
             raise ValueError(f"network.activation must be 'relu' or 'tanh' with RLlib, got {self.network.activation!r}")
         if self.normalization.rewards:
             raise ValueError("normalization.rewards must be false with RLlib")
         if self.environment.kwargs.get("reward") == "sparse":
             raise ValueError("environment.kwargs.reward must not be 'sparse' with RLlib's PPO")
-        if self.success_target is not None and not 0.0 <= self.success_target <= 1.0:
-            raise ValueError(f"success_target must be in [0, 1], got {self.success_target}")
 
     @property
     def batch_size(self) -> int:
@@ -161,6 +138,6 @@ def read_rllib(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RLl
     if not isinstance(content, Mapping):
         raise ValueError(f"{file} must hold a mapping, got {content!r}")
     try:
-        return from_mapping(RLlibConfig, changed(content, changes), "")
+        return from_mapping(RLlibConfig, with_changes(content, changes), "")
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None

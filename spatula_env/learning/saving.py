@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env import __version__
 from spatula_env.engines import BULLET_DISTRIBUTIONS
+from spatula_env.files import UNFINISHED, write_text
 from spatula_env.learning.acting import acting_policy
 from spatula_env.learning.configuration import TrainingConfig, read_training, write_training
 from spatula_env.learning.policies import Policy, interface_of
@@ -67,17 +68,6 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, all at once."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
     """Write a folder, all at once, in the place of the one that is there, if any.
 
@@ -87,7 +77,7 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     mark = uuid.uuid4().hex
-    temporary = path.with_name(f".{path.name}.{mark}.tmp")
+    temporary = path.with_name(f".{path.name}.{mark}{UNFINISHED}")
     temporary.mkdir()
     try:
         fill(temporary)
@@ -108,7 +98,7 @@ def sweep(folder: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
         else:
             os.replace(old, place)
-    for unfinished in folder.glob(".*.tmp"):
+    for unfinished in folder.glob(f".*{UNFINISHED}*"):
         if unfinished.is_dir():
             shutil.rmtree(unfinished, ignore_errors=True)
         else:

@@ -22,6 +22,7 @@ from stable_baselines3.common.logger import KVWriter, Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
+from spatula_env.files import whole_file
 from spatula_env.learning.acting import acting_policy
 from spatula_env.learning.configuration import SACConfig, TrainingConfig, read_training, to_mapping, write_training
 from spatula_env.learning.demonstrations import collect_successes, fill_buffer, joined_observations
@@ -344,9 +345,8 @@ def write_summary(config: TrainingConfig, output: Path, results: Sequence[Mappin
 
 def write_config(folder: Path, config: TrainingConfig) -> None:
     """Write the configuration of a run into its folder, all at once."""
-    temporary = folder / f".{CONFIG}.tmp"
-    write_training(config, temporary)
-    temporary.replace(folder / CONFIG)
+    with whole_file(folder / CONFIG) as unfinished:
+        write_training(config, unfinished)
 
 
 def _overlap_gradients(model: Any, overlap: VecEnv, config: TrainingConfig) -> None:

@@ -18,23 +18,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import Float32Array
+from spatula_env.files import whole_file
 from spatula_env.policies.parts import PartSelection
 
 FORMAT = 1
 """Of the files. Raised when older ones can no longer be read."""
 
-FloatArray = NDArray[np.float32]
 
-
-def _relu(values: FloatArray) -> FloatArray:
+def _relu(values: Float32Array) -> Float32Array:
     return np.maximum(values, np.float32(0.0))
 
 
-def _elu(values: FloatArray) -> FloatArray:
+def _elu(values: Float32Array) -> Float32Array:
     return np.where(values > 0.0, values, np.expm1(np.minimum(values, np.float32(0.0))))
 
 
-ACTIVATIONS: Mapping[str, Callable[[FloatArray], FloatArray]] = MappingProxyType(
+ACTIVATIONS: Mapping[str, Callable[[Float32Array], Float32Array]] = MappingProxyType(
     {"relu": _relu, "tanh": np.tanh, "elu": _elu}
 )
 """Between layers, by name."""
@@ -73,11 +73,11 @@ class ExportedPolicy:
 
     entries: tuple[Entry, ...]
     clip: float
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
+    layers: tuple[tuple[Float32Array, Float32Array], ...]
     activation: str
     squash: bool
-    low: FloatArray
-    high: FloatArray
+    low: Float32Array
+    high: Float32Array
     metadata: Mapping[str, Any]
     selection: PartSelection | None = None
 
@@ -109,7 +109,7 @@ class ExportedPolicy:
             raise ValueError(f"actions must have {len(self.low)} numbers for this policy, got {actions.shape}")
         return bound
 
-    def __call__(self, observation: Any) -> FloatArray:
+    def __call__(self, observation: Any) -> Float32Array:
         """The action (A,) for an observation, or the actions (W, A) for those of W worlds."""
         if self.selection is not None:
             observation = self.selection(observation)
@@ -148,15 +148,8 @@ class ExportedPolicy:
             arrays[f"mean_{index}"], arrays[f"scale_{index}"] = entry.mean, entry.scale
         for index, (weights, biases) in enumerate(self.layers):
             arrays[f"weights_{index}"], arrays[f"biases_{index}"] = weights, biases
-        file = Path(path)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-        try:
-            with temporary.open("wb") as stream:
-                np.savez_compressed(stream, **arrays)
-            os.replace(temporary, file)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with whole_file(Path(path)) as unfinished, unfinished.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> ExportedPolicy:

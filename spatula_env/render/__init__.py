@@ -1,8 +1,8 @@
 """Pictures without a window, by a small software rasteriser, and a window drawn with OpenGL.
 
-`Renderer` draws `Mesh`es seen by a `Camera`, on a `Ground`, as bytes and depth. `SceneView` draws a `Moment` of a scene
-with it, and `Window` shows one. Importing this package loads neither Numba nor pyglet: kernels are compiled, or taken
-from Numba's cache, when one of the three is first asked for.
+`Renderer` draws `Mesh`es seen by a `Camera`, on a `GroundPlane`, as bytes and depth. `SceneView` draws a `Moment` of a
+scene with it, and `Window` shows one. Importing this package loads neither Numba nor pyglet: kernels are compiled, or
+taken from Numba's cache, when one of the three is first asked for.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from spatula_env.render.primitives import (
     UNLIT,
     WET_TISSUE,
     Background,
-    Ground,
+    GroundPlane,
     Lighting,
     Material,
     Mesh,
@@ -44,7 +44,7 @@ __all__ = [
     "Camera",
     "Color",
     "ColorMap",
-    "Ground",
+    "GroundPlane",
     "Lighting",
     "Material",
     "Mesh",

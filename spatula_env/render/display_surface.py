@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.render import vertices as kernels
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-BoolArray = NDArray[np.bool_]
 
 CREASE_ANGLE = 62.0
 """Where two triangles meet at a greater angle, the surface has an edge; else it is a curved surface [degrees]."""
@@ -35,7 +32,7 @@ class _Level:
         curved: (E, 1) 1 where the edge's middle is moved onto the curved surface, 0 along creases.
     """
 
-    triangles: IntArray
+    triangles: Int32Array
     first: NDArray[np.intp]
     second: NDArray[np.intp]
     curved: FloatArray
@@ -52,7 +49,7 @@ class DisplaySurface:
         rest: (V', 3) vertices at rest [u].
     """
 
-    def __init__(self, nodes: FloatArray, triangles: IntArray, levels: int | None = None) -> None:
+    def __init__(self, nodes: FloatArray, triangles: Int32Array, levels: int | None = None) -> None:
         """Find creases and split triangles.
 
         Args:
@@ -103,7 +100,7 @@ class DisplaySurface:
         return result
 
 
-def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
+def vertex_normals(points: FloatArray, triangles: Int32Array) -> FloatArray:
     """Unit normals (V, 3) of a surface, weighted by the areas of the triangles around each vertex."""
     normals = np.empty((len(points), 3))
     if not (points.flags.c_contiguous and points.flags.writeable):
@@ -114,14 +111,14 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
     return normals
 
 
-def _edges(triangles: IntArray) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
+def _edges(triangles: Int32Array) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
     """Edges (E, 2), lower index first; which one begins at each corner (3 T,); how many triangles each has (E,)."""
     pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     edges, of_corner, uses = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     return edges.astype(np.int64), of_corner.reshape(-1), uses
 
 
-def _split_edges(triangles: IntArray, count: int) -> tuple[_Level, IntArray]:
+def _split_edges(triangles: Int32Array, count: int) -> tuple[_Level, Int32Array]:
     """Split each triangle in four at the middles of its edges, which follow the `count` vertices."""
     edges, of_corner, uses = _edges(triangles)
     a, b, c = triangles.T
@@ -131,7 +128,7 @@ def _split_edges(triangles: IntArray, count: int) -> tuple[_Level, IntArray]:
     return level, np.ascontiguousarray(fine, dtype=np.int32)
 
 
-def _split_at_creases(nodes: FloatArray, triangles: IntArray) -> tuple[NDArray[np.intp], IntArray]:
+def _split_at_creases(nodes: FloatArray, triangles: Int32Array) -> tuple[NDArray[np.intp], Int32Array]:
     """Repeat the nodes on creases, once for each smooth piece of the surface around them.
 
     Returns:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from pyglet import gl
 from pyglet.graphics.shader import Shader, ShaderProgram
 
+from spatula_env.arrays import FloatArray
 from spatula_env.render.camera import Camera
 from spatula_env.render.display_surface import vertex_normals
-from spatula_env.render.primitives import Background, Ground, Lighting, Mesh, perpendicular_axes
+from spatula_env.render.primitives import Background, GroundPlane, Lighting, Mesh, perpendicular_axes
 from spatula_env.render.renderer import WRAPS
 from spatula_env.render.scene_model import Composition
 from spatula_env.render.shaders import FRAGMENT, SHADOW_FRAGMENT, VERTEX
 
-FloatArray = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 MAP_SIZE = 1024
@@ -114,7 +114,7 @@ class GLPainter:
         gl.glBindTexture(gl.GL_TEXTURE_2D, self._texture)
         program, lighting = self._program, self._lighting
         program.use()
-        plane = Ground() if ground is None else ground
+        plane = GroundPlane() if ground is None else ground
         for name, value in {
             "eye": camera.position,
             "key_direction": lighting.key_direction,
@@ -233,7 +233,7 @@ def _corners(mesh: Mesh) -> Singles:
     return data
 
 
-def _ground_corners(ground: Ground) -> Singles:
+def _ground_corners(ground: GroundPlane) -> Singles:
     """A square as large as the ground is seen."""
     x, y = ground.center
     far = ground.fade_end * math.sqrt(2.0)

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from spatula_env.arrays import FloatArray
 
 if TYPE_CHECKING:
     from spatula_env.tasks.marks import Mark
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

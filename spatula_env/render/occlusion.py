@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.render import layout
 from spatula_env.render.primitives import perpendicular_axes
 from spatula_env.render.shadows import draw_flat
-
-FloatArray = NDArray[np.float64]
 
 DIRECTIONS = 48
 """From which the surface is looked at."""

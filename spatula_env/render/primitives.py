@@ -177,7 +177,7 @@ class Mesh:
 
 
 @dataclass(frozen=True)
-class Ground:
+class GroundPlane:
     """The plane z = `height`, drawn without geometry; seen from below it is not there.
 
     Attributes:

@@ -13,7 +13,7 @@ from spatula_env.render import compose, rasterizer, shadows, vertices
 from spatula_env.render import layout as k
 from spatula_env.render.camera import Camera
 from spatula_env.render.palette import Color, linear_color, linear_to_srgb, srgb_to_linear, to_color
-from spatula_env.render.primitives import Background, Ground, Lighting, Mesh, perpendicular_axes
+from spatula_env.render.primitives import Background, GroundPlane, Lighting, Mesh, perpendicular_axes
 
 _STYLES = {"plain": 0.0, "grid": 1.0, "checker": 2.0}
 
@@ -62,7 +62,7 @@ class Renderer:
         self._background_bytes = np.zeros((self.height, self.width, 3), dtype=np.uint8)
         self._ground_weight = np.zeros((self.height, self.width), dtype=np.float32)
         # What the view array and the background stand for now.
-        self._drawn: tuple[Camera, Background, Ground | None, Lighting] | None = None
+        self._drawn: tuple[Camera, Background, GroundPlane | None, Lighting] | None = None
 
         # Samples exist for a band of rows at a time, few enough to stay in the processor's cache.
         columns = self.width * self.supersample
@@ -99,7 +99,7 @@ class Renderer:
         camera: Camera,
         meshes: Sequence[Mesh],
         *,
-        ground: Ground | None = None,
+        ground: GroundPlane | None = None,
         background: Background | Color | None = None,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
@@ -127,7 +127,7 @@ class Renderer:
         camera: Camera,
         meshes: Sequence[Mesh],
         *,
-        ground: Ground | None = None,
+        ground: GroundPlane | None = None,
         background: Background | Color | None = None,
         out: NDArray[np.uint8] | None = None,
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
@@ -189,7 +189,7 @@ class Renderer:
             self._ranges = np.zeros((room, 2), dtype=np.int32)
             self._others = np.zeros((room, 4))
 
-    def _aim(self, camera: Camera, ground: Ground | None) -> None:
+    def _aim(self, camera: Camera, ground: GroundPlane | None) -> None:
         view = self._view
         axes = camera.axes()
         eye = np.asarray(camera.position)
@@ -219,8 +219,8 @@ class Renderer:
         light[k.CLOSE] = 0.25 / max(lighting.shadow_softness, 1e-6)
         light[k.GROUND_SHADOW] = 0.0 if ground is None else ground.shadow
 
-    def _draw_background(self, background: Background, ground: Ground | None) -> None:
-        plane = Ground() if ground is None else ground
+    def _draw_background(self, background: Background, ground: GroundPlane | None) -> None:
+        plane = GroundPlane() if ground is None else ground
         numbers = np.concatenate(
             [
                 srgb_to_linear((background.top, background.bottom, plane.color, plane.second_color)).ravel(),
@@ -336,7 +336,7 @@ class Renderer:
         self,
         camera: Camera,
         meshes: Sequence[Mesh],
-        ground: Ground | None,
+        ground: GroundPlane | None,
         background: Background | Color | None,
         picture: NDArray[np.uint8],
         depth: NDArray[np.float32] | None = None,

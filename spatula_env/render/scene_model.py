@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.geometry.transforms import rotation_matrix
 from spatula_env.render.camera import Vector
 from spatula_env.render.display_surface import DisplaySurface, vertex_normals
@@ -29,14 +30,13 @@ from spatula_env.render.palette import (
     TISSUE,
     TISSUE_INSIDE,
 )
-from spatula_env.render.primitives import BRUSHED_STEEL, WET_TISSUE, Ground, Mesh
+from spatula_env.render.primitives import BRUSHED_STEEL, WET_TISSUE, GroundPlane, Mesh
 from spatula_env.render.shapes import arrow_mesh, ring_mesh, sphere_mesh, tube_mesh
 from spatula_env.tasks.marks import Patch, Path, Points, Ring
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
-FloatArray = NDArray[np.float64]
 
 ARROW_LENGTH = 4.0
 """Length of a force's arrow [u/N]."""
@@ -76,7 +76,7 @@ class Composition:
 
     meshes: list[Mesh]
     marks: list[Mesh]
-    ground: Ground | None
+    ground: GroundPlane | None
     curves: list[FloatArray]
 
 
@@ -122,7 +122,7 @@ class SceneModel:
         self._ground = None
         if scene.ground is not None:
             middle = 0.5 * (nodes.min(axis=0) + nodes.max(axis=0))
-            self._ground = Ground(scene.ground.height, center=(float(middle[0]), float(middle[1])))
+            self._ground = GroundPlane(scene.ground.height, center=(float(middle[0]), float(middle[1])))
 
     def compose(self, moment: Moment, cut: tuple[Vector, Vector] | None = None) -> Composition:
         """What there is to draw at one moment.

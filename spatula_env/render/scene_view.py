@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.render.camera import Camera, Vector
 from spatula_env.render.moment import Moment
 from spatula_env.render.palette import GOAL
@@ -17,7 +18,6 @@ from spatula_env.render.viewpoints import default_camera
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
-FloatArray = NDArray[np.float64]
 
 HIDDEN_OPACITY = 0.6
 """With which the part of a mark that something hides shines through."""

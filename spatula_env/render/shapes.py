@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spatula_env.geometry.checks import check_positive
+from spatula_env.geometry.meshes import Organ, icosphere
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotation_matrix
 from spatula_env.render.palette import FORCE, GOAL, STEEL, Color
 from spatula_env.render.primitives import BRUSHED_STEEL, Material, Mesh, perpendicular_axes
@@ -65,7 +65,8 @@ def sphere_mesh(
     middles = np.atleast_2d(np.asarray(centers, dtype=np.float64))
     if middles.shape[-1:] != (3,) or middles.ndim != 2:
         raise ValueError(f"centers must have the shape (3,) or (N, 3), got {np.shape(centers)}")
-    unit, faces = _icosphere(subdivisions)
+    sphere = _unit_sphere(subdivisions)
+    unit, faces = sphere.vertices, sphere.triangles
     vertices = (middles[:, None, :] + radius * unit).reshape(-1, 3)
     triangles = (faces + len(unit) * np.arange(len(middles))[:, None, None]).reshape(-1, 3)
     vertex_colors = None
@@ -259,49 +260,9 @@ def quaternion_matrix(orientation: ArrayLike) -> NDArray[np.float64]:
 
 
 @cache
-def _icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Unit icosphere: vertices (V, 3) and triangles (T, 3), read-only."""
-    if subdivisions == 0:
-        golden = (1.0 + math.sqrt(5.0)) / 2.0
-        corners = [(a, b * golden, 0.0) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
-        vertices = np.array([np.roll(corner, shift) for shift in range(3) for corner in corners])
-        vertices /= np.linalg.norm(vertices[0])
-        triangles = _hull_of_equal_edges(vertices)
-    else:
-        coarse, faces = _icosphere(subdivisions - 1)
-        points = list(coarse)
-        middles: dict[tuple[int, int], int] = {}
-
-        def middle(a: int, b: int) -> int:
-            key = (min(a, b), max(a, b))
-            if key not in middles:
-                middles[key] = len(points)
-                point = points[a] + points[b]
-                points.append(point / np.linalg.norm(point))
-            return middles[key]
-
-        rows = []
-        for a, b, c in faces.tolist():
-            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
-            rows += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-        vertices, triangles = np.array(points), np.array(rows, dtype=np.int32)
-    vertices.flags.writeable = False
-    triangles.flags.writeable = False
-    return vertices, triangles
-
-
-def _hull_of_equal_edges(vertices: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Faces of a convex body around the origin whose faces are triangles of one shortest edge length."""
-    distance = np.linalg.norm(vertices[:, None] - vertices[None], axis=-1)
-    near = np.abs(distance - distance[distance > 1e-9].min()) < 1e-6
-    rows = []
-    for a in range(len(vertices)):
-        for b in range(a + 1, len(vertices)):
-            for c in range(b + 1, len(vertices)):
-                if near[a, b] and near[b, c] and near[a, c]:
-                    outward = np.dot(np.cross(vertices[a], vertices[b]), vertices[c]) > 0.0
-                    rows.append((a, b, c) if outward else (a, c, b))
-    return np.array(rows, dtype=np.int32)
+def _unit_sphere(subdivisions: int) -> Organ:
+    """An icosphere of radius 1."""
+    return icosphere(1.0, subdivisions)
 
 
 @cache

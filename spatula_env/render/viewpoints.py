@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.geometry.blocks import FissuredBlock, RidgedBlock
 from spatula_env.render.camera import Camera
 from spatula_env.render.shapes import quaternion_matrix
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
     from spatula_env.tasks.marks import Mark
 
-FloatArray = NDArray[np.float64]
 
 FIELD_OF_VIEW = 32.0
 """The angle between the upper and the lower edge of the picture [degrees]."""

@@ -13,10 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.tasks.configuration import TaskConfig
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark
-from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 Memory = dict[str, NDArray[Any]]
 """What a task remembers within episodes: arrays (W, ...) by name."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.geometry.blocks import RidgedBlock
 from spatula_env.geometry.rotations import conjugate, turn
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
@@ -14,7 +15,7 @@ from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path
 from spatula_env.tasks.organs import organ_with_parts
-from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start, ToolShape
+from spatula_env.tasks.situation import Setting, Situation, Start, ToolShape
 
 LEAST_LIFT, GREATEST_LIFT = -0.03, 0.08
 """Limits of a measured lift [m]: a ridge that is pushed down, and one that is as high as the workspace lets it be."""

@@ -10,9 +10,7 @@ from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.raycast import line_meets_triangle
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    FloatArray = NDArray[np.float64]
+    pass
 
 
 @inline_kernel

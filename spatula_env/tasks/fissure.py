@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from spatula_env.arrays import BoolArray, FloatArray
 from spatula_env.geometry.blocks import FissuredBlock
 from spatula_env.geometry.checks import check_count, check_positive
 from spatula_env.geometry.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector, turn
@@ -16,7 +17,7 @@ from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.exposure import visible_points
 from spatula_env.tasks.marks import Mark, Path
 from spatula_env.tasks.organs import organ_with_parts
-from spatula_env.tasks.situation import BoolArray, FloatArray, Setting, Situation, Start
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 GREATEST_VIEW = 0.6
 """Tilts of the blade and of the line of sight are reported up to this [rad]."""

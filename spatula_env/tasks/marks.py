@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from spatula_env.arrays import FloatArray
 
 ROLES = ("goal", "target", "caution")
 """What the colour of a patch may stand for: what is asked for, what is acted on, what must be spared."""

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.geometry.rotations import turn
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Path, Ring
-from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 PIECES = 40
 """A path is divided into this many pieces of equal length, each of which is felt or not."""

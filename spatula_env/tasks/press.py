@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.geometry.checks import as_pair
 from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Path, Ring
-from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 LEAST_DEPTH, GREATEST_DEPTH = -0.03, 0.06
 """Limits of a measured depth [m]: a surface that bulges, and one that has gone from under the tool."""

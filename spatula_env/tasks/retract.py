@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.geometry.blocks import RidgedBlock
 from spatula_env.geometry.checks import as_pair
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
@@ -15,7 +16,7 @@ from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path, Points
 from spatula_env.tasks.organs import organ_with_parts
-from spatula_env.tasks.situation import BoolArray, FloatArray, IntArray, Setting, Situation, Start
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 GREATEST_SHIFT = 0.03
 """Displacements of the patch are reported up to this along each axis [m]."""

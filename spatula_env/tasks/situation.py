@@ -16,12 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.arrays import FloatArray, IntArray
 from spatula_env.geometry.rotations import conjugate, multiply, turn
 from spatula_env.tasks.surface import surface_heights
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

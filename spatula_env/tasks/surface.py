@@ -13,7 +13,7 @@ from spatula_env.contact.structures import NO_HIT
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    FloatArray = NDArray[np.float64]
+    from spatula_env.arrays import FloatArray
 
 
 @kernel("f8[::1](f8[:,:,::1], i4[:,::1], f8[:,::1], f8)")

@@ -11,7 +11,8 @@ import pytest
 from films import opened_film
 
 from spatula_env import cli
-from spatula_env.cli.common import CommandError, print_json, read_changes, resolve_env
+from spatula_env.changes import with_changes
+from spatula_env.cli.common import CommandError, print_json, resolve_env
 from spatula_env.cli.main import MODULES, make_parser
 from spatula_env.cli.showing import Film
 from spatula_env.naming import env_ids
@@ -86,7 +87,7 @@ def test_an_unknown_option_of_an_environment(capsys: pytest.CaptureFixture[str])
 
 
 def test_changes_are_yaml() -> None:
-    assert read_changes(["a=1", "b.c=[1, x]", "b.d=null", "e=default"]) == {
+    assert with_changes({}, ["a=1", "b.c=[1, x]", "b.d=null", "e=default"]) == {
         "a": 1,
         "b": {"c": [1, "x"], "d": None},
         "e": "default",
@@ -95,13 +96,13 @@ def test_changes_are_yaml() -> None:
 
 @pytest.mark.parametrize("change", ["a", "=1", "a.=1", "a={", "a..b=1"])
 def test_changes_that_are_none(change: str) -> None:
-    with pytest.raises(CommandError, match="--set"):
-        read_changes([change])
+    with pytest.raises(ValueError, match=r"a change must be KEY=VALUE|is not YAML"):
+        with_changes({}, [change])
 
 
 def test_a_change_below_a_value() -> None:
-    with pytest.raises(CommandError, match=r"--set a\.b"):
-        read_changes(["a=1", "a.b=2"])
+    with pytest.raises(ValueError, match=r"there is no a\.b: a has the value 1"):
+        with_changes({}, ["a=1", "a.b=2"])
 
 
 def test_json_is_strict(capsys: pytest.CaptureFixture[str]) -> None:

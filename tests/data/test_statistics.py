@@ -10,11 +10,12 @@ from demonstration_helpers import FORCES, ID, LAYOUT, LENGTHS, write_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 from recording_helpers import do_episode, make_pictures
+from scipy.stats import binomtest
 
 from spatula_env.data import DatasetWriter
 from spatula_env.data.layout import Layout
 from spatula_env.data.plots import plot_statistics
-from spatula_env.data.statistics import CELLS, Curve, coverage, statistics, success_interval
+from spatula_env.data.statistics import CELLS, Curve, coverage, statistics, wilson_interval
 from spatula_env.installing import install_hint
 
 pytest.importorskip("minari")
@@ -85,13 +86,16 @@ def test_an_empty_dataset(tmp_path) -> None:
         plot_statistics(empty, tmp_path / "empty.png")
 
 
-@pytest.mark.parametrize("successes", [0, 1, 50, 99, 100])
-def test_the_interval_holds_the_share(successes) -> None:
-    low, high = success_interval(successes, 100)
-    assert 0.0 <= low <= successes / 100 <= high <= 1.0
-    # A known value: 50 of 100 gives 0.404 to 0.596.
-    if successes == 50:
-        assert (low, high) == (pytest.approx(0.4038, abs=1e-4), pytest.approx(0.5962, abs=1e-4))
+@pytest.mark.parametrize(("successes", "count"), [(0, 10), (10, 10), (8, 10), (1, 3), (97, 100), (500, 1000)])
+def test_the_interval_is_wilsons(successes, count):
+    expected = binomtest(successes, count).proportion_ci(0.95, method="wilson")
+    np.testing.assert_allclose(wilson_interval(successes, count), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(("successes", "count"), [(1, 0), (-1, 3), (4, 3)])
+def test_impossible_counts_are_refused(successes, count):
+    with pytest.raises(ValueError, match="successes must be"):
+        wilson_interval(successes, count)
 
 
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 3), min_size=1, max_size=30))

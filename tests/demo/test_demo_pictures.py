@@ -8,11 +8,12 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from spatula_env import scenes
-from spatula_env.demo.animation import encode_gif, episode_frames, film_frames
+from spatula_env.demo.animation import episode_frames, film_frames
 from spatula_env.demo.episode import Episode, Frame
 from spatula_env.demo.pictures import BOTH, Caption, PressPainter, node_colors, side_by_side, with_caption
-from spatula_env.demo.press import Film, Snapshot
+from spatula_env.demo.press import PressFilm, Snapshot
 from spatula_env.render import palette
+from spatula_env.render.films import encode_gif
 
 
 def make_snapshot(time: float = 0.0, height: float = 6.2, force: float = 0.0) -> Snapshot:
@@ -107,7 +108,7 @@ def test_a_gif_plays_all_frames_and_keeps_rare_colours() -> None:
 def test_a_film_shows_the_force_over_time() -> None:
     forces = np.concatenate([np.zeros(10), np.full(30, 4.0)])
     snapshots = tuple(make_snapshot(time, 5.9, force) for time, force in ((0.025, 0.0), (0.1, 4.0)))
-    first, last = film_frames(Film(snapshots, forces, 0.0025, 20.0), width=200)
+    first, last = film_frames(PressFilm(snapshots, forces, 0.0025, 20.0), width=200)
     assert first.size == last.size
     strip = round(0.72 * 200)
     blue = [
@@ -120,7 +121,7 @@ def test_a_film_shows_the_force_over_time() -> None:
 
 @pytest.mark.parametrize("highest", [0.0, 1e-6])
 def test_a_film_without_force_can_be_drawn(highest: float) -> None:
-    (frame,) = film_frames(Film((make_snapshot(0.1),), np.full(40, highest), 0.0025, 20.0), width=120)
+    (frame,) = film_frames(PressFilm((make_snapshot(0.1),), np.full(40, highest), 0.0025, 20.0), width=120)
     assert np.ptp(np.asarray(frame)) > 100
 
 

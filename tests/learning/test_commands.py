@@ -271,7 +271,7 @@ def test_places_that_cannot_be_written_are_refused_before_anything_is_done(
     def fail(*_, **__):
         pytest.fail("something was done first")
 
-    monkeypatch.setattr("spatula_env.learning.evaluation.require_moviepy", lambda: None)
+    monkeypatch.setattr("spatula_env.learning.commands.evaluate.check_film", lambda path: None)
     monkeypatch.setattr("spatula_env.learning.evaluation.evaluate", fail)
     monkeypatch.setattr("spatula_env.learning.demonstrations.collect_successes", fail)
     monkeypatch.setattr("spatula_env.learning.checks.rehearse_clone", fail)

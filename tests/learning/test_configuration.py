@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import yaml
 
+from spatula_env.changes import with_changes
 from spatula_env.learning.configuration import (
     ALGORITHMS,
-    changed,
     find_config,
     make_environment,
     read_environment,
@@ -143,9 +143,9 @@ def test_changes_replace_what_the_file_says(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ("gamma", "key=value"),
-        ("=3", "key=value"),
-        ("a..b=3", "key=value"),
+        ("gamma", "KEY=VALUE"),
+        ("=3", "KEY=VALUE"),
+        ("a..b=3", "KEY=VALUE"),
         ("seeds=[1", "not YAML"),
         ("hyperparameters.gama=3", "unknown keys"),
     ],
@@ -159,7 +159,7 @@ def test_bad_changes_say_what_is_wrong(tmp_path, change, message):
 
 def test_changes_leave_the_mapping_as_it_was():
     content = {"a": {"b": 1, "c": 2}}
-    assert changed(content, ["a.b=3", "d.e=4"]) == {"a": {"b": 3, "c": 2}, "d": {"e": 4}}
+    assert with_changes(content, ["a.b=3", "d.e=4"]) == {"a": {"b": 3, "c": 2}, "d": {"e": 4}}
     assert content == {"a": {"b": 1, "c": 2}}
 
 

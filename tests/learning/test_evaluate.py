@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 
+from spatula_env.data.statistics import wilson_interval
 from spatula_env.learning.commands.evaluate import describe, main
-from spatula_env.learning.evaluation import MEASURES, Plan, evaluate, run_episodes, summarize, wilson_interval
+from spatula_env.learning.evaluation import MEASURES, Plan, evaluate, run_episodes, summarize
 from spatula_env.learning.finding import find_policy
 from spatula_env.learning.policies import PolicySource
 
@@ -23,18 +23,6 @@ def plan(episodes=4, engine="batch", seed=0, **kwargs):
 def assert_same(first, second, tolerance=0.0):
     for name in MEASURES:
         np.testing.assert_allclose(first[name], second[name], rtol=0, atol=tolerance, err_msg=name)
-
-
-@pytest.mark.parametrize(("successes", "count"), [(0, 10), (10, 10), (8, 10), (1, 3), (97, 100), (500, 1000)])
-def test_the_interval_is_wilsons(successes, count):
-    expected = binomtest(successes, count).proportion_ci(0.95, method="wilson")
-    np.testing.assert_allclose(wilson_interval(successes, count), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(("successes", "count"), [(1, 0), (-1, 3), (4, 3)])
-def test_impossible_counts_are_refused(successes, count):
-    with pytest.raises(ValueError, match="successes must be"):
-        wilson_interval(successes, count)
 
 
 @pytest.mark.parametrize("name", ["expert", "random"])
@@ -170,14 +158,14 @@ def test_a_film_that_may_not_be_written_is_told_in_a_line(tmp_path, monkeypatch,
 
     # Not by the folder's mode, which root may ignore.
     monkeypatch.setattr("spatula_env.data.files.tempfile.TemporaryFile", refuse)
-    monkeypatch.setattr("spatula_env.learning.evaluation.require_moviepy", lambda: None)
+    monkeypatch.setattr("spatula_env.learning.commands.evaluate.check_film", lambda path: None)
     monkeypatch.setattr("spatula_env.learning.evaluation.evaluate", lambda *_, **__: pytest.fail("an episode was run"))
     assert main(["--env", PRESS, "--policy", "random", "--video", str(tmp_path / "x.mp4")], "evaluate") == 1
     assert capsys.readouterr().err == f"evaluate: {tmp_path} cannot be written to: permission denied in {tmp_path}\n"
 
 
 def test_a_film_is_written(tmp_path):
-    pytest.importorskip("moviepy", reason="films are written with moviepy: the extra video is not installed")
+    pytest.importorskip("PIL")
     from spatula_env.learning.evaluation import film
 
     source = find_policy("random", PRESS)

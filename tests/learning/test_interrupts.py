@@ -102,7 +102,7 @@ def test_training_is_ended(tmp_path):
     said = interrupt(process, group=False)
     assert "seed 0 is saved as it was at" in said
     assert "go on with: python -m agents.train --resume run" in said
-    assert not list(tmp_path.rglob("*.tmp"))
+    assert not list(tmp_path.rglob("*.tmp*"))
 
 
 def test_a_benchmark_in_processes_is_ended(tmp_path):

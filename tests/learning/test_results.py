@@ -97,7 +97,7 @@ def test_the_plan_of_the_documentation_can_be_read():
             {"tasks": {"x": {"environment": "No-v0", "algorithms": {}}}},
             "must be the id of an environment: there is no environment 'No-v0'",
         ),
-        ({"tasks": {}, "evaluation": {"engines": ["steam"]}}, "engines must be some of"),
+        ({"tasks": {}, "evaluation": {"engines": ["steam"]}}, "engines must be one of"),
         ({"tasks": {}, "references": ["oracle"]}, "references must be some of"),
         ({"tasks": {}, "thresholds": [80]}, r"thresholds must be in \(0, 1\], got 80"),
         ({"tasks": {}, "bootstrap": {"confidence": 95}}, "confidence must be between 0 and 1"),

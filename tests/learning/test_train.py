@@ -221,7 +221,7 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
     curve = [line["step"] for line in read_curve(folder / "curve.jsonl")]
     assert curve == sorted({*range(80, final + 1, 80), final})
     assert not any(readable(output).values())
-    assert not list(output.rglob("*.tmp")) and not list(output.rglob("*.old"))
+    assert not list(output.rglob("*.tmp*")) and not list(output.rglob("*.old"))
 
 
 def test_training_stops_at_its_target(tmp_path):

@@ -14,7 +14,7 @@ from spatula_env.render import (
     WET_TISSUE,
     Background,
     Camera,
-    Ground,
+    GroundPlane,
     Lighting,
     Material,
     Mesh,
@@ -135,7 +135,7 @@ def test_a_mesh_does_not_shadow_itself():
 
 
 def test_shadow_on_the_ground_lies_away_from_the_light():
-    ground = Ground(style="plain", fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(style="plain", fade_start=50.0, fade_end=60.0)
     renderer = Renderer(64, 64, lighting=Lighting(key_direction=(-1, 0, 1), shadow_softness=0.1))
     bare = brightness(renderer.render(from_above(), [], ground=ground))
     # At 45 degrees, the shadow of a plate 2 u above the ground falls 2 u to the right.
@@ -149,14 +149,14 @@ def test_shadow_on_the_ground_lies_away_from_the_light():
     none = renderer.render(
         from_above(),
         [plate(2.0, 0.5, material=DULL)],
-        ground=Ground(style="plain", shadow=0.0, fade_start=50, fade_end=60),
+        ground=GroundPlane(style="plain", shadow=0.0, fade_start=50, fade_end=60),
     )
     column, row = from_above().project((2.0, 0.0, 0.0), 64, 64)[0].astype(int)
     assert brightness(none)[row, column] == bare[row, column]
 
 
 def test_things_close_to_the_ground_darken_it_below():
-    ground = Ground(style="plain", fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(style="plain", fade_start=50.0, fade_end=60.0)
     # The light is so low that the key light's shadow falls beside the plate, not under it.
     renderer = Renderer(64, 64, lighting=Lighting(key_direction=(-1, 0, 0.3), shadow_softness=0.1))
     camera = Camera((0, -8, 3), (0, 0, 0), vertical_field_of_view=20.0)
@@ -172,7 +172,7 @@ def test_things_close_to_the_ground_darken_it_below():
 
 def test_shadow_with_the_light_map_partly_behind_the_eye():
     # The ground in shadow reaches behind the camera: it is darkened all the same.
-    ground = Ground(style="plain", fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(style="plain", fade_start=50.0, fade_end=60.0)
     renderer = Renderer(32, 32, lighting=Lighting(key_direction=(0, 0, 1)))
     camera = Camera((0, 0, 1), (0, 3, 0))
     bare = brightness(renderer.render(camera, [], ground=ground))
@@ -182,7 +182,7 @@ def test_shadow_with_the_light_map_partly_behind_the_eye():
 
 
 def test_checker_tiles_are_where_they_should_be():
-    ground = Ground(style="checker", color=RED, second_color=BLUE, tile=1.0, fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(style="checker", color=RED, second_color=BLUE, tile=1.0, fade_start=50.0, fade_end=60.0)
     renderer = Renderer(80, 80)
     camera = from_above()
     picture = renderer.render(camera, [], ground=ground)
@@ -197,7 +197,7 @@ def test_checker_tiles_are_where_they_should_be():
 def test_far_tiles_and_lines_average_out():
     # Tiles much smaller than a pixel show their mean, without a pattern.
     for style, share in (("checker", 0.5), ("grid", 1 - 0.9**2)):
-        ground = Ground(
+        ground = GroundPlane(
             style=style,
             color=(0, 0, 0),
             second_color=WHITE,
@@ -211,7 +211,7 @@ def test_far_tiles_and_lines_average_out():
 
 
 def test_grid_lines_lie_at_multiples_of_the_tile():
-    ground = Ground(color=(0, 0, 0), second_color=WHITE, tile=2.0, line_width=0.3, fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(color=(0, 0, 0), second_color=WHITE, tile=2.0, line_width=0.3, fade_start=50.0, fade_end=60.0)
     camera = from_above()
     picture = Renderer(160, 160).render(camera, [], ground=ground)
     for point, expected in (((0.0, 1.0), 255), ((2.0, 1.0), 255), ((1.0, -2.0), 255), ((1.0, 1.0), 0)):
@@ -220,7 +220,7 @@ def test_grid_lines_lie_at_multiples_of_the_tile():
 
 
 def test_ground_fades_into_the_background_and_is_not_seen_from_below():
-    ground = Ground(style="plain", color=RED, fade_start=1.0, fade_end=2.0)
+    ground = GroundPlane(style="plain", color=RED, fade_start=1.0, fade_end=2.0)
     picture = Renderer(40, 40).render(from_above(), [], ground=ground, background=BLUE)
     assert is_color(picture[20, 20], RED)
     assert is_color(picture[0], BLUE).all()
@@ -229,7 +229,7 @@ def test_ground_fades_into_the_background_and_is_not_seen_from_below():
 
 
 def test_ground_hides_what_is_below_and_not_what_lies_on_it():
-    ground = Ground(style="plain", color=GREY, shadow=0.0, fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(style="plain", color=GREY, shadow=0.0, fade_start=50.0, fade_end=60.0)
     for height, seen in ((-0.1, False), (0.0, True)):
         mesh = plate(height, 1.0, color=RED, material=UNLIT)
         picture = Renderer(40, 40).render(from_above(), [mesh], ground=ground)
@@ -284,7 +284,7 @@ def test_both_triangles_of_an_edge_find_the_same_middle():
 def test_refining_does_not_push_a_body_through_the_ground():
     box = box_mesh((2, 2, 2), (0, 0, 1))
     mesh = Mesh(box.vertices, box.triangles, color=RED, material=UNLIT, refine=1, two_sided=True)
-    ground = Ground(style="plain", color=BLUE, fade_start=50.0, fade_end=60.0)
+    ground = GroundPlane(style="plain", color=BLUE, fade_start=50.0, fade_end=60.0)
     cut = Mesh(box.vertices, box.triangles, color=RED, material=UNLIT, refine=1, clip_plane=((0, 0, 0.5), (0, 0, 1)))
     assert is_color(Renderer(40, 40).render(from_above(), [cut], ground=ground)[20, 20], RED)
     assert is_color(Renderer(40, 40).render(from_above(), [mesh], ground=ground)[20, 20], RED)

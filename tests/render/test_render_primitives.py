@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from spatula_env.render import MATTE, Background, Ground, Lighting, Material, Mesh
+from spatula_env.render import MATTE, Background, GroundPlane, Lighting, Material, Mesh
 
 VERTICES = np.eye(3)
 TRIANGLES = np.array([[0, 1, 2]])
@@ -53,13 +53,13 @@ def test_moved_keeps_all_but_the_vertices():
         (Material, "specular", 1.5),
         (Material, "shininess", 0.5),
         (Material, "mottle", -0.1),
-        (Ground, "style", "wood"),
-        (Ground, "height", np.nan),
-        (Ground, "tile", 0.0),
-        (Ground, "fade_end", 1.0),
-        (Ground, "shadow", 2.0),
-        (Ground, "color", (0, 0, 2)),
-        (Ground, "center", (0.0, np.inf)),
+        (GroundPlane, "style", "wood"),
+        (GroundPlane, "height", np.nan),
+        (GroundPlane, "tile", 0.0),
+        (GroundPlane, "fade_end", 1.0),
+        (GroundPlane, "shadow", 2.0),
+        (GroundPlane, "color", (0, 0, 2)),
+        (GroundPlane, "center", (0.0, np.inf)),
         (Background, "top", (0, 0)),
         (Lighting, "key_direction", (0.0, 0.0, -1.0)),
         (Lighting, "key_direction", (0.0, 0.0, 0.0)),
@@ -73,6 +73,6 @@ def test_bad_settings(make, name, value):
 
 
 def test_settings_are_values():
-    assert Ground(center=np.array([1.0, 2.0])) == Ground(center=(1, 2))
+    assert GroundPlane(center=np.array([1.0, 2.0])) == GroundPlane(center=(1, 2))
     assert Lighting(key_direction=(0, 0, 5)).key_direction == (0, 0, 1)
     assert Material() == MATTE

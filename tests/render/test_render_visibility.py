@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from render_helpers import BLUE, GREY, RED, ahead, is_color, mix, quad, wall
 
-from spatula_env.render import UNLIT, Camera, Ground, Mesh, Renderer, box_mesh, sphere_mesh
+from spatula_env.render import UNLIT, Camera, GroundPlane, Mesh, Renderer, box_mesh, sphere_mesh
 
 BLACK = (0.0, 0.0, 0.0)
 WHITE = (1.0, 1.0, 1.0)
@@ -249,7 +249,7 @@ def test_depth_is_that_of_the_plane(slope_x, slope_z, offset):
 
 def test_depth_of_ground_and_of_nothing():
     camera = Camera((0, 0, 3), (0, 1, 3), vertical_field_of_view=90.0, far=50.0)
-    _, depth = Renderer(16, 12).render_rgbd(camera, [], ground=Ground(height=1.0))
+    _, depth = Renderer(16, 12).render_rgbd(camera, [], ground=GroundPlane(height=1.0))
     down = (np.arange(12) + 0.5 - 6) / 6.0
     expected = np.where(down > 0, np.minimum(2.0 / np.where(down > 0, down, 1), 50.0), 50.0)
     np.testing.assert_allclose(depth, np.tile(expected[:, None], (1, 16)), rtol=1e-5)
@@ -317,15 +317,15 @@ def test_equal_input_gives_equal_bytes_whatever_was_drawn_before():
     camera = Camera.orbit((0, 0, 1), 6.0, 30, 20)
     ball = sphere_mesh((0, 0, 1), 1.0)
     scene = [ball, sphere_mesh((1, 0, 1), 0.7, opacity=0.4), box_mesh((1, 1, 1), (-1, 1, 0.5), bevel=0.1)]
-    fresh = Renderer(40, 30).render_rgbd(camera, scene, ground=Ground())
+    fresh = Renderer(40, 30).render_rgbd(camera, scene, ground=GroundPlane())
     used = Renderer(40, 30)
     others = [sphere_mesh(np.random.default_rng(0).normal(size=(60, 3)), 0.3, opacity=0.5)]
-    used.render(Camera.orbit((0, 0, 1), 3.0, 80, 40), others, ground=Ground(style="checker"), background=RED)
-    used.render(camera, others, ground=Ground())
-    again = used.render_rgbd(camera, scene, ground=Ground())
+    used.render(Camera.orbit((0, 0, 1), 3.0, 80, 40), others, ground=GroundPlane(style="checker"), background=RED)
+    used.render(camera, others, ground=GroundPlane())
+    again = used.render_rgbd(camera, scene, ground=GroundPlane())
     np.testing.assert_array_equal(fresh[0], again[0])
     np.testing.assert_array_equal(fresh[1], again[1])
-    np.testing.assert_array_equal(fresh[0], used.render(camera, scene, ground=Ground()))
+    np.testing.assert_array_equal(fresh[0], used.render(camera, scene, ground=GroundPlane()))
 
 
 def test_a_picture_is_the_same_in_one_band_and_in_many():

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from spatula_env import scenes
+from spatula_env.arrays import FloatArray
 from spatula_env.sim.batch import BatchSimulation
 from spatula_env.sim.drive import restrain
 from spatula_env.sim.worlds import make_worlds
-
-FloatArray = NDArray[np.float64]
 
 vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 APART = np.array([[0.2, 0.0, 0.0], [-0.3, 0.4, 1.2]])

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from task_helpers import setting_of_task
 
+from spatula_env.arrays import FloatArray
 from spatula_env.tasks import PalpateConfig, PalpateTask, Path, Ring, Situation, Start
 from spatula_env.tasks.base import Evaluation, Memory, weighted_sum
-from spatula_env.tasks.situation import FloatArray
 
 HALF_THICKNESS = 0.00125
 FORCE = 0.14

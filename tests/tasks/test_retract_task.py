@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from task_helpers import setting_of_task
 
 from spatula_env import scenes
+from spatula_env.arrays import FloatArray
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.tasks import Patch, Path, RetractConfig, RetractTask, Situation, Start
 from spatula_env.tasks.base import Evaluation, Memory, weighted_sum
-from spatula_env.tasks.situation import FloatArray
 
 HALF_THICKNESS = 0.0009
 

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from spatula_env.changes import with_changes
 from spatula_env.data.files import check_can_write
 from spatula_env.learning.commands.common import add_overwrite_option, check_free, run_command
-from spatula_env.learning.configuration import ENGINES, changed
+from spatula_env.learning.configuration import ENGINES
 from spatula_env.naming import find_environment
+from spatula_env.render.films import FILMS, check_film
 
 PROGRAM = "spatula evaluate"
 
@@ -50,7 +52,7 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
         value = getattr(chosen, name)
         if value is not None and value < least:
             parser.error(f"--{name} must be {least} or more, got {value}")
-    if chosen.video is not None and chosen.video.suffix not in (".mp4", ".gif"):
+    if chosen.video is not None and chosen.video.suffix not in FILMS:
         parser.error(f"--video must end with .mp4 or .gif, got {chosen.video}")
 
     def report() -> None:
@@ -62,16 +64,16 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
 
 def run(chosen: argparse.Namespace) -> dict[str, Any]:
     """Evaluate as the command line says; returns what there is to report."""
-    from spatula_env.learning.evaluation import Plan, evaluate, film, require_moviepy, summarize
+    from spatula_env.learning.evaluation import Plan, evaluate, film, summarize
     from spatula_env.learning.finding import find_policy
 
     env_id = find_environment(chosen.env)
     if chosen.video is not None:
         check_free(chosen.video, chosen.overwrite)
-        require_moviepy()
+        check_film(chosen.video)
         check_can_write(chosen.video.parent)
     source = find_policy(chosen.policy, env_id)
-    kwargs = changed(source.kwargs, chosen.changes)
+    kwargs = with_changes(source.kwargs, chosen.changes)
     plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)
     episodes, rate = evaluate(source, plan, processes=chosen.processes)
     if chosen.video is not None:

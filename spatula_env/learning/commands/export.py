@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from spatula_env.files import whole_file
 from spatula_env.learning.commands.common import add_overwrite_option, check_free, run_command
 from spatula_env.learning.configuration import ENGINES, to_mapping
 from spatula_env.naming import registered_id
@@ -89,17 +90,13 @@ def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = 
     if (folder / EVALUATION).exists():
         evaluation["training"] = json.loads((folder / EVALUATION).read_text(encoding="utf-8"))
     # Both files appear when all is known, or none.
-    unfinished = output.with_name(f".new-{output.name}")
-    try:
+    with whole_file(output) as unfinished:
         exported.save(unfinished)
         for engine, count in (episodes or {}).items():
             if count:
                 source = find_policy(str(unfinished), env_id)
                 results, _ = evaluate(source, Plan(env_id, source.kwargs, engine, count, 0))
                 evaluation[engine] = summarize(results)
-        unfinished.replace(output)
-    finally:
-        unfinished.unlink(missing_ok=True)
     origin: dict[str, Any] = {}
     for candidate in (run / "provenance.json", run.parent / "provenance.json"):
         if candidate.exists():

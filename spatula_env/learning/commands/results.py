@@ -9,6 +9,7 @@ from pathlib import Path
 
 import yaml
 
+from spatula_env.files import write_text
 from spatula_env.installing import install_hint
 from spatula_env.learning.commands.common import fail
 from spatula_env.learning.configuration import find_config
@@ -16,7 +17,6 @@ from spatula_env.learning.results.gather import gather, read_machines
 from spatula_env.learning.results.page import write_page
 from spatula_env.learning.results.plan import planned_references, planned_runs, read_plan
 from spatula_env.learning.results.runs import evaluate_agent, is_finished, make_agents
-from spatula_env.learning.saving import write_text
 
 PROGRAM = "python -m spatula_env.learning.commands.results"
 

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.envs.observations import GOAL_ENTRIES
 
 if TYPE_CHECKING:
     import gymnasium
-
-FloatArray = NDArray[np.float64]
 
 
 class Expert(ABC):

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env.learning.experts.base import Expert, FloatArray
+from spatula_env.arrays import FloatArray
+from spatula_env.learning.experts.base import Expert
 
 ARM = 0.02
 """From the grip down to the blade's edge [m]."""

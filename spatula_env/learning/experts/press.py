@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env.learning.experts.base import Expert, FloatArray
+from spatula_env.arrays import FloatArray
+from spatula_env.learning.experts.base import Expert
 
 PLACE_GAIN = 8.0
 """Horizontal speed per distance to the place [1/s]."""

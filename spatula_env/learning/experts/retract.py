@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env.learning.experts.base import Expert, FloatArray
+from spatula_env.arrays import FloatArray
+from spatula_env.learning.experts.base import Expert
 
 HALF_THICKNESS = 0.0009
 """Of the blade [m]."""

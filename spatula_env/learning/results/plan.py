@@ -6,16 +6,18 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 from spatula_env.learning.configuration import (
     ENGINES,
+    Engine,
     TrainingConfig,
     find_config,
     from_mapping,
     load_yaml,
     read_training,
 )
+from spatula_env.learning.ranges import Checked, Count, Natural, Rule
 from spatula_env.naming import find_environment, same_environment
 
 REFERENCES = ("expert", "random", "pretrained")
@@ -23,7 +25,7 @@ REFERENCES = ("expert", "random", "pretrained")
 
 
 @dataclass(frozen=True)
-class AlgorithmPlan:
+class AlgorithmPlan(Checked):
     """How agents of one kind are made.
 
     Attributes:
@@ -35,17 +37,16 @@ class AlgorithmPlan:
     """
 
     config: str
-    clone: int = 0
-    rounds: int = 0
+    clone: Natural = 0
+    rounds: Natural = 0
     changes: tuple[str, ...] = ()
     label: str | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.clone < 0:
-            raise ValueError(f"clone must be 0 or more, got {self.clone}")
-        if self.rounds < 0 or (self.rounds and not self.clone):
-            raise ValueError(f"rounds must be 0 or more, and 0 without clone, got {self.rounds}")
+        super().__post_init__()
+        if self.rounds and not self.clone:
+            raise ValueError(f"rounds must be 0 without clone, got {self.rounds}")
 
     def read(self, seed: int) -> TrainingConfig:
         """The configuration for one seed."""
@@ -68,7 +69,7 @@ class TaskPlan:
 
 
 @dataclass(frozen=True)
-class ScoringPlan:
+class ScoringPlan(Checked):
     """How finished agents are evaluated.
 
     Attributes:
@@ -77,21 +78,21 @@ class ScoringPlan:
         engines: In which; the first one is that of training.
     """
 
-    episodes: int = 100
-    seed: int = 0
-    engines: tuple[str, ...] = ENGINES
+    section: ClassVar[str] = "evaluation"
+
+    episodes: Count = 100
+    seed: Natural = 0
+    engines: tuple[Engine, ...] = ENGINES
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.episodes < 1:
-            raise ValueError(f"evaluation.episodes must be 1 or more, got {self.episodes}")
-        unknown = [engine for engine in self.engines if engine not in ENGINES]
-        if unknown or not self.engines:
-            raise ValueError(f"evaluation.engines must be some of {list(ENGINES)}, got {list(self.engines)}")
+        super().__post_init__()
+        if not self.engines:
+            raise ValueError(f"evaluation.engines must be some of {list(ENGINES)}, got none")
 
 
 @dataclass(frozen=True)
-class BootstrapPlan:
+class BootstrapPlan(Checked):
     """How intervals are found.
 
     Attributes:
@@ -100,16 +101,11 @@ class BootstrapPlan:
         seed: Of the resamples.
     """
 
-    resamples: int = 2_000
-    confidence: float = 0.95
-    seed: int = 0
+    section: ClassVar[str] = "bootstrap"
 
-    def __post_init__(self) -> None:
-        """Check the values."""
-        if self.resamples < 1:
-            raise ValueError(f"bootstrap.resamples must be 1 or more, got {self.resamples}")
-        if not 0.0 < self.confidence < 1.0:
-            raise ValueError(f"bootstrap.confidence must be between 0 and 1, got {self.confidence}")
+    resamples: Count = 2_000
+    confidence: Annotated[float, Rule("between 0 and 1", lambda value: 0.0 < value < 1.0)] = 0.95
+    seed: Natural = 0
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from spatula_env.arrays import FloatArray
 from spatula_env.learning.results.plan import BootstrapPlan
-
-FloatArray = NDArray[np.float64]
 
 TRIMMED = 0.25
 """Share that is left out on each side."""
