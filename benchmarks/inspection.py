@@ -5,16 +5,15 @@ surface, the depth of the surface in a tool is the greatest of any of its points
 whether the organ has slipped past the tool is decided from the paths of its vertices, and an organ crosses itself where
 an edge goes through a triangle.
 
-As a command it makes a motion in a scene, or repeats a recorded one, and looks after every physics step. A recording is
-an .npz file of `nodes` (V, 3) and `velocities` (V, 3) of the organs, `positions` (N, 3) and `orientations` (N, 4) of
-the tools, and `linear` and `angular` (S, N, 3), how they move in each of S physics steps.
+As a command it makes a motion in a scene, or repeats a recorded one, and looks after every physics step. What a
+recording holds is said in `benchmarks.recordings`; `benchmarks.endurance --save` writes some.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,6 +25,7 @@ from benchmarks.depths import BAND, depth_of_surface, find_inside, is_inside, me
 from benchmarks.measure import finish, parser
 from benchmarks.passages import count_passages, find_passages
 from benchmarks.probes import RIM, Probe, make_probe
+from benchmarks.recordings import restore_recording
 from spatula_env import Simulation, scenes
 from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.engines import ENGINES
@@ -586,38 +586,6 @@ def watch_motion(simulation: Simulation, linear: FloatArray, angular: FloatArray
                 + ("  wrong side" if seen.wrong_side else "")
             )
     return tally
-
-
-def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, FloatArray]:
-    """Put a simulation into the state of a recording.
-
-    Args:
-        simulation: Of the scene that was recorded.
-        path: Of the .npz file.
-
-    Returns:
-        How the tools move: linear and angular velocities, (S, N, 3) each.
-
-    Raises:
-        ValueError: If the file lacks something, or does not fit the scene.
-    """
-    with np.load(path) as recorded:
-        missing = [name for name in motions.RECORDED if name not in recorded]
-        if missing:
-            raise ValueError(f"{path} must hold {list(motions.RECORDED)}, it lacks {missing}")
-        nodes, velocities, positions, orientations, linear, angular = (
-            np.array(recorded[name], dtype=np.float64) for name in motions.RECORDED
-        )
-    simulation.restore(
-        replace(
-            simulation.save(),
-            nodes=nodes,
-            node_velocities=velocities,
-            tool_positions=positions,
-            tool_orientations=orientations,
-        )
-    )
-    return linear, angular
 
 
 def main() -> None:

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import slides
-from benchmarks.inspection import ALLOWED, restore_recording, watch_motion
+from benchmarks.inspection import ALLOWED, watch_motion
+from benchmarks.recordings import restore_recording
 from spatula_env import Simulation, scenes
 
 CORNER_SLIDES = Path(__file__).with_name("corner_slides.npz")

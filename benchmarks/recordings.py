@@ -1,0 +1,231 @@
+"""Recordings of what went wrong: a state, and how the tools moved from there, to be repeated step by step.
+
+A recording is an .npz file of `nodes` (V, 3) and `velocities` (V, 3) of the organs, `positions` (N, 3) and
+`orientations` (N, 4) of the tools, and `linear` and `angular` (S, N, 3), how they move in each of S physics steps. It
+may also hold what contact remembers: see `REMEMBERED`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.motions import RECORDED
+from spatula_env.contact.model import ContactMemory
+from spatula_env.sim.drive import restrain
+from spatula_env.sim.simulation import SimulationState
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from spatula_env import Simulation
+
+    FloatArray = NDArray[np.float64]
+
+REMEMBERED = ("names", "features", "rows", "ledger", "wrenches", "crossed_for")
+"""What contact remembers, beside the flags of each tool and organ, `flags_0_0` and so on."""
+
+BEFORE = 4
+"""A recording begins so many control steps before the stretch that it is of,"""
+
+LONGEST = 24
+"""and has no more than so many."""
+
+
+def write_recording(path: Path, state: SimulationState, linear: FloatArray, angular: FloatArray) -> None:
+    """Write a recording.
+
+    Args:
+        path: Of the .npz file.
+        state: Where it begins.
+        linear: (S, N, 3) of the tools in each physics step [u/s].
+        angular: (S, N, 3) [rad/s].
+    """
+    moved = (state.nodes, state.node_velocities, state.tool_positions, state.tool_orientations, linear, angular)
+    contact = state.contact
+    remembered = (*contact.multipliers, contact.ledger, contact.wrenches, np.array(contact.crossed_for))
+    flags = {f"flags_{i}_{j}": flags for i, row in enumerate(contact.flags) for j, flags in enumerate(row)}
+    arrays: dict[str, Any] = dict(zip((*RECORDED, *REMEMBERED), (*moved, *remembered), strict=True))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, **arrays, **flags)
+
+
+def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, FloatArray]:
+    """Put a simulation into the state of a recording.
+
+    Args:
+        simulation: Of the scene that was recorded.
+        path: Of the .npz file.
+
+    Returns:
+        How the tools move: linear and angular velocities, (S, N, 3) each.
+
+    Raises:
+        ValueError: If the file lacks something, or does not fit the scene.
+    """
+    with np.load(path) as recorded:
+        missing = [name for name in RECORDED if name not in recorded]
+        if missing:
+            raise ValueError(f"{path} must hold {list(RECORDED)}, it lacks {missing}")
+        nodes, velocities, positions, orientations, linear, angular = (
+            np.array(recorded[name], dtype=np.float64) for name in RECORDED
+        )
+        state = simulation.save()
+        if all(name in recorded for name in REMEMBERED):
+            names, features, rows, ledger, wrenches, crossed_for = (recorded[name] for name in REMEMBERED)
+            contact = ContactMemory(
+                flags=tuple(
+                    tuple(recorded[f"flags_{i}_{j}"] for j in range(len(row))) for i, row in enumerate(state.flags)
+                ),
+                multipliers=(names, features, rows),
+                ledger=ledger,
+                wrenches=wrenches,
+                crossed_for=float(crossed_for),
+            )
+            state = replace(state, contact=contact)
+    simulation.restore(
+        replace(
+            state,
+            nodes=nodes,
+            node_velocities=velocities,
+            tool_positions=positions,
+            tool_orientations=orientations,
+        )
+    )
+    return linear, angular
+
+
+def state_of_world(state: Any, world: int) -> SimulationState:
+    """What `Worlds.save` returned for all worlds, of one of them."""
+    if isinstance(state, tuple):
+        one: SimulationState = state[world]
+        return one
+    memory = state.memories[world]
+    organs = len(memory.flags) // len(state.tool_positions[world])
+    forces = state.tool_forces[world]
+    return SimulationState(
+        nodes=state.nodes[world],
+        node_velocities=state.node_velocities[world],
+        tool_positions=state.tool_positions[world],
+        tool_orientations=state.tool_orientations[world],
+        contact=ContactMemory(
+            flags=tuple(memory.flags[k : k + organs] for k in range(0, len(memory.flags), organs)),
+            multipliers=memory.multipliers,
+            ledger=memory.ledger,
+            wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
+            crossed_for=memory.crossed_for,
+        ),
+        time=float(state.times[world]),
+    )
+
+
+@dataclass
+class _ControlStep:
+    """A control step of all worlds: where it began, and how the tools moved in each physics step, (W, N, 3) each."""
+
+    state: Any
+    linear: list[FloatArray]
+    angular: list[FloatArray]
+
+
+class Recorder:
+    """Keeps the worst stretch of control steps in which something is amiss in a world, and writes it.
+
+    Args:
+        worlds: They are watched from now on. Afterwards `look_after_every_step` is to see to it that physics steps are
+            made one by one.
+        path: Of the .npz file, written whenever there is something worse than before.
+    """
+
+    def __init__(self, worlds: Any, path: Path) -> None:
+        self._worlds, self._path = worlds, path
+        self._kept: deque[_ControlStep] = deque(maxlen=LONGEST)
+        self._forces = np.zeros(worlds.tool_positions.shape)
+        # Control steps since an episode began, since a stretch did, and how bad it is.
+        self._age, self._length = np.zeros(worlds.count, dtype=int), np.zeros(worlds.count, dtype=int)
+        self._badness = np.zeros(worlds.count)
+        self.worst = 0.0
+        advance = worlds.advance
+
+        def advance_and_keep(linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any) -> Any:
+            if force_limits is None:
+                self._keep(linear, angular)
+            else:
+                self._keep(*self._restrained(linear, angular, force_limits))
+            loads = advance(linear, angular, steps, pressure_limits, force_limits)
+            self._forces = np.ascontiguousarray(loads.forces)
+            return loads
+
+        worlds.advance = advance_and_keep
+
+    def begin_control_step(self) -> None:
+        """Look where everything is; called before every control step."""
+        state = self._worlds.save(np.arange(self._worlds.count))
+        self._kept.append(_ControlStep(state, [], []))
+        self._forces = np.array(
+            [state_of_world(state, world).contact.wrenches[:, :3] for world in range(len(self._age))]
+        )
+        self._age += 1
+
+    def end_control_step(self, badness: FloatArray) -> None:
+        """Called after every control step.
+
+        Args:
+            badness: (W,) how bad it was in each world, 0 if nothing was amiss.
+        """
+        bad = badness > 0.0
+        self._length[bad] += 1
+        self._badness = np.maximum(self._badness, badness)
+        over = (self._length > 0) & (~bad | (self._length >= LONGEST - BEFORE))
+        for world in np.flatnonzero(over).tolist():
+            self._finish(world)
+
+    def forget(self, worlds: Any) -> None:
+        """End what goes on in worlds (n,): they are reset."""
+        for world in worlds:
+            self._finish(world)
+            # The next control step is that in which it is reset.
+            self._age[world] = -1
+
+    def _keep(self, linear: FloatArray, angular: FloatArray) -> None:
+        self._kept[-1].linear.append(np.array(linear))
+        self._kept[-1].angular.append(np.array(angular))
+
+    def _restrained(self, linear: FloatArray, angular: FloatArray, limits: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What is left of velocities (W, N, 3) where forces in the physics step before were too great."""
+        linear, angular = np.array(linear, dtype=np.float64), np.array(angular, dtype=np.float64)
+        slower, turning = np.empty_like(linear), np.empty_like(angular)
+        positions = self._worlds.tool_positions
+        for world, limit in enumerate(limits.tolist()):
+            restrain(
+                positions[world],
+                linear[world],
+                angular[world],
+                self._forces[world],
+                limit,
+                slower[world],
+                turning[world],
+            )
+        return slower, turning
+
+    def _finish(self, world: int) -> None:
+        """Write a stretch that is over, if it is the worst so far."""
+        length, badness = int(self._length[world]), float(self._badness[world])
+        self._length[world], self._badness[world] = 0, 0.0
+        if badness <= self.worst:
+            return
+        self.worst = badness
+        # The last control step may have been the first one without anything amiss.
+        count = min(length + 1 + BEFORE, int(self._age[world]), len(self._kept))
+        kept = list(self._kept)[-count:]
+        write_recording(
+            self._path,
+            state_of_world(kept[0].state, world),
+            np.array([v[world] for each in kept for v in each.linear]),
+            np.array([w[world] for each in kept for w in each.angular]),
+        )
