@@ -33,6 +33,8 @@ Path = Callable[[float], float]
 
 TREMOR = ((8.0, 0.3), (9.3, 1.1), (10.7, 2.9), (12.0, 4.3))
 """Frequencies [Hz] and phases [rad] of a tremor's parts."""
+SHIFTS = tuple((math.cos(2.1 * axis), math.sin(2.1 * axis)) for axis in (1, 2))
+"""Cosine and sine of the phases by which the tremor along the second and third axis is ahead of the first's."""
 WAIT = 0.2
 """So long the hand waits before it moves [s]."""
 TOUCH_SPEED = 0.04
@@ -180,11 +182,14 @@ class ClosedLoop:
             **keywords: Of the environment.
         """
         self.touch = touch if touch is not None else TOUCHES["press"]
-        self._direction = np.array(self.touch.direction)
+        self._direction = self.touch.direction
         self._path, self._tremor = path, tremor
         self.aside: Path = lambda _: 0.0
         self.settings = settings if settings is not None else HapticSettings()
-        self._gains = [hand.transmissibility(frequency) for frequency, _ in TREMOR]
+        self._parts = [
+            (2.0 * math.pi * frequency, phase, 0.5 * tremor / hand.transmissibility(frequency))
+            for frequency, phase in TREMOR
+        ]
         held: Hand = ElasticHand(
             self._target,
             position=self._target(0.0),
@@ -247,14 +252,20 @@ class ClosedLoop:
         self.hand.true = (x, y, z)
 
     def _target(self, time: float) -> tuple[float, float, float]:
-        place = self._path(time) * self._direction + self.aside(time) * np.roll(self._direction, 1)
-        if self._tremor:
-            for axis in range(3):
-                for (frequency, phase), gain in zip(TREMOR, self._gains, strict=True):
-                    angle = 2.0 * math.pi * frequency * time + phase + 2.1 * axis
-                    place[axis] += 0.5 * self._tremor * math.sin(angle) / gain
-        x, y, z = place.tolist()
-        return position_to_falcon((x, y, z))
+        along, across = self._path(time), self.aside(time)
+        (x, y, z), tremor = self._direction, self._tremor
+        place = (along * x + across * z, along * y + across * x, along * z + across * y)
+        if tremor:
+            sine = cosine = 0.0
+            for turning, phase, amplitude in self._parts:
+                sine += amplitude * math.sin(turning * time + phase)
+                cosine += amplitude * math.cos(turning * time + phase)
+            place = (
+                place[0] + sine,
+                place[1] + sine * SHIFTS[0][0] + cosine * SHIFTS[0][1],
+                place[2] + sine * SHIFTS[1][0] + cosine * SHIFTS[1][1],
+            )
+        return position_to_falcon(place)
 
 
 def ramp(goal: float, speed: float = TOUCH_SPEED, start: float = WAIT) -> Path:

@@ -24,6 +24,7 @@ LeRobot                 here
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -308,7 +309,7 @@ def check_force(force: ArrayLike) -> FloatArray:
     array = np.array(force, dtype=np.float64)
     if array.shape != (3,):
         raise ValueError(f"force must have shape (3,), got {array.shape}")
-    if not np.isfinite(array).all():
+    if not all(map(math.isfinite, array.tolist())):
         raise ValueError(f"force must be finite, got {array.tolist()}")
     return array
 
@@ -323,9 +324,6 @@ def limit_force(force: FloatArray, greatest: float) -> FloatArray:
     Returns:
         The force, or a shorter one, shape (3,) [N].
     """
-    # Two steps, so that the square of a huge force does not overflow.
-    largest = float(np.abs(force).max())
-    if largest == 0.0:
-        return force
-    magnitude = largest * float(np.linalg.norm(force / largest))
+    # No square that could overflow, and no array: this is done a thousand times a second.
+    magnitude = math.hypot(*force.tolist())
     return force if magnitude <= greatest else force * (greatest / magnitude)

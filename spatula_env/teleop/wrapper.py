@@ -29,6 +29,8 @@ CENTRE_ZONE = 0.1
 """Share of a position device's half workspace in which it commands no rate."""
 STANDSTILL, UNUSUAL = 0.04, 3.0
 """After so long without a physics step hand and tool are matched anew [s], if that is so many times the last pause."""
+RETURN = 0.1
+"""For so long after that the tool goes no deeper: in it the force comes back [s]."""
 CENTRED = 0.006
 """So near is near enough [m]."""
 CENTRING_TIME, CENTRING_LOOK = 20.0, 0.02
@@ -220,6 +222,8 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._track: list[NDArray[np.float32]] = []
         self._lost = False
         self._told, self._pause = -math.inf, 0.0
+        self._yields_until = -math.inf
+        self._into: FloatArray = np.zeros(3)
         self._acting = False
         self._still_for = math.inf
         self._due: float | None = None
@@ -335,6 +339,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if pause > max(STANDSTILL, UNUSUAL * self._pause):
             # The hand has gone on without the tool: to follow it now would be a plunge.
             self._offset = None
+            self._yields_until = now + RETURN
         self._pause = pause
         if self._track:
             # The first physics step goes by what the control step was decided by.
@@ -355,6 +360,12 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 self._offset = grip - self._scale * sample.position
                 self._confine()
             wanted = self._scale * sample.position + self._offset
+            if now < self._yields_until:
+                # The force is on its way back: the hand must not go deeper into what it cannot feel.
+                deeper = float((wanted - grip) @ self._into)
+                if deeper > 0.0:
+                    self._offset = self._offset - deeper * self._into
+                    wanted = wanted - deeper * self._into
             chosen[:3] = (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
         action = np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
         self._track.append(action)
@@ -424,13 +435,16 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
     def _after_physics(self, grip: FloatArray, force: FloatArray) -> None:
         """Tell the hand, and wait for the time of the physics step."""
         device = self.device
+        size = float(np.linalg.norm(force))
+        self._into = -force / size if size > 0.0 else np.zeros(3)
         try:
             if isinstance(device, HapticDevice):
                 clutched = self._sample is not None and self._clutch in self._sample.buttons
                 felt = self._acting and not (clutched and self.mode == "position")
                 offset = self._offset if felt and self.mode == "position" else None
                 place = None if offset is None else (grip - offset) / self._scale
-                device.tell(place, force if felt else np.zeros(3))
+                shift = np.zeros(3) if offset is None else -offset / self._scale
+                device.tell(place, force if felt else np.zeros(3), shift)
             elif device.has_force:
                 device.send_force(force if self._acting else np.zeros(3))
         except DeviceError:

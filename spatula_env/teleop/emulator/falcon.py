@@ -227,7 +227,7 @@ class FalconEmulator:
     def _write(self, connection: EmulatedTransport, data: bytes) -> int:
         with self._lock:
             self._check_plug(connection)
-            now = self._catch_up()
+            now = self._happen()
             settings = self._chip.settings
             # The bytes follow each other on the line, and each takes its time.
             self._line_free = max(self._line_free, now) + len(data) * settings.byte_time
@@ -239,7 +239,7 @@ class FalconEmulator:
         while True:
             with self._lock:
                 self._check_plug(connection)
-                now = self._catch_up()
+                now = self._happen()
                 ready = self._chip.ready_at(now)
                 if ready <= now:
                     return self._chip.take_packet(now)[:size]
@@ -274,11 +274,20 @@ class FalconEmulator:
         Returns:
             That time [s].
         """
+        now = self._happen()
+        self._move_hand(now)
+        return now
+
+    def _happen(self) -> float:
+        """Let everything happen that was to happen by now; who does not look at the hand need not move it.
+
+        Returns:
+            The clock's time [s].
+        """
         now = self.clock.now()
         while self._events and self._events[0][0] <= now:
             when, _, happen = heapq.heappop(self._events)
             happen(when)
-        self._move_hand(now)
         return now
 
     def _move_hand(self, until: float) -> None:

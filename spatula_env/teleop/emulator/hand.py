@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
 
-from spatula_env.teleop.emulator.legs import OutOfReachError, Point, leg_angles
+from spatula_env.teleop.emulator.legs import Point, is_within_reach
 
 Motion = Callable[[float], Point]
 """Where something is at a time."""
@@ -21,6 +21,8 @@ PUSHED_IN: Point = (0.0, 0.0, 0.085)
 PULLED_OUT: Point = (0.0, 0.0, 0.170)
 MIDDLE: Point = (0.0, 0.0, 0.120)
 """Places on the z axis [m]."""
+FREE = (False, False, False)
+"""No axis along which a stop was hit."""
 
 
 @dataclass
@@ -123,38 +125,39 @@ class ElasticHand:
 
     def advance(self, time: float, step: float, motor_force: Point) -> None:
         """See `Hand`."""
-        wanted = self._rest if self.target is None else self.target(time + 0.5 * step)
-        inertia = 2.0 * self.mass / step
-        resistance = inertia + 0.5 * step * self.stiffness + self.damping
-        mean = [
-            (inertia * speed + force + self.stiffness * (goal - place)) / resistance
-            for speed, force, goal, place in zip(self.velocity, motor_force, wanted, self.position, strict=True)
-        ]
-        moved = (mean[0] * step, mean[1] * step, mean[2] * step)
-        velocity = tuple(2.0 * middle - speed for middle, speed in zip(mean, self.velocity, strict=True))
-        reached, stopped = _until_stop(self.position, moved)
+        goal_x, goal_y, goal_z = self._rest if self.target is None else self.target(time + 0.5 * step)
+        mass, stiffness = self.mass, self.stiffness
+        inertia = 2.0 * mass / step
+        share = 1.0 / (inertia + 0.5 * step * stiffness + self.damping)
+        old = x, y, z = self.position
+        u, v, w = self.velocity
+        push_x, push_y, push_z = motor_force
+        # The mean velocity of the step, written out as it is the innermost of all loops.
+        mean_x = share * (inertia * u + push_x + stiffness * (goal_x - x))
+        mean_y = share * (inertia * v + push_y + stiffness * (goal_y - y))
+        mean_z = share * (inertia * w + push_z + stiffness * (goal_z - z))
+        reached, stopped = _until_stop(old, (mean_x * step, mean_y * step, mean_z * step))
 
-        before = self.kinetic_energy
-        old = self.position
-        displacement = (reached[0] - old[0], reached[1] - old[1], reached[2] - old[2])
-        pull = (
-            self.stiffness * (wanted[0] - 0.5 * (old[0] + reached[0])),
-            self.stiffness * (wanted[1] - 0.5 * (old[1] + reached[1])),
-            self.stiffness * (wanted[2] - 0.5 * (old[2] + reached[2])),
+        moved_x, moved_y, moved_z = reached[0] - x, reached[1] - y, reached[2] - z
+        motors = push_x * moved_x + push_y * moved_y + push_z * moved_z
+        arm = stiffness * (
+            (goal_x - 0.5 * (x + reached[0])) * moved_x
+            + (goal_y - 0.5 * (y + reached[1])) * moved_y
+            + (goal_z - 0.5 * (z + reached[2])) * moved_z
         )
-        self.energies.motors += _dot(motor_force, displacement)
-        self.energies.arm += _dot(pull, displacement)
-        self.position = reached
-        self.velocity = (
-            0.0 if stopped[0] else velocity[0],
-            0.0 if stopped[1] else velocity[1],
-            0.0 if stopped[2] else velocity[2],
-        )
-        lost = before + _dot(motor_force, displacement) + _dot(pull, displacement) - self.kinetic_energy
-        if any(stopped):
-            self.energies.stops += lost
+        before = 0.5 * mass * (u * u + v * v + w * w)
+        u = 0.0 if stopped[0] else 2.0 * mean_x - u
+        v = 0.0 if stopped[1] else 2.0 * mean_y - v
+        w = 0.0 if stopped[2] else 2.0 * mean_z - w
+        lost = before + motors + arm - 0.5 * mass * (u * u + v * v + w * w)
+        self.position, self.velocity = reached, (u, v, w)
+        energies = self.energies
+        energies.motors += motors
+        energies.arm += arm
+        if stopped == FREE:
+            energies.dissipated += lost
         else:
-            self.energies.dissipated += lost
+            energies.stops += lost
 
 
 class GuidedHand:
@@ -226,24 +229,16 @@ def _until_stop(position: Point, moved: Point) -> tuple[Point, tuple[bool, bool,
     """
     x, y, z = position
     free = (x + moved[0], y + moved[1], z + moved[2])
-    if _is_within_reach(free):
-        return free, (False, False, False)
+    if is_within_reach(free):
+        return free, FREE
     stopped = [False, False, False]
     reached = [x, y, z]
     for axis in range(3):
         reached[axis] += moved[axis]
-        if not _is_within_reach((reached[0], reached[1], reached[2])):
+        if not is_within_reach((reached[0], reached[1], reached[2])):
             reached[axis] = position[axis]
             stopped[axis] = True
     return (reached[0], reached[1], reached[2]), (stopped[0], stopped[1], stopped[2])
-
-
-def _is_within_reach(position: Point) -> bool:
-    try:
-        leg_angles(position)
-    except OutOfReachError:
-        return False
-    return True
 
 
 def _dot(first: Point, second: Point) -> float:

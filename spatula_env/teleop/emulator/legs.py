@@ -20,9 +20,11 @@ this. The lengths are those of libnifalcon.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import atan2, cos, pi, sin, sqrt
 
 Point = tuple[float, float, float]
+_Leg = tuple[float, Point, float]
 
 HIP_FROM_AXIS = 0.0400
 HIP_SIDEWAYS = -0.02309
@@ -44,6 +46,10 @@ FIRST_STOP = -75.0
 LAST_STOP = 115.0
 """Where the thighs hit their stops [deg]. Assumed: wider than the cube of +-40 mm needs."""
 
+SURE_REACH = 0.04
+SURE_MIDDLE = 0.12
+"""Half an edge of a cube in which every leg reaches everywhere, and its middle on the z axis [m]."""
+
 _RADIAL = tuple((cos(azimuth * pi / 180.0), sin(azimuth * pi / 180.0)) for azimuth in AZIMUTHS)
 
 
@@ -63,8 +69,24 @@ def leg_angles(grip: Point) -> Point:
     Raises:
         OutOfReachError: If a leg is too short, or would be beyond a stop.
     """
-    first, second, third = (_leg(leg, grip)[0] for leg in range(3))
-    return first, second, third
+    first, second, third = _legs(grip)
+    return first[0], second[0], third[0]
+
+
+def is_within_reach(grip: Point) -> bool:
+    """Whether the mechanism can stand like that.
+
+    Args:
+        grip: The grip's middle [m].
+    """
+    x, y, z = grip
+    if abs(x) <= SURE_REACH and abs(y) <= SURE_REACH and abs(z - SURE_MIDDLE) <= SURE_REACH:
+        return True
+    try:
+        _legs(grip)
+    except OutOfReachError:
+        return False
+    return True
 
 
 def encoder_counts(grip: Point) -> tuple[int, int, int]:
@@ -79,8 +101,12 @@ def encoder_counts(grip: Point) -> tuple[int, int, int]:
     Raises:
         OutOfReachError: If the grip cannot be there.
     """
-    first, second, third = (round((angle - ZERO_DEGREES) / DEGREES_PER_COUNT) for angle in leg_angles(grip))
-    return first, second, third
+    first, second, third = leg_angles(grip)
+    return (
+        round((first - ZERO_DEGREES) / DEGREES_PER_COUNT),
+        round((second - ZERO_DEGREES) / DEGREES_PER_COUNT),
+        round((third - ZERO_DEGREES) / DEGREES_PER_COUNT),
+    )
 
 
 def grip_force(grip: Point, motors: tuple[int, int, int]) -> Point:
@@ -97,9 +123,8 @@ def grip_force(grip: Point, motors: tuple[int, int, int]) -> Point:
         OutOfReachError: If the grip cannot be there.
     """
     x = y = z = 0.0
-    for leg, count in enumerate(motors):
+    for (_, edge, arm), count in zip(_legs(grip), motors, strict=True):
         if count:
-            _, edge, arm = _leg(leg, grip)
             tension = NEWTON_METRES_PER_COUNT * count / arm
             x += tension * edge[0]
             y += tension * edge[1]
@@ -107,7 +132,14 @@ def grip_force(grip: Point, motors: tuple[int, int, int]) -> Point:
     return x, y, z
 
 
-def _leg(leg: int, grip: Point) -> tuple[float, Point, float]:
+# Encoders, motors and stops ask about the same place one after the other.
+@lru_cache(maxsize=4)
+def _legs(grip: Point) -> tuple[_Leg, _Leg, _Leg]:
+    """The three legs' states; see `_leg`."""
+    return _leg(0, grip), _leg(1, grip), _leg(2, grip)
+
+
+def _leg(leg: int, grip: Point) -> _Leg:
     """One leg's state.
 
     Returns:

@@ -77,44 +77,47 @@ class HandOnMechanism:
     def advance(self, time: float, step: float, motor_force: Point) -> None:
         """See `Hand`."""
         strength = self.mechanism.strength
-        motor_force = (strength * motor_force[0], strength * motor_force[1], strength * motor_force[2])
+        push_x, push_y, push_z = motor_force = (
+            strength * motor_force[0],
+            strength * motor_force[1],
+            strength * motor_force[2],
+        )
         count = max(1, math.ceil(step / SUBSTEP))
         short = step / count
+        x, y, z = self.position
         for index in range(count):
-            before = self.position
             self._advance(time + index * short, short, motor_force)
-            self.energies.motors += sum(
-                force * (now - then) for force, now, then in zip(motor_force, self.position, before, strict=True)
-            )
+        # The motors push evenly all the time.
+        last = self.position
+        self.energies.motors += push_x * (last[0] - x) + push_y * (last[1] - y) + push_z * (last[2] - z)
         inner = self.hand.energies
         self.energies.arm, self.energies.dissipated, self.energies.stops = inner.arm, inner.dissipated, inner.stops
 
     def _advance(self, time: float, step: float, motor_force: Point) -> None:
-        mechanism = self.mechanism
-        speed = math.sqrt(sum(each * each for each in self.velocity))
+        mechanism, hand = self.mechanism, self.hand
+        push_x, push_y, push_z = motor_force
+        u, v, w = self.velocity
         # Along the motion, and less where it turns round, so that it has a value at rest.
-        resistance = mechanism.viscous + mechanism.coulomb / math.sqrt(speed * speed + REVERSAL * REVERSAL)
+        resistance = mechanism.viscous + mechanism.coulomb / math.sqrt(u * u + v * v + w * w + REVERSAL * REVERSAL)
         if mechanism.mode == 0.0:
-            x, y, z = (
-                force - resistance * each - mechanism.weight * down
-                for force, each, down in zip(motor_force, self.velocity, (0.0, 1.0, 0.0), strict=True)
-            )
-            self.hand.advance(time, step, (x, y, z))
-            self.position, self.velocity = self.hand.position, self.hand.velocity
+            force = (push_x - resistance * u, push_y - resistance * v - mechanism.weight, push_z - resistance * w)
+            hand.advance(time, step, force)
+            self.position, self.velocity = hand.position, hand.velocity
             return
-        links = [
-            self._stiffness * (here - there) + self._damping * (quick - other)
-            for here, there, quick, other in zip(
-                self.position, self.hand.position, self.velocity, self.hand.velocity, strict=True
-            )
-        ]
-        # Friction is implicit: it stops a motion and does not turn it round.
-        share = 1.0 / (1.0 + resistance * step / mechanism.mass)
-        vx, vy, vz = (
-            share * (each + step / mechanism.mass * (force - link - mechanism.weight * down))
-            for each, force, link, down in zip(self.velocity, motor_force, links, (0.0, 1.0, 0.0), strict=True)
-        )
-        self.velocity = (vx, vy, vz)
+        stiffness, damping = self._stiffness, self._damping
         x, y, z = self.position
-        self.position = (x + step * vx, y + step * vy, z + step * vz)
-        self.hand.advance(time, step, (links[0], links[1], links[2]))
+        there_x, there_y, there_z = hand.position
+        other_u, other_v, other_w = hand.velocity
+        # What the links do to the hand.
+        link_x = stiffness * (x - there_x) + damping * (u - other_u)
+        link_y = stiffness * (y - there_y) + damping * (v - other_v)
+        link_z = stiffness * (z - there_z) + damping * (w - other_w)
+        # Friction is implicit: it stops a motion and does not turn it round.
+        gain = step / mechanism.mass
+        share = 1.0 / (1.0 + resistance * gain)
+        u = share * (u + gain * (push_x - link_x))
+        v = share * (v + gain * (push_y - link_y - mechanism.weight))
+        w = share * (w + gain * (push_z - link_z))
+        self.velocity = (u, v, w)
+        self.position = (x + step * u, y + step * v, z + step * w)
+        hand.advance(time, step, (link_x, link_y, link_z))

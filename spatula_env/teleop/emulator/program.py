@@ -5,6 +5,8 @@ Written from the description of the bytes, and not with the driver's module for 
 
 from __future__ import annotations
 
+import struct
+
 from spatula_env.teleop.emulator.chip import LineSettings
 from spatula_env.teleop.emulator.faults import Faults
 
@@ -17,6 +19,10 @@ HOMING_IN = 5.0
 
 Assumed: all that is known is that the operator has to pull the grip all the way out and push it all the way in.
 """
+
+TO_HEXADECIMAL = bytes(b"0123456789abcdef"[letter - 65] if 65 <= letter < 81 else 63 for letter in range(256))
+"""What a byte of a number means: a digit, or '?' for one that means nothing."""
+TO_LETTERS = bytes.maketrans(b"0123456789abcdef", b"ABCDEFGHIJKLMNOP")
 
 Counts = tuple[int, int, int]
 
@@ -78,12 +84,12 @@ class Program:
         return answer
 
     def _answer(self, packet: bytes, angles: tuple[float, ...], counts: Counts) -> bytes:
-        nibbles = [byte - ord("A") for byte in packet[1:13]]
-        if not all(0 <= nibble < 16 for nibble in nibbles):
+        digits = packet[12:0:-1].translate(TO_HEXADECIMAL)
+        if b"?" in digits:
             return b""
         self.packets += 1
-        hexadecimal = ["".join(f"{nibble:x}" for nibble in reversed(nibbles[i : i + 4])) for i in (0, 4, 8)]
-        first, second, third = (int.from_bytes(bytes.fromhex(number), "big", signed=True) for number in hexadecimal)
+        # Backwards, so that the most significant digits come first and the third motor does.
+        third, second, first = struct.unpack(">hhh", bytes.fromhex(digits.decode("ascii")))
         limit = self._faults.motor_limit
         self.demanded = (first, second, third)
         self.motors = (_cut(first, limit), _cut(second, limit), _cut(third, limit))
@@ -109,14 +115,14 @@ class Program:
         if self._faults.is_silent:
             return b""
         assert self._first_counts is not None
-        reply = "<"
-        for leg in range(3):
+        reply = b"<"
+        status = self.buttons
+        for leg, homed in enumerate(self.homed):
             # Before it is homed, an encoder counts from where it was when the program began.
-            count = counts[leg] - (0 if self.homed[leg] else self._first_counts[leg])
-            digits = f"{count & 0xFFFF:04x}"
-            reply += "".join(chr(ord("A") + int(digit, 16)) for digit in reversed(digits))
-        status = self.buttons + 16 * sum(2**leg for leg in range(3) if self.homed[leg])
-        return reply.encode("latin-1") + bytes((ord("A") + status,)) + b"A>"
+            count = counts[leg] - (0 if homed else self._first_counts[leg])
+            reply += (b"%04x" % (count & 0xFFFF))[::-1].translate(TO_LETTERS)
+            status += 16 * 2**leg if homed else 0
+        return reply + bytes((ord("A") + status,)) + b"A>"
 
 
 def _cut(count: int, limit: int) -> int:

@@ -141,6 +141,11 @@ def forward(angles: Vector, start: Vector | None = None) -> Vector:
     Raises:
         UnreachableError: If the angles are no position's.
     """
+    return forward_with_jacobian(angles, start)[0]
+
+
+def forward_with_jacobian(angles: Vector, start: Vector | None = None) -> tuple[Vector, Matrix]:
+    """Where the grip is, and how the angles change with its position; see `forward`, `inverse_with_jacobian`."""
     if not (LEAST_ANGLE <= min(angles) and max(angles) <= GREATEST_ANGLE):
         raise _impossible(angles)
     if start is not None:
@@ -150,8 +155,8 @@ def forward(angles: Vector, start: Vector | None = None) -> Vector:
     return _newton(angles, _on_axis(angles))
 
 
-def _newton(angles: Vector, position: Vector) -> Vector:
-    """The grip at these angles, found from a position; see `forward`."""
+def _newton(angles: Vector, position: Vector) -> tuple[Vector, Matrix]:
+    """The grip at these angles and the derivatives there, found from a position; see `forward`."""
     first, second, third = angles
     current, jacobian = inverse_with_jacobian(position)
     missing = (first - current[0], second - current[1], third - current[2])
@@ -164,9 +169,13 @@ def _newton(angles: Vector, position: Vector) -> Vector:
         length = norm(step)
         # Towards the edge of the workspace a full step may leave it or lead away: shorten it until it helps.
         while True:
-            trial = tuple(old + fraction * change for old, change in zip(position, step, strict=True))
+            trial = (
+                position[0] + fraction * step[0],
+                position[1] + fraction * step[1],
+                position[2] + fraction * step[2],
+            )
             try:
-                trial_angles, trial_jacobian = inverse_with_jacobian((trial[0], trial[1], trial[2]))
+                trial_angles, trial_jacobian = inverse_with_jacobian(trial)
             except UnreachableError:
                 pass
             else:
@@ -177,10 +186,10 @@ def _newton(angles: Vector, position: Vector) -> Vector:
             fraction *= 0.5
             if fraction < SHORTEST_FRACTION:
                 raise _impossible(angles)
-        position = (trial[0], trial[1], trial[2])
+        position = trial
         missing, jacobian = trial_missing, trial_jacobian
         if length < CONVERGED:
-            return position
+            return position, jacobian
     raise _impossible(angles)
 
 

@@ -13,6 +13,7 @@ the brackets cannot occur in a packet. The status goes up to 0x7f and is then no
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -27,6 +28,9 @@ _UNKNOWN = 14
 _END = 15
 _GREATEST_NUMBER_BYTE = OFFSET + 0x0F
 _GREATEST_STATUS_BYTE = OFFSET + 0x7F
+
+# The same as `_first_wrong_byte` says byte by byte, for the packets that are right.
+_WHOLE = re.compile(rb"<[A-P]{12}[\x41-\xc0][^<>]>", re.DOTALL)
 
 Counts = tuple[int, int, int]
 
@@ -154,6 +158,10 @@ class DevicePacket:
             PacketError: If they are none.
         """
         _check(data)
+        return cls._decode(data)
+
+    @classmethod
+    def _decode(cls, data: bytes | bytearray) -> DevicePacket:
         status = data[_STATUS] - OFFSET
         homed = status >> HOMED_SHIFT
         return cls(_decode_numbers(data), Buttons(status & 0x0F), (bool(homed & 1), bool(homed & 2), bool(homed & 4)))
@@ -194,16 +202,15 @@ class PacketStream:
             self.discarded += start - position
             position = start
             candidate = buffer[position : position + PACKET_SIZE]
-            wrong = _first_wrong_byte(candidate)
-            if wrong is not None:
+            if _WHOLE.fullmatch(candidate):
+                position += PACKET_SIZE
+                packets.append(DevicePacket._decode(candidate))
+            elif _first_wrong_byte(candidate) is not None:
                 self.discarded += 1
                 position += 1
-            elif len(candidate) < PACKET_SIZE:
+            else:
                 del buffer[:position]
                 return packets
-            else:
-                position += PACKET_SIZE
-                packets.append(DevicePacket.decode(bytes(candidate)))
 
     def clear(self) -> None:
         """Forget the beginning of a packet, if there is one."""
@@ -220,12 +227,19 @@ def _encode_numbers(numbers: Counts) -> list[int]:
     return encoded
 
 
-def _decode_numbers(data: bytes) -> Counts:
-    numbers = []
-    for first in (1, 5, 9):
-        value = sum((data[first + place] - OFFSET) << 4 * place for place in range(4))
-        numbers.append(value - 0x10000 if value & 0x8000 else value)
-    return numbers[0], numbers[1], numbers[2]
+def _decode_numbers(data: bytes | bytearray) -> Counts:
+    return _decode_number(data, 1), _decode_number(data, 5), _decode_number(data, 9)
+
+
+def _decode_number(data: bytes | bytearray, first: int) -> int:
+    value = (
+        data[first]
+        - OFFSET
+        + (data[first + 1] - OFFSET << 4)
+        + (data[first + 2] - OFFSET << 8)
+        + (data[first + 3] - OFFSET << 12)
+    )
+    return value - 0x10000 if value & 0x8000 else value
 
 
 def _first_wrong_byte(data: bytes | bytearray) -> int | None:

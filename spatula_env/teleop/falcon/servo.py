@@ -315,8 +315,7 @@ class ServoLoop:
             return False
         try:
             angles = kinematics.counts_to_angles(packet.encoders)
-            position = kinematics.forward(angles, last.position if last.is_homed else None)
-            _, jacobian = kinematics.inverse_with_jacobian(position)
+            position, jacobian = kinematics.forward_with_jacobian(angles, last.position if last.is_homed else None)
             rates = self._velocity.update(now, packet.encoders)
             velocity = solve(jacobian, scale(kinematics.COUNT_ANGLE, rates))
         except (kinematics.UnreachableError, ZeroDivisionError):

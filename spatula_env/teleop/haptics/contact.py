@@ -21,6 +21,8 @@ class Contact:
         force: What the organ does to the tool [N].
         low: Lowest corner of where the grip may be for the tool to follow [m]; None if there is no such place.
         high: Highest corner of it [m].
+        shift: How much of the position is a matter of how hand and tool are matched [m]. What is left moves only as the
+            tool does.
     """
 
     time: float
@@ -28,6 +30,7 @@ class Contact:
     force: Vector = ZERO
     low: Vector | None = None
     high: Vector | None = None
+    shift: Vector = ZERO
 
 
 @dataclass(frozen=True)

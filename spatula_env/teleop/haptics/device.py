@@ -17,7 +17,7 @@ from spatula_env.teleop.device import (
     TeleopDevice,
     check_force,
 )
-from spatula_env.teleop.haptics.contact import Contact, LoopStatistics, Vector
+from spatula_env.teleop.haptics.contact import ZERO, Contact, LoopStatistics, Vector
 from spatula_env.teleop.haptics.loop import HapticLoop
 from spatula_env.teleop.haptics.remote import RemoteLoop
 from spatula_env.teleop.haptics.rendering import ForceRenderer
@@ -126,13 +126,15 @@ class HapticDevice(TeleopDevice):
         """See `TeleopDevice`."""
         return self._open_runner().read()
 
-    def tell(self, position: ArrayLike | None, force: ArrayLike) -> None:
+    def tell(self, position: ArrayLike | None, force: ArrayLike, shift: ArrayLike = ZERO) -> None:
         """Tell what the tool feels. The force on the hand lasts for `stall_time`, and is to be told anew before.
 
         Args:
             position: Where the grip would be if it were where the tool is, shape (3,), device's frame [m]. None: hand
                 and tool are not coupled.
             force: What the organ does to the tool, shape (3,), device's frame [N].
+            shift: How much of the position is a matter of how hand and tool are matched, shape (3,) [m]: it changes when
+                they are matched anew, and what is left of the position moves only as the tool does.
 
         Raises:
             ValueError: If one has another shape or is not finite.
@@ -142,7 +144,7 @@ class HapticDevice(TeleopDevice):
         runner = self._open_runner()
         place = None if position is None else _as_vector(check_force(position))
         low, high = self._room if self._room is not None else (None, None)
-        runner.tell(Contact(runner.now(), place, _as_vector(check_force(force)), low, high))
+        runner.tell(Contact(runner.now(), place, _as_vector(check_force(force)), low, high, _as_vector(check_force(shift))))
 
     def confine(self, low: ArrayLike | None, high: ArrayLike | None) -> None:
         """Tell where the grip may be for the tool to follow: beyond, soft walls push it back, from the next `tell` on.

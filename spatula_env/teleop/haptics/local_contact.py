@@ -20,7 +20,7 @@ MEMORY = 0.1
 """For how long what was felt counts for the stiffness [s]."""
 CLEAR_MOTION = 5e-5
 """A motion, root mean square, from which on what it did to the force says something about the stiffness [m]."""
-SOFTEST, STIFFEST = 30.0, 1000.0
+SOFTEST, STIFFEST = 5.0, 1000.0
 """Nothing else is believed of a stiffness on the tool [N/m]."""
 
 
@@ -32,6 +32,7 @@ class LocalContact:
         side_stiffness: Across it, where the organ sticks to the tool; little where the tool slides [N/m]. Not scaled.
         force: On the tool, filtered, scaled as it is to be felt [N].
         direction: Unit, in which the organ pushes: that of the force of late, which a tremor to the side does not turn.
+        shift: As hand and tool are matched; see `Contact` [m].
         work: Of the tool on the organ since contact began, scaled as forces are [J].
     """
 
@@ -48,6 +49,7 @@ class LocalContact:
         self.direction: Vector = ZERO
         self.work = 0.0
         self._anchor: Vector | None = None
+        self.shift: Vector = ZERO
         self._told_force: Vector = ZERO
         self._told_place: Vector | None = None
         self._told_time = -math.inf
@@ -66,7 +68,10 @@ class LocalContact:
         step = min(MEMORY, contact.time - self._told_time)
         self._told_time = contact.time
         force = scaled(self._settings.force_scale, contact.force)
-        place, last = contact.position, self._told_place
+        self.shift = contact.shift
+        # Of the tool itself, wherever the hand is matched with it.
+        place = None if contact.position is None else difference(contact.position, contact.shift)
+        last = self._told_place
         if place is not None and last is not None:
             middle = scaled(
                 0.5, (force[0] + self._told_force[0], force[1] + self._told_force[1], force[2] + self._told_force[2])
@@ -97,7 +102,7 @@ class LocalContact:
 
     def ahead(self, position: Vector) -> Vector:
         """From the hand to the tool [m]: how far the hand is ahead; zero if hand and tool are not coupled."""
-        return ZERO if self._anchor is None else difference(self._anchor, position)
+        return ZERO if self._anchor is None else difference(self._anchor, difference(position, self.shift))
 
     @property
     def is_touching(self) -> bool:

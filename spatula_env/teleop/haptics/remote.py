@@ -48,9 +48,9 @@ from spatula_env.teleop.haptics.runner import (
 from spatula_env.teleop.haptics.settings import HapticSettings
 from spatula_env.teleop.haptics.track import HapticTrack
 
-CONTACT = "dBB3d3dB3d3d"
-"""Time; whether there is a contact, and a position; position, force; whether there are corners; corners."""
-SILENT = (0.0, False, False, *ZERO, *ZERO, False, *ZERO, *ZERO)
+CONTACT = "dBB3d3dB3d3d3d"
+"""Time; whether there is a contact, and a position; position, force; whether there are corners; corners; shift."""
+SILENT = (0.0, False, False, *ZERO, *ZERO, False, *ZERO, *ZERO, *ZERO)
 """Nothing is to be felt."""
 REPORT = "dq3d3dQ3dB"
 """Time, sequence, position, velocity, buttons as bits, force; whether the loop has ended."""
@@ -161,6 +161,7 @@ class RemoteLoop(Runner):
             low is not None and high is not None,
             *(low if low is not None else ZERO),
             *(high if high is not None else ZERO),
+            *contact.shift,
         )
 
     def ask(self, question: Callable[[TeleopDevice], Answer]) -> Answer:
@@ -418,7 +419,7 @@ class _Server:
         if message is None or not message[1] or self._ending or self._paused:
             return None
         low, high = (message[10:13], message[13:16]) if message[9] else (None, None)
-        return Contact(message[0], message[3:6] if message[2] else None, message[6:9], low, high)
+        return Contact(message[0], message[3:6] if message[2] else None, message[6:9], low, high, message[16:19])
 
     def _give(self, sample: DeviceSample, force: Vector) -> None:
         assert sample.position is not None

@@ -87,6 +87,7 @@ class ForceRenderer:
         self._acting: Vector = ZERO
         self._slow: Vector = ZERO
         self._lasting = 0.0
+        self._shift: Vector = ZERO
         self._last_force_time = -math.inf
 
     def step(self, now: float, position: Vector, velocity: Vector, contact: Contact | None) -> Vector:
@@ -170,17 +171,24 @@ class ForceRenderer:
         side_stiffness = min(scale * contact.side_stiffness, self._greatest_stiffness)
         size = math.sqrt(dot(force, force))
         most = settings.lead * size + settings.least_lead
-        damping = min(1.0, size / settings.full_contact) * self.damping
+        # As the square of the force: what is light comes and goes with a tremor, and a damper that does so along one
+        # axis would push on average along the others.
+        damping = min(1.0, size / settings.full_contact) ** 2 * self.damping
         ahead = contact.ahead(position)
         # Bounded evenly: a damper that is cut at zero force alone would push on average.
         damper = _shortened(scaled(damping, difference(velocity, self._slow)), DAMPED * size)
         push, along = dot(force, normal), dot(ahead, normal)
         # A hand that stays ahead, as where the tool meets a stop, is not on its way: the organ feels no more of it.
+        if contact.shift != self._shift:
+            # Matched anew, the hand is where the tool is.
+            self._shift, self._lasting = contact.shift, 0.0
         share = min(1.0, 2.0 * math.pi * LASTING * step)
         self._lasting += share * (along - self._lasting)
         spring = min(stiffness * (along - max(0.0, self._lasting)), most)
-        # An organ pushes and does not pull: the lead must not turn the force round.
-        lead = max(-max(push, 0.0), min(spring - dot(damper, normal), most))
+        # An organ pushes and does not pull: the lead must not turn the force round. Nor does it more than double it, as
+        # a bound on one side alone would push on average.
+        pushing = max(push, 0.0)
+        lead = max(-pushing, min(spring - dot(damper, normal), most, pushing))
         aside = _across(force, normal)
         side = _across(ahead, normal)
         side_spring = _shortened(scaled(side_stiffness, side), most)

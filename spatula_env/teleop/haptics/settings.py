@@ -21,8 +21,8 @@ class HapticSettings:
         damping: Resists motion of the hand, as far as it is quicker than `drift`, in contact only [N s/m]. Not scaled.
         drift: Motion below this frequency is not damped [Hz].
         cutoff: Of the low-pass filter that makes a curve of the simulation's steps [Hz].
-        full_contact: Contact force from which on the damper acts in full; below it acts in proportion, so that nothing
-            drags where nothing is touched [N].
+        full_contact: Contact force from which on the damper acts in full; below it acts as the square of the force, so
+            that nothing drags where nothing is touched, and a light touch is not damped [N].
         lead: By what share of itself a force may at most be greater than the simulation's, where the hand is ahead of
             the tool. A tool has a greatest speed, and lags behind a quick hand: what it would feel there is not known.
         least_lead: By how much it may be greater in any case [N]. Not scaled.
