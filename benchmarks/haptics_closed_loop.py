@@ -280,10 +280,10 @@ def ramp(goal: float, speed: float = TOUCH_SPEED, start: float = WAIT) -> Path:
 
 
 @cache
-def static_force(name: str, depth: float) -> float:
+def static_force(name: str, depth: float, engine: str) -> float:
     """What the organ does to a tool that has been held at a depth for a second [N]."""
     touch = TOUCHES[name]
-    env = gymnasium.make(touch.env_id, max_episode_steps=10**9, **dict(touch.keywords))
+    env = gymnasium.make(touch.env_id, max_episode_steps=10**9, engine=engine, **dict(touch.keywords))
     env.reset(seed=0, options={"tool_position": touch.start})
     made: Any = env.unwrapped
     period = made.steps_per_action * made.simulation.dt
@@ -298,6 +298,6 @@ def static_force(name: str, depth: float) -> float:
     return float(info["force"])
 
 
-def hold_target(name: str, depth: float, hand: HandModel, scale: float) -> float:
+def hold_target(name: str, depth: float, hand: HandModel, scale: float, engine: str) -> float:
     """Where an operator has to want a hand for it to stay at a depth, from the start on [m]."""
-    return depth + ABOVE + scale * static_force(name, depth) / hand.stiffness
+    return depth + ABOVE + scale * static_force(name, depth, engine) / hand.stiffness

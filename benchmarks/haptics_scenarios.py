@@ -55,6 +55,7 @@ class Cell:
         seconds: Of a hold [s].
         settings: Of the loop, but for the scale.
         mechanism: Whether the emulated device has weight, friction and a structural mode.
+        engine: Of the simulation.
     """
 
     scenario: str
@@ -66,6 +67,11 @@ class Cell:
     seconds: float = 30.0
     settings: HapticSettings | None = None
     mechanism: bool = False
+    engine: str = "batch"
+
+    def but(self, **changes: Any) -> Cell:
+        """Another one, with some things changed."""
+        return replace(self, **changes)
 
 
 def run(cell: Cell) -> dict[str, Any]:
@@ -82,6 +88,7 @@ def run(cell: Cell) -> dict[str, Any]:
         "tremor": cell.tremor,
         "scale": cell.scale,
         "mechanism": cell.mechanism,
+        "engine": cell.engine,
     }
     return described | {name: round(value, 5) if isinstance(value, float) else value for name, value in found.items()}
 
@@ -102,7 +109,7 @@ def rest(cell: Cell) -> dict[str, Any]:
 
 def push(cell: Cell) -> dict[str, Any]:
     """Press and draw back, slowly and then quickly."""
-    target = hold_target(cell.task, cell.depth, HANDS[cell.hand], cell.scale)
+    target = hold_target(cell.task, cell.depth, HANDS[cell.hand], cell.scale, cell.engine)
     down, up = ramp(target, 0.05), ramp(target, 0.05, WAIT + _duration(target, 0.05) + 0.5)
     second = WAIT + 2.0 * _duration(target, 0.05) + 1.0
     again, back = ramp(target, 0.1, second), ramp(target, 0.1, second + _duration(target, 0.1) + 0.5)
@@ -131,7 +138,7 @@ def tap(cell: Cell, speed: float) -> dict[str, Any]:
 def slide(cell: Cell) -> dict[str, Any]:
     """Slide over the organ in contact."""
     depth = 0.004
-    target = hold_target(cell.task, depth, HANDS[cell.hand], cell.scale)
+    target = hold_target(cell.task, depth, HANDS[cell.hand], cell.scale, cell.engine)
     down, up = ramp(target), ramp(target, start=6.0)
     loop = _loop(cell, lambda time: down(time) - up(time))
     loop.aside = lambda time: 0.012 * math.sin(2.0 * math.pi * 0.4 * max(0.0, time - 1.5)) if time < 6.0 else 0.0
@@ -231,12 +238,13 @@ def _loop(cell: Cell, path: Path, touch: Touch | None = None, speed: float = 1.0
         tremor=TREMOR if cell.tremor else 0.0,
         speed=speed,
         mechanism=mechanism,
+        engine=cell.engine,
     )
 
 
 def _to_depth(cell: Cell, speed: float = 1.0) -> tuple[ClosedLoop, Path, float]:
     """A loop whose hand goes to a depth and stays there, its path, and when it has settled [s]."""
-    target = hold_target(cell.task, cell.depth, HANDS[cell.hand], cell.scale)
+    target = hold_target(cell.task, cell.depth, HANDS[cell.hand], cell.scale, cell.engine)
     path = ramp(target)
     return _loop(cell, path, speed=speed), path, WAIT + _duration(target, TOUCH_SPEED) + SETTLING
 

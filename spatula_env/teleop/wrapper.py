@@ -233,6 +233,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._let_go()
         observation, info = self.env.reset(seed=seed, options=options)
         self._offset, self._due, self._lost, self._track = None, None, False, []
+        self._into = np.zeros(3)
         self._extra, self._still_for = 0, math.inf
         self._acting = self._intervention == "always"
         self._show(observation)
@@ -339,7 +340,8 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if pause > max(STANDSTILL, UNUSUAL * self._pause):
             # The hand has gone on without the tool: to follow it now would be a plunge.
             self._offset = None
-            self._yields_until = now + RETURN
+            if math.isfinite(pause):
+                self._yields_until = now + RETURN
         self._pause = pause
         if self._track:
             # The first physics step goes by what the control step was decided by.
@@ -360,12 +362,11 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 self._offset = grip - self._scale * sample.position
                 self._confine()
             wanted = self._scale * sample.position + self._offset
-            if now < self._yields_until:
+            deeper = float((wanted - grip) @ self._into)
+            if now < self._yields_until and deeper > 0.0:
                 # The force is on its way back: the hand must not go deeper into what it cannot feel.
-                deeper = float((wanted - grip) @ self._into)
-                if deeper > 0.0:
-                    self._offset = self._offset - deeper * self._into
-                    wanted = wanted - deeper * self._into
+                self._offset = self._offset - deeper * self._into
+                wanted = wanted - deeper * self._into
             chosen[:3] = (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
         action = np.asarray(np.clip(chosen, -1.0, 1.0), dtype=np.float32)
         self._track.append(action)

@@ -279,7 +279,7 @@ def test_hand_and_tool_are_coupled_where_they_are_and_not_while_the_clutch_is_he
     falcon = EmulatedFalcon(GuidedHand(lambda _: position_to_falcon((0.01, 0.0, 0.0))))
     device = HapticDevice(lambda: falcon, where="here", exchange=True)
     places = []
-    monkeypatch.setattr(device, "tell", lambda position, force: places.append(position))
+    monkeypatch.setattr(device, "tell", lambda position, force, shift: places.append(position))
     with device:
         teleop = FalconTeleop(press, device)
         teleop.reset(seed=0, options={"tool_position": (0.0, 0.02, 0.03)})

@@ -133,8 +133,8 @@ class HapticDevice(TeleopDevice):
             position: Where the grip would be if it were where the tool is, shape (3,), device's frame [m]. None: hand
                 and tool are not coupled.
             force: What the organ does to the tool, shape (3,), device's frame [N].
-            shift: How much of the position is a matter of how hand and tool are matched, shape (3,) [m]: it changes when
-                they are matched anew, and what is left of the position moves only as the tool does.
+            shift: How much of the position is a matter of how hand and tool are matched, shape (3,) [m]: it changes
+                when they are matched anew, and what is left of the position moves only as the tool does.
 
         Raises:
             ValueError: If one has another shape or is not finite.
@@ -144,7 +144,8 @@ class HapticDevice(TeleopDevice):
         runner = self._open_runner()
         place = None if position is None else _as_vector(check_force(position))
         low, high = self._room if self._room is not None else (None, None)
-        runner.tell(Contact(runner.now(), place, _as_vector(check_force(force)), low, high, _as_vector(check_force(shift))))
+        felt, matched = _as_vector(check_force(force)), _as_vector(check_force(shift))
+        runner.tell(Contact(runner.now(), place, felt, low, high, matched))
 
     def confine(self, low: ArrayLike | None, high: ArrayLike | None) -> None:
         """Tell where the grip may be for the tool to follow: beyond, soft walls push it back, from the next `tell` on.
