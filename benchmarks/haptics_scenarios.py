@@ -313,6 +313,8 @@ def _fidelity(trace: Trace, begin: float, end: float) -> dict[str, float]:
 def _ratio(trace: Trace, begin: float, end: float) -> float:
     rows = trace.between(begin, end)
     shown, true = (float(np.linalg.norm(force[rows].mean(axis=0))) for force in (trace.shown, trace.true))
+    if true < LIGHTEST and abs(shown - true) < FELT:
+        return 1.0
     return shown / max(true, 1e-9)
 
 

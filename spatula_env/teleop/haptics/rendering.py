@@ -29,6 +29,8 @@ SMALLEST_FORCE = 1e-4
 """What is less of a force that ends is nothing [N]."""
 LASTING = 0.5
 """What is slower is not on its way [Hz]."""
+MOST_LEAD = 2.0
+"""Of how many times the organ's force a lead may be."""
 DAMPED = 0.3
 """Share of the organ's force that a damper makes at most."""
 SLOW_MOTION = 0.02
@@ -185,10 +187,10 @@ class ForceRenderer:
         share = min(1.0, 2.0 * math.pi * LASTING * step)
         self._lasting += share * (along - self._lasting)
         spring = min(stiffness * (along - max(0.0, self._lasting)), most)
-        # An organ pushes and does not pull: the lead must not turn the force round. Nor does it more than double it, as
-        # a bound on one side alone would push on average.
+        # An organ pushes and does not pull: the lead must not turn the force round. Nor may it be much greater than the
+        # force itself, as a bound on one side alone would push on average.
         pushing = max(push, 0.0)
-        lead = max(-pushing, min(spring - dot(damper, normal), most, pushing))
+        lead = max(-pushing, min(spring - dot(damper, normal), most, MOST_LEAD * pushing))
         aside = _across(force, normal)
         side = _across(ahead, normal)
         side_spring = _shortened(scaled(side_stiffness, side), most)

@@ -58,7 +58,7 @@ class HapticSettings:
     resume: float = 0.05
     stall_time: float = 0.0125
     longest_stall: float = 0.025
-    energy_allowance: float = 3.5e-4
+    energy_allowance: float = 2.5e-4
     energy_leak: float = 1e-5
     energy_hoard: float = 1e-3
     weight: float = 0.0
