@@ -40,6 +40,18 @@ def test_links_have_their_lengths():
             assert np.linalg.norm(edge) == pytest.approx(legs.SHIN_EDGE, abs=1e-12)
 
 
+@given(st.tuples(*[st.floats(-legs.SURE_REACH, legs.SURE_REACH)] * 3))
+def test_where_the_grip_is_sure_to_reach_it_does(place):
+    grip = (place[0], place[1], place[2] + legs.SURE_MIDDLE)
+    assert legs.is_within_reach(grip)
+    legs.leg_angles(grip)
+
+
+def test_where_no_leg_reaches_the_grip_does_not():
+    assert not legs.is_within_reach((0.0, 0.0, 0.3))
+    assert not legs.is_within_reach((0.2, 0.0, 0.12))
+
+
 @given(st.tuples(*[st.integers(-2000, 2000)] * 3), st.sampled_from(workspace_points(20, seed=4)))
 def test_motor_force_is_that_of_virtual_work(motors, position):
     force = legs.grip_force(position, motors)

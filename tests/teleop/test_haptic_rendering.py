@@ -78,6 +78,23 @@ def test_the_damper_resists_what_is_quick_and_not_what_goes_on():
     assert settle(renderer, contact, velocity=(0.0, 0.0, -0.02), start=0.401)[2] == pytest.approx(1.0, abs=1e-3)
 
 
+def test_a_tremor_across_a_light_touch_does_not_push_on_average():
+    """Along the force it makes and breaks contact; to the side it swings out of step with that."""
+    renderer = ForceRenderer(HapticSettings())
+    shown, told = np.zeros(3), np.zeros(3)
+    for index in range(4000):
+        now = 1e-3 * index
+        phase = 2.0 * math.pi * 10.0 * now
+        x, z = 3e-4 * math.sin(phase + 2.1), 3e-4 * math.sin(phase)
+        velocity = (3e-4 * 62.8 * math.cos(phase + 2.1), 0.0, 3e-4 * 62.8 * math.cos(phase))
+        force = (-5.0 * x, 0.0, max(0.0, 0.004 - 15.0 * z))
+        felt = renderer.step(now, (x, 0.0, z), velocity, Contact(now, (x, 0.0, z), force))
+        if index >= 1000:
+            shown += felt
+            told += force
+    np.testing.assert_allclose(shown, told, atol=0.05 * told[2])
+
+
 @pytest.mark.parametrize(("greatest", "expected"), [(2.5, 2.5), (100.0, 8.0)])
 def test_forces_are_limited_by_device_and_settings(greatest, expected):
     renderer = ForceRenderer(PLAIN, greatest_force=greatest)
@@ -156,6 +173,33 @@ def test_stiffnesses_are_found_while_the_hand_trembles(stiffness, side):
         local.hear(Contact(now, (x, 0.0, z), (-side * x, 0.0, -stiffness * z)))
     assert local.stiffness == pytest.approx(stiffness, rel=0.1)
     assert local.side_stiffness == pytest.approx(side, rel=0.15)
+
+
+def test_what_is_matched_anew_teaches_nothing_about_the_organ():
+    local = LocalContact(HapticSettings())
+    for index in range(720):
+        now = index / 240.0
+        z = -0.01 + 3e-4 * math.sin(60.0 * now)
+        # The hand was 20 mm farther in, once: its place jumps, and the tool's does not.
+        shift = -0.02 if index >= 480 else 0.0
+        local.hear(Contact(now, (0.0, 0.0, z + shift), (0.0, 0.0, -45.0 * z), shift=(0.0, 0.0, shift)))
+        local.follow(1.0 / 240.0, 60.0)
+    assert local.stiffness == pytest.approx(45.0, rel=0.1)
+    assert local.work == pytest.approx(0.0, abs=3e-4)
+    assert abs(local.ahead((0.0, 0.0, z + shift))[2]) < 3e-4
+
+
+def test_after_a_pause_in_which_the_hand_went_on_the_whole_force_is_back_with_the_ramp():
+    renderer = ForceRenderer(PLAIN)
+    contact = Contact(0.0, ORIGIN, (0.0, 0.0, 1.0))
+    assert settle(renderer, contact)[2] == pytest.approx(1.0)
+    farther = (0.0, 0.0, -0.02)
+    for index in range(300):
+        force = renderer.step(0.4 + 1e-3 * index, farther, ORIGIN, dataclasses.replace(contact, time=0.399))
+    assert force == ORIGIN
+    matched = dataclasses.replace(contact, position=farther, shift=farther)
+    back = settle(renderer, matched, position=farther, start=0.7, cycles=round(1e3 * PLAIN.resume) + 2)
+    assert back[2] == pytest.approx(1.0)
 
 
 def test_the_account_lets_go_what_it_cannot_bear():

@@ -292,6 +292,37 @@ def test_hand_and_tool_are_coupled_where_they_are_and_not_while_the_clutch_is_he
         assert places == [None] * 12
 
 
+def test_after_a_pause_the_tool_goes_no_deeper_until_the_force_is_back(press):
+    class Timed(Puppet):
+        time = 0.0
+
+        def now(self):
+            return self.time
+
+        def read(self):
+            self.time += 1.0 / 240.0
+            return super().read()
+
+    device = Timed(has_force=True)
+    teleop = begin(press, device, (0.0, 0.0, -0.02))
+    for depth in np.arange(0.002, 0.012, 0.002):
+        device.value = np.array([0.0, 0.0, -depth])
+        teleop.step()
+    before = grip(press).copy()
+    device.time += 0.3
+    for _ in range(2):
+        device.value = device.value - np.array([0.0, 0.0, 0.004])
+        teleop.step()
+    np.testing.assert_allclose(grip(press)[2], before[2], atol=3e-4)
+    # Out of it the hand leads at once, and farther in as soon as the force is back.
+    device.value = device.value + np.array([0.0, 0.0, 0.002])
+    teleop.step()
+    assert grip(press)[2] > before[2] + 0.0015
+    device.value = device.value - np.array([0.0, 0.0, 0.003])
+    teleop.step()
+    assert grip(press)[2] < before[2] - 5e-4
+
+
 @pytest.mark.parametrize("task", ["Retract", "Palpate"])
 def test_the_other_tasks(task):
     env = gym.make(f"Spatula/{task}-v0")
