@@ -38,7 +38,7 @@ BUZZ = (20.0, 300.0)
 LIGHTEST = 0.01
 """A touch that is lighter, on average, is a few counts of the motors: shown and true are compared by difference [N]."""
 FELT = 5e-3
-"""From so much on there is a force [N]."""
+"""From so much on there is a force, or a difference of forces [N]."""
 
 
 @dataclass(frozen=True)
@@ -313,7 +313,8 @@ def _fidelity(trace: Trace, begin: float, end: float) -> dict[str, float]:
 def _ratio(trace: Trace, begin: float, end: float) -> float:
     rows = trace.between(begin, end)
     shown, true = (float(np.linalg.norm(force[rows].mean(axis=0))) for force in (trace.shown, trace.true))
-    if true < LIGHTEST and abs(shown - true) < FELT:
+    if abs(shown - true) < FELT:
+        # A count or two of the motors.
         return 1.0
     return shown / max(true, 1e-9)
 

@@ -19,6 +19,8 @@ HELD = ("falcon", "forcedimension")
 """Devices that a human holds."""
 HAPTIC = (*HELD, "emulated-falcon", "scripted-falcon")
 """Devices with force."""
+ROLES = ("center", "forward", "plus", "minus", "finish", "discard", "quit")
+"""What a button can be taken for."""
 GRIP_WEIGHT = 0.7
 """What is borne of a Falcon's grip by default: less than the 0.9 N that others have found, so that it sinks [N]."""
 
@@ -71,7 +73,11 @@ def read_buttons(chosen: argparse.Namespace) -> dict[str, str] | None:
     pairs = [word.split("=") for word in chosen.buttons.split(",")]
     if any(len(pair) != 2 or not all(pair) for pair in pairs):
         raise CommandError(f"--buttons must be NAME=AS,NAME=AS..., got {chosen.buttons!r}")
-    return {name.strip(): role.strip() for name, role in pairs}
+    buttons = {name.strip(): role.strip() for name, role in pairs}
+    for role in buttons.values():
+        if role not in ROLES:
+            raise CommandError(f"--buttons must take a button for one of {', '.join(ROLES)}, got {role!r}")
+    return buttons
 
 
 def force_settings(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -> HapticSettings:
@@ -128,6 +134,6 @@ def loop_in_words(found: LoopStatistics) -> str:
     held_back = found.limited / found.cycles if found.cycles else 0.0
     return (
         f"haptic loop: {rate:.0f} Hz, 99 of 100 periods within {1e3 * found.late_period:.2f} ms, longest "
-        f"{1e3 * found.longest_period:.1f} ms; let go {found.stalls} times because the simulation stood still; held "
-        f"back by passivity {held_back:.1%} of the time"
+        f"{1e3 * found.longest_period:.1f} ms; let go {found.stalls} times because the simulation stood still; felt "
+        f"softer than the organ {held_back:.1%} of the time, so that the loop stays stable (passivity)"
     )

@@ -201,6 +201,11 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self.pressed: frozenset[str] = frozenset()
         self._scale = scale
         self._buttons = dict(buttons) if buttons is not None else {}
+        unknown = sorted(set(self._buttons) - set(device.button_names))
+        if unknown and device.button_names:
+            raise ValueError(
+                f"buttons must name buttons of the {device.name} ({', '.join(device.button_names)}), got {unknown}"
+            )
         self._centring = centring and self.mode == "position"
         self._tell: Callable[[str], None] = tell if tell is not None else _tell_nobody
         self._pace = Pace()

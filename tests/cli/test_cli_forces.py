@@ -64,6 +64,8 @@ def test_buttons():
     assert not teleop_options(parsed("--device", "falcon", "--no-centring"))["centring"]
     with pytest.raises(CommandError, match="NAME=AS"):
         read_buttons(parsed("--device", "falcon", "--buttons", "forward"))
+    with pytest.raises(CommandError, match="center, forward, plus, minus, finish, discard, quit, got 'clutch'"):
+        read_buttons(parsed("--device", "falcon", "--buttons", "forward=clutch"))
 
 
 def test_what_means_nothing_is_refused():

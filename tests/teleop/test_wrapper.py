@@ -388,6 +388,13 @@ def test_buttons_are_taken_for_what_they_are_to_be(press):
     np.testing.assert_allclose(grip(press), before, atol=1e-8)
 
 
+def test_a_button_that_a_device_does_not_have_is_refused(press):
+    device = Puppet()
+    device.button_names = ("center", "forward")
+    with pytest.raises(ValueError, match=r"buttons of the puppet \(center, forward\), got \['front'\]"):
+        FalconTeleop(press, device, buttons={"front": "finish"})
+
+
 def test_the_operator_is_told_where_to_bring_the_grip_and_waited_for(press):
     device = Puppet()
     device.value = np.array([0.02, 0.0, -0.01])
