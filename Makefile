@@ -2,7 +2,7 @@
 SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-without-bullet test-ray test-lerobot test-libraries test-matrix test-all check format lock \
+.PHONY: help demo test test-fast test-without-bullet test-ray test-lerobot test-libraries test-matrix test-all check format lock slow-tests \
 	clean distclean setup-demo setup-test setup-ray setup-lerobot setup-libraries setup-matrix
 
 BIN := .venv/bin
@@ -29,6 +29,12 @@ demo: setup-demo  ## Set up, then reproduce the contact model's figures and run 
 
 test: setup-test  ## Set up, then run the tests; ARGS="tests/contact -n 0" is passed to pytest
 	@$(call pytest,$(BIN)) $(ARGS)
+
+test-fast: setup-test  ## Set up, then run those tests that take no time, under a minute in all
+	@$(call pytest,$(BIN)) -q -m "not slow" $(ARGS)
+
+slow-tests: test  ## Run the tests, then list anew which of them are slow; on a machine that does nothing else
+	$(BIN)/python scripts/slow_tests.py $(RESULTS)/test.xml
 
 test-without-bullet: setup-test  ## Set up, then run the tests as if PyBullet were not installed
 	@SPATULA_TESTS_WITHOUT_BULLET=1 $(call pytest,$(BIN)) $(ARGS)

@@ -20,6 +20,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -83,6 +84,7 @@ def layers(inputs: int, hidden: int, outputs: int, last_gain: float) -> nn.Seque
         nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, outputs)
     )
     for layer, gain in zip((net[0], net[2], net[4]), (2**0.5, 2**0.5, last_gain), strict=True):
+        assert isinstance(layer, nn.Linear)
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return net
@@ -98,7 +100,7 @@ class Agent(nn.Module):
         self.critic = layers(observation_size, hidden, 1, last_gain=1.0)
         self.log_std = nn.Parameter(torch.full((action_size,), log_std))
 
-    def distribution(self, observations: Tensor) -> torch.distributions.Independent:
+    def distribution(self, observations: Tensor) -> torch.distributions.Distribution:
         """Of the actions (n, A)."""
         normal = torch.distributions.Normal(self.actor(observations), self.log_std.exp())
         return torch.distributions.Independent(normal, 1)
@@ -108,7 +110,7 @@ class Agent(nn.Module):
         return self.critic(observations).squeeze(-1)
 
 
-def entries(envs: gym.vector.VectorEnv, leave_out: tuple[str, ...]) -> np.ndarray:
+def entries(envs: Any, leave_out: tuple[str, ...]) -> np.ndarray:
     """Indices of the observation's entries that the agent sees."""
     slices = envs.unwrapped.observation_builder.slices
     unknown = sorted(set(leave_out) - set(slices))
@@ -117,9 +119,9 @@ def entries(envs: gym.vector.VectorEnv, leave_out: tuple[str, ...]) -> np.ndarra
     return np.concatenate([np.arange(part.start, part.stop) for name, part in slices.items() if name not in leave_out])
 
 
-def make(arguments: Arguments, num_envs: int) -> gym.vector.VectorEnv:
+def make(arguments: Arguments, num_envs: int) -> Any:
     """Worlds whose observations are what the agent sees, normalised."""
-    envs = gym.make_vec(
+    envs: Any = gym.make_vec(
         arguments.env_id,
         num_envs=num_envs,
         max_episode_steps=arguments.max_episode_steps,
@@ -155,7 +157,7 @@ def advantages(
     return result
 
 
-def evaluate(arguments: Arguments, agent: Agent, trained: vector.NormalizeObservation) -> tuple[float, float]:
+def evaluate(arguments: Arguments, agent: Agent, trained: Any) -> tuple[float, float]:
     """Success rate and mean return of episodes that the agent has not seen, with the mean action."""
     envs = make(arguments, arguments.eval_episodes)
     envs.obs_rms, envs.update_running_mean = trained.obs_rms, False
@@ -179,7 +181,7 @@ def main(arguments: Arguments) -> dict[str, float]:
     torch.manual_seed(arguments.seed)
     device = arguments.device
     normalized = make(arguments, arguments.num_envs)
-    envs = vector.NormalizeReward(normalized, gamma=arguments.gamma)
+    envs: Any = vector.NormalizeReward(normalized, gamma=arguments.gamma)
     size, action_size = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     agent = Agent(size, action_size, arguments.hidden, arguments.initial_log_std).to(device)
     optimizer = torch.optim.Adam(agent.parameters(), arguments.learning_rate, eps=1e-5)

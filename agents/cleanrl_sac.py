@@ -17,6 +17,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -173,7 +174,7 @@ class Critics(nn.Module):
         return torch.stack([net(inputs).squeeze(-1) for net in self.nets])
 
 
-def entries(envs: gym.vector.VectorEnv, leave_out: tuple[str, ...]) -> np.ndarray:
+def entries(envs: Any, leave_out: tuple[str, ...]) -> np.ndarray:
     """Indices of the observation's entries that the agent sees."""
     slices = envs.unwrapped.observation_builder.slices
     unknown = sorted(set(leave_out) - set(slices))
@@ -212,7 +213,7 @@ def main(arguments: Arguments) -> dict[str, float]:
     torch.manual_seed(arguments.seed)
     rng = np.random.default_rng(arguments.seed)
     device = arguments.device
-    envs = gym.make_vec(
+    envs: Any = gym.make_vec(
         arguments.env_id,
         num_envs=arguments.num_envs,
         max_episode_steps=arguments.max_episode_steps,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ def main() -> None:
     options.add_argument("--config", type=Path, default=DEFAULT)
     options.add_argument("--steps", type=int, default=400)
     arguments = options.parse_args()
-    env = make_environment(arguments.config)
+    env: Any = make_environment(arguments.config)
     env.reset(seed=0)
     generator = np.random.default_rng(0)
     low, high = env.action_space.low, env.action_space.high

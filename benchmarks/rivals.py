@@ -183,14 +183,7 @@ def cast_rays(
 ) -> None:
     """Both rays of every node, each by Möller and Trumbore's test of it against every triangle, as published.
 
-    Args:
-        nodes: As in `cast_lines`, as all others.
-        normals: See there.
-        vertices: See there.
-        triangles: See there.
-        edges: See there.
-        hits: See there.
-        distances: See there.
+    The arguments are those of `cast_lines`.
     """
     fill_edges(vertices, triangles, edges)
     for i in range(nodes.shape[0]):
@@ -237,15 +230,8 @@ def cast_lines_by_lanes(
     For each line a first loop without branches finds on which side of a triangle's edges it passes, for many
     triangles at once; a second one looks for the triangles that it meets, and finishes those.
 
-    Args:
-        nodes: See `cast_lines`, as the next three.
-        normals: See there.
-        vertices: See there.
-        triangles: See there.
-        edges: (T, 9) workspace in Fortran order, so that the same number of many triangles lies side by side.
-        inside: (T or a few more, a multiple of LANES) workspace, negative beyond T.
-        hits: See `cast_lines`, as the next.
-        distances: See there.
+    The arguments are those of `cast_lines`, but for these: `edges` is (T, 9) in Fortran order, so that the same number
+    of many triangles lies side by side, and `inside` (T or a few more, a multiple of LANES) is negative beyond T.
     """
     fill_edges(vertices, triangles, edges)
     for i in range(nodes.shape[0]):

@@ -48,9 +48,10 @@ def measure(faces: str, steps: int) -> dict[str, Any]:
         Microseconds and share, by motion.
     """
     simulation = Simulation(scenes.seed(faces=faces), engine="bullet")
-    bullet = simulation._world._bullet
+    world: Any = simulation._world
+    bullet = world._bullet
     watch = _Watch(bullet)
-    simulation._world._bullet = SimpleNamespace(**{**vars(bullet), "stepSimulation": watch})
+    world._bullet = SimpleNamespace(**{**vars(bullet), "stepSimulation": watch})
     result: dict[str, Any] = {}
     for name in MOTIONS:
         if name == "held":

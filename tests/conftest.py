@@ -103,10 +103,19 @@ def _names_bullet(value: Any) -> bool:
     return any(isinstance(one, str) and one == "bullet" for one in values)
 
 
+SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
+"""Files of tests, and tests without their parameters, that `make test-fast` leaves out."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark tests of which "bullet" is a parameter, an engine or a contact model, and skip all that are marked so."""
+    """Mark what is slow, and tests of which "bullet" is a parameter, an engine or a contact model; skip the latter.
+
+    They are skipped where there is no PyBullet.
+    """
     for item in items:
+        if not SLOW.isdisjoint((item.nodeid.partition("::")[0], item.nodeid.partition("[")[0])):
+            item.add_marker(pytest.mark.slow)
         parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
         if any(_names_bullet(value) for value in parameters.values()):
             item.add_marker(pytest.mark.bullet)

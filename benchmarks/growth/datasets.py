@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -64,8 +65,8 @@ def episodes_of(env: Any, played: list[Played], first: int = 0) -> Iterator[data
     """
     recorder = data.EpisodeRecorder(env, states=False)
     for seed in count(first):
-        begin, *rows = played[seed % len(played)]
-        recorder.begin(*begin, seed)
+        (observation, info), *rows = played[seed % len(played)]
+        recorder.begin(observation, info, seed)
         for row in rows:
             recorder.add(*row)
         yield recorder.finish(operator="scripted", device="tape", success=seed % 2 == 0, engine="batch")
@@ -97,14 +98,14 @@ def measure_datasets(root: Path, milestones: tuple[int, ...] = MILESTONES, compa
     for size in milestones:
         while writer.total_episodes < size:
             episode = next(episodes)
-            elapsed = cpu_seconds(lambda episode=episode: writer.add(episode))
+            elapsed = cpu_seconds(partial(writer.add, episode))
             seconds, longest = seconds + elapsed, max(longest, elapsed)
         appended[size] = seconds
         repeats = 3 if size <= 1_000 else 1
         costs["summarized"][size] = cpu_seconds(lambda: data.summarize(LARGE, root), repeats)
         costs["opened"][size] = cpu_seconds(lambda: open_dataset(LARGE, root), repeats)
         target = MERGED.replace("-v0", f"_{size}-v0")
-        costs["merged"][size] = cpu_seconds(lambda target=target: data.copy_episodes([LARGE], target, root=root))
+        costs["merged"][size] = cpu_seconds(partial(data.copy_episodes, [LARGE], target, root=root))
         tell(
             f"{size} episodes: {1e3 * seconds / size:.2f} ms to append one, summarized in "
             f"{costs['summarized'][size]:.3f} s, opened in {costs['opened'][size]:.3f} s, merged in "
@@ -137,7 +138,7 @@ def compare_appends(large: Any, small: Any, episodes: Iterator[data.Episode], nu
         episode = next(episodes)
         for name, writer in (("small", small), ("large", large)):
             start = time.perf_counter()
-            cpu[name].append(1e3 * cpu_seconds(lambda writer=writer, episode=episode: writer.add(episode)))
+            cpu[name].append(1e3 * cpu_seconds(partial(writer.add, episode)))
             wall[name].append(1e3 * (time.perf_counter() - start))
     medians = {name: float(np.median(values)) for name, values in wall.items()}
     return {

@@ -19,7 +19,7 @@ EXPONENTS = {
 }
 """Greatest exponents, by where they are in the figures. Time per world and step is not to grow; the rest is noise."""
 
-LIMITS = {
+LIMITS: Mapping[tuple[str, ...], float] = {
     ("datasets", "append", "ratio"): 1.3,
     ("datasets", "append", "cpu_ratio"): 1.3,
     ("datasets", "list", "cpu_seconds"): 2.0,
@@ -28,7 +28,7 @@ LIMITS = {
 """Greatest values: of adding to a large dataset against a new one; of the processor time of `datasets list` [s];
 and of a short episode's file against its numbers."""
 
-COUNTS = {
+COUNTS: Mapping[tuple[str, ...], float] = {
     ("killing", "lost"): 0,
     ("killing", "twice"): 0,
     ("killing", "damaged"): 0,

@@ -1,4 +1,4 @@
-"""What acts where no operator does. Agents build on environments, so only this command knows both."""
+"""Policies that act in commands where no operator does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of the force that a hand feels, and what is told of it."""
+"""Options of force feedback, and what a session tells of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ends a command from outside: Ctrl-C, and what the system says before it ends a program."""
+"""Signals that end a command: Ctrl-C, and what the system sends before it ends a program."""
 
 from __future__ import annotations
 

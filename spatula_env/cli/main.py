@@ -1,4 +1,4 @@
-"""Which command is meant, and what becomes of its errors."""
+"""The `spatula` command: finds the command that is meant, and turns its errors into a line."""
 
 from __future__ import annotations
 

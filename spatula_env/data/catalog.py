@@ -1,4 +1,4 @@
-"""What datasets there are, what is in them, and copies of what is wanted of them."""
+"""The catalogue of datasets: listing, summarizing, copying and joining them."""
 
 from __future__ import annotations
 

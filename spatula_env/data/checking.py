@@ -1,4 +1,4 @@
-"""What may stand in the metadata and in the index of a dataset: they may come from anywhere."""
+"""Checks of a dataset's metadata and index, which may come from anywhere."""
 
 from __future__ import annotations
 

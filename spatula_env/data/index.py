@@ -1,4 +1,4 @@
-"""What there is to know of each episode of a dataset, beside the episodes, so that nobody has to open them for it.
+"""The index of a dataset: a record of each episode, so that listing opens none.
 
 A line of JSON for each episode. The dataset's metadata say how long the file is: what a program that was killed has
 written beyond that does not count, and the next line takes its place.

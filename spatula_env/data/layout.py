@@ -1,4 +1,4 @@
-"""What the numbers of a dataset are called and how fast they come, kept beside them: nobody needs the physics then."""
+"""The layout of a dataset: names and rates of its numbers, so that reading it needs no physics."""
 
 from __future__ import annotations
 

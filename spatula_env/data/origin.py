@@ -1,4 +1,4 @@
-"""Where the episodes of a dataset come from: what they have to have in common, so that they mean the same."""
+"""The origin of a dataset: what its episodes must have in common, so that they mean the same."""
 
 from __future__ import annotations
 

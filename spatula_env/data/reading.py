@@ -1,4 +1,4 @@
-"""What reads the episodes of a dataset for Minari, and looks into each one's file before. Importing it loads Minari."""
+"""Reading episodes for Minari, each file checked before. Importing it loads Minari."""
 
 from __future__ import annotations
 

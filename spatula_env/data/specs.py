@@ -1,4 +1,4 @@
-"""How the environment of a dataset was made: kept, compared, and made again."""
+"""Specifications of environments: kept in a dataset, compared, and made again."""
 
 from __future__ import annotations
 

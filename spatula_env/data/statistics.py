@@ -1,4 +1,4 @@
-"""What the episodes of a dataset are like: returns, lengths, success, force and pressure over time, where the tool was.
+"""Statistics of a dataset: returns, lengths, success, force and pressure over time, places of the tool.
 
 `spatula_env.data.plots` draws it.
 """

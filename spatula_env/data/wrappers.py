@@ -1,4 +1,4 @@
-"""Which wrappers a dataset may put its environment in: it gives them their arguments, and it may come from anywhere."""
+"""Wrappers that a dataset may name: a dataset may come from anywhere, and gives them their arguments."""
 
 from __future__ import annotations
 

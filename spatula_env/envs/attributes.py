@@ -1,4 +1,4 @@
-"""What single worlds of a vector environment tell, and what of it can be set: Gymnasium's `call` and its like."""
+"""Attributes of single worlds of a vector environment, read and set: Gymnasium's `call`, `get_attr` and `set_attr`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What environments for one agent and for many have in common besides their episodes."""
+"""The base of environments for one agent and of vector environments, beside their episodes."""
 
 from __future__ import annotations
 

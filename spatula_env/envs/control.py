@@ -1,4 +1,4 @@
-"""From an agent's action to the tools' motion: control by velocity."""
+"""Velocity control: an agent's action becomes the tools' motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an episode comes to in all: return, length, cost and other sums, in every autoreset mode."""
+"""Sums over an episode: return, length, cost and others, in every autoreset mode."""
 
 from __future__ import annotations
 

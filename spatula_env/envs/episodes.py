@@ -1,4 +1,4 @@
-"""What one environment and many at once have in common: worlds, a control, a task and an observation."""
+"""Episodes in W worlds: physics, control, task and observation, shared by one environment and by many."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.envs.control import VelocityControl
-from spatula_env.envs.frames import Frames
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
 from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import COST_PRESSURE, Safety
@@ -23,6 +22,7 @@ from spatula_env.envs.snapshots import EpisodesState, restore_physics, save_phys
 from spatula_env.envs.start_options import check_free, chosen_starts
 from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
+from spatula_env.envs.workspace_frames import Frames
 from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.situation import Situation, Start
 

@@ -1,4 +1,4 @@
-"""Which of several things are meant: by their indices, or by a mask."""
+"""Indices and masks as indices."""
 
 from __future__ import annotations
 

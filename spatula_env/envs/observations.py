@@ -1,4 +1,4 @@
-"""What the agent sees: the parts of the observation, and the spaces they fill."""
+"""Observations: their parts, and the spaces they fill."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures that are a part of observations."""
+"""Pictures as a part of observations."""
 
 from __future__ import annotations
 

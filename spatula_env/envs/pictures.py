@@ -1,4 +1,4 @@
-"""Pictures of the worlds that episodes run in: for people, and for agents that see."""
+"""Pictures of worlds, for people and for agents that see."""
 
 from __future__ import annotations
 

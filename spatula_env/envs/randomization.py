@@ -1,4 +1,4 @@
-"""What differs from episode to episode besides the goal and the start."""
+"""Randomization: what differs from episode to episode besides the goal and the start."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from spatula_env.tasks.configuration import check_range
 
 if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray, IntArray
-    from spatula_env.envs.frames import Frames
+    from spatula_env.envs.workspace_frames import Frames
     from spatula_env.scenes import Scene
     from spatula_env.sim.worlds import Worlds
     from spatula_env.tasks.situation import Setting

@@ -1,4 +1,4 @@
-"""What organs suffer in an episode: pressures that last, and work."""
+"""Safety: the cost of lasting pressures, and the work done on organs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from spatula_env.tasks.situation import Situation
 
 if TYPE_CHECKING:
     from spatula_env.envs.control import Motion
-    from spatula_env.envs.frames import Frames
+    from spatula_env.envs.workspace_frames import Frames
     from spatula_env.sim.worlds import Loads
 
 COST_PRESSURE = 2670.0

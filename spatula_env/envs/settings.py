@@ -1,4 +1,4 @@
-"""What an environment is made of, and the options that all environments have."""
+"""The definition of an environment, and the options that all environments have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole states of environments: all that the next step depends on, saved and restored world by world."""
+"""Snapshots of environments: all that the next step depends on, saved and restored world by world."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The environment: one simulation, a control, a task and an observation, behind Gymnasium's interface."""
+"""`SpatulaEnv`, the environment for one agent behind Gymnasium's interface."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from spatula_env.arrays import FloatArray
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_action
 from spatula_env.envs.episodes import Episodes
-from spatula_env.envs.listening import PhysicsListener, PhysicsStep
 from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
+from spatula_env.envs.physics_listener import PhysicsListener, PhysicsStep
 from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import RENDER_MODES
 from spatula_env.envs.snapshots import EnvState, check_fits

@@ -1,4 +1,4 @@
-"""What callers choose of an episode's beginning, with `reset(options=...)`."""
+"""Options of an episode's beginning, for `reset(options=...)`."""
 
 from __future__ import annotations
 

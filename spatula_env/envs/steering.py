@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from spatula_env.envs.control import VelocityControl
-    from spatula_env.envs.frames import Frames
+    from spatula_env.envs.workspace_frames import Frames
 
 STEERING = "steering"
 """Under which `info` tells the track of a steered step, and datasets keep it."""

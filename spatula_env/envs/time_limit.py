@@ -1,4 +1,4 @@
-"""When episodes are cut: after a time, unless whoever makes an environment tells a number of steps."""
+"""The time limit of episodes, in seconds unless a number of steps is given."""
 
 from __future__ import annotations
 

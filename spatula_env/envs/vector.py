@@ -1,4 +1,4 @@
-"""Many environments at once, behind Gymnasium's interface for vector environments."""
+"""`SpatulaVectorEnv`, many worlds behind Gymnasium's interface for vector environments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What callers of vector environments say: which worlds, which seeds, what happens at an episode's end."""
+"""Checks of the arguments of vector environments: worlds, seeds, autoreset modes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this package's wrappers of vector environments have in common."""
+"""The base of this package's wrappers of vector environments."""
 
 from __future__ import annotations
 

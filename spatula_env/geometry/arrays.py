@@ -1,4 +1,4 @@
-"""Array types shared by the geometry modules, and arrays that cannot be written to."""
+"""Arrays that cannot be written to."""
 
 from __future__ import annotations
 

@@ -1,3 +1,3 @@
-"""Policies and how to train, clone and evaluate them."""
+"""Training, cloning and evaluating policies."""
 
 from __future__ import annotations

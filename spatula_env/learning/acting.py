@@ -1,4 +1,4 @@
-"""Trained models that act: as a few arrays where dense layers are all that they have, and else by torch.
+"""Trained models as policies: as a few arrays where they have dense layers alone, and else by torch.
 
 Needs the extra "train".
 """

@@ -1,4 +1,4 @@
-"""What can be known of a training before it begins: whether its values go together, and all that it needs can be made.
+"""Checks before a training begins: do its values go together, and can all that it needs be made?
 
 Needs the extra "train".
 """

@@ -1,4 +1,4 @@
-"""How well a policy does: episodes, and what is told of them."""
+"""Evaluation of policies: episodes, and what is measured in them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies by their names, and by the paths of what was trained."""
+"""`find_policy`: a policy by its name, or by the path of what was trained."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folders of runs: new ones, those that are gone on with, and those that are replaced."""
+"""Folders of runs: new ones, resumed ones, and those that are replaced."""
 
 from __future__ import annotations
 

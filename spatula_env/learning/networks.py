@@ -1,4 +1,4 @@
-"""What comes before the layers of a policy: features of pictures, of points, and of vectors.
+"""Feature extractors in front of a policy's layers: for pictures, for points, and for vectors.
 
 Needs the extra "train".
 """

@@ -1,4 +1,4 @@
-"""What acts in an environment: experts, chance, trained policies."""
+"""Policies that need no training: experts and chance; and the interface of all."""
 
 from __future__ import annotations
 

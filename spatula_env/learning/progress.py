@@ -1,4 +1,4 @@
-"""What is seen of training while it goes on."""
+"""The progress of training, shown on a terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which values the fields of configurations may have: their annotations say it, and it is checked when one is made.
+"""Ranges of the fields of configurations: annotations say them, and they are checked when one is made.
 
 Example:
     >>> from dataclasses import dataclass

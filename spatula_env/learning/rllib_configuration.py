@@ -1,4 +1,4 @@
-"""How agents are trained with RLlib: read from YAML, and checked before Ray is started."""
+"""Configurations of training with RLlib: read from YAML, and checked before Ray is started."""
 
 from __future__ import annotations
 

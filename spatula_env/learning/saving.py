@@ -1,4 +1,4 @@
-"""What training leaves on the disk, and reading it again.
+"""The files of a run: written whole, and read again.
 
 A run has a folder for each seed:
 

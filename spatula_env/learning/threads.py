@@ -1,4 +1,4 @@
-"""How many threads compiled code uses."""
+"""The number of threads of compiled code."""
 
 from __future__ import annotations
 

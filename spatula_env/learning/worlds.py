@@ -1,4 +1,4 @@
-"""The environments that agents learn in, for Stable-Baselines3.
+"""Training environments for Stable-Baselines3.
 
 Needs the extra "train".
 """

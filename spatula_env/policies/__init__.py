@@ -1,4 +1,4 @@
-"""Trained policies that come with the package, and what plays them: NumPy alone, no learning library.
+"""Pretrained policies, and what plays them: NumPy alone, no learning library.
 
 Example:
     >>> import gymnasium as gym

@@ -1,4 +1,4 @@
-"""Which parts of an observation an agent gets."""
+"""The parts of an observation that an agent gets."""
 
 from __future__ import annotations
 

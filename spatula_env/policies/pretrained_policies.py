@@ -1,4 +1,4 @@
-"""Where the policies are that come with the package, and what is known of them."""
+"""Pretrained policies: their files and their provenance."""
 
 from __future__ import annotations
 

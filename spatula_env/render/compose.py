@@ -1,4 +1,4 @@
-"""From samples to a picture: mixing what a pixel shows, encoding, and the order of it all."""
+"""Composition of a picture from samples: mixing, encoding, and the order of the kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where shadows may lie on the ground in a picture, and how dark it is there."""
+"""Shadows on the ground: where they may lie in a picture, and how dark they are."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture of a scene is made from."""
+"""A moment of a scene, from which a picture is made."""
 
 from __future__ import annotations
 

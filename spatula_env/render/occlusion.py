@@ -1,4 +1,4 @@
-"""How much of the room each point of a surface sees: the bottom of a fissure is dark."""
+"""Ambient occlusion: the bottom of a fissure is dark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a picture is made of: meshes, the ground, the background and the light."""
+"""The primitives of a picture: meshes, the ground, the background and the light."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What there is to draw of a scene: organs with their contact pressure, tools, forces, and what a task asks for.
+"""The drawable model of a scene: organs with their contact pressure, tools, forces, and marks of the goal.
 
 It makes meshes and lines and draws nothing: `SceneView` makes pictures of them, `Window` shows them.
 """

@@ -1,4 +1,4 @@
-"""What one sees through: translucent triangles, from front to back."""
+"""Translucent triangles, from front to back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From where a scene is looked at."""
+"""Viewpoints of a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a task can be configured to ask for: reading it from a file or a call, and checking it."""
+"""Configurations of tasks, read from a file or a call and checked."""
 
 from __future__ import annotations
 

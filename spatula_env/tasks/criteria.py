@@ -1,4 +1,4 @@
-"""What a goal asks for, one condition at a time, as it can be told to a person."""
+"""The criteria of a goal, one condition at a time, as a person is told them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much of a target is seen along parallel lines of sight, past an organ and past tools."""
+"""The share of a target that is seen along parallel lines of sight, past an organ and tools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What shows a goal in a picture, without saying how it is drawn.
+"""Marks that show a goal in a picture, without saying how they are drawn.
 
 Lengths are in metres and points in the workspace frame.
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -37,27 +38,45 @@ def test_there_is_a_block_for_each_task(file):
         assert isinstance(block["n_timesteps"], float)
 
 
-@needs_zoo
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize(("name", "algorithm"), [("sac", "sac"), ("tqc", "tqc"), ("ppo", "ppo"), ("her", "sac")])
-def test_the_zoo_trains(name, algorithm, tmp_path):
-    # Two worlds, little of everything, and no evaluation, which has an environment of its own to make.
+TRAIN = """
+import json, sys
+from rl_zoo3.train import train
+for words in json.loads(sys.argv[1]):
+    sys.argv = ["train", *words]
+    train()
+"""
+
+
+def zoo_words(name, algorithm, folder):
+    """What the zoo is told: two worlds, little of everything, and no evaluation, which makes an environment too."""
     small = ["n_envs:2", "env_kwargs:dict(engine='batch', max_episode_steps=20" + (
         ", reward='sparse')" if name == "her" else ")"
     )]  # fmt: skip
     small += ["n_steps:20", "batch_size:20"] if name == "ppo" else ["learning_starts:80", "buffer_size:1000"]
-    command = [
-        sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "Spatula/Press-v0",
+    return [
+        "--algo", algorithm, "--env", "Spatula/Press-v0",
         "--gym-packages", "spatula_env", "--conf-file", str(ROOT / "configs" / "rl_zoo3" / f"{name}.yml"),
         "--n-timesteps", "200", "--eval-freq", "-1", "--num-threads", "1", "--device", "cpu",
-        "--log-folder", str(tmp_path), "--seed", "0", "--hyperparams", *small,
+        "--log-folder", str(folder / name), "--seed", "0", "--hyperparams", *small,
+    ]  # fmt: skip
+
+
+@needs_zoo
+@pytest.mark.timeout(600)
+def test_the_zoo_trains(tmp_path):
+    algorithms = {"sac": "sac", "tqc": "tqc", "ppo": "ppo", "her": "sac"}
+    # In one process, because starting costs most.
+    command = [
+        sys.executable, "-c", TRAIN,
+        json.dumps([zoo_words(name, algorithm, tmp_path) for name, algorithm in algorithms.items()]),
     ]  # fmt: skip
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    (run,) = (tmp_path / algorithm).iterdir()
-    assert run.name == "Spatula-Press-v0_1"
-    assert (run / "Spatula-Press-v0.zip").exists()
-    assert (run / "Spatula-Press-v0" / "vecnormalize.pkl").exists()
+    for name, algorithm in algorithms.items():
+        (run,) = (tmp_path / name / algorithm).iterdir()
+        assert run.name == "Spatula-Press-v0_1"
+        assert (run / "Spatula-Press-v0.zip").exists()
+        assert (run / "Spatula-Press-v0" / "vecnormalize.pkl").exists()

@@ -1,4 +1,4 @@
-"""What the commands have in common: what they are told, what becomes of their errors, and what they replace."""
+"""Options, errors and refusals that the commands share."""
 
 from __future__ import annotations
 

@@ -1,3 +1,3 @@
-"""What the documentation says of training: what is planned, made, evaluated and told on its page."""
+"""The documentation's results of training: planned, made, evaluated, and written as a page."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What finished runs and their evaluations say, in rows."""
+"""Rows of results, from finished runs and their evaluations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which runs there are to be: data, read from YAML."""
+"""The plan of results: tasks, algorithms and seeds, read from YAML."""
 
 from __future__ import annotations
 

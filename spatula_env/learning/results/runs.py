@@ -1,4 +1,4 @@
-"""Making agents and evaluating them, each once."""
+"""Training and evaluating what a plan names, each once."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import gymnasium
 
     from spatula_env.envs.control import VelocityControl
-    from spatula_env.envs.listening import PhysicsStep
+    from spatula_env.envs.physics_listener import PhysicsStep
     from spatula_env.envs.steering import Pilot
 
 AfterStep = Callable[[FloatArray, FloatArray], None]

@@ -1,4 +1,4 @@
-"""What there is to feel between the physics steps of a control step, for those for whom a control step is too long."""
+"""Forces on the tools after each physics step, for listeners that a control step is too long for: haptic devices."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import pytest
 
 import spatula_env
 from spatula_env import Simulation, scenes
-from spatula_env.envs.listening import PhysicsStep
+from spatula_env.envs.physics_listener import PhysicsStep
 
 assert spatula_env.TASKS
 

@@ -1,4 +1,4 @@
-"""From scene units to what the user sees, world by world: where the workspace is, how large, heavy and stiff all is."""
+"""Conversion between scene units and the workspace frame in SI units, world by world."""
 
 from __future__ import annotations
 
