@@ -1,8 +1,10 @@
-"""Lists the tests that `make test-fast` leaves out: those that took long, by the results of a run of all.
+"""Lists the tests that take long, by the results of a run of all.
+
+`make test-fast` leaves them out, and other runs begin with their files.
 
     python scripts/slow_tests.py build/test-results/test.xml
 
-A test counts with all its parameters, and with what was made for it. The list is tests/slow.txt.
+A test counts with what was made for it. The list is tests/slow.txt.
 """
 
 from __future__ import annotations
@@ -18,9 +20,14 @@ LIMIT = 0.2
 """The greatest time of a test that is not slow [s]."""
 
 
-def slow_tests(results: Path, limit: float) -> list[str]:
-    """Tests, as `tests/file.py::name`, one of whose cases took longer than a limit [s]."""
-    longest: defaultdict[str, float] = defaultdict(float)
+def slow_tests(results: Path, limit: float) -> dict[str, float]:
+    """How long tests took with all their cases [s], by names as `tests/file.py::test`.
+
+    Args:
+        results: What pytest wrote.
+        limit: Only those one of whose cases took longer [s].
+    """
+    times: defaultdict[str, list[float]] = defaultdict(list)
     for case in ElementTree.parse(results).iter("testcase"):
         names = case.get("classname", "").split(".")
         # Classes of tests stand behind the module.
@@ -28,8 +35,8 @@ def slow_tests(results: Path, limit: float) -> list[str]:
         if parts:
             file = "/".join(names[: parts[-1]]) + ".py"
             test = "::".join([file, *names[parts[-1] :], case.get("name", "").partition("[")[0]])
-            longest[test] = max(longest[test], float(case.get("time", 0.0)))
-    return sorted(test for test, seconds in longest.items() if seconds > limit)
+            times[test].append(float(case.get("time", 0.0)))
+    return {test: sum(cases) for test, cases in sorted(times.items()) if max(cases) > limit}
 
 
 def main() -> None:
@@ -39,7 +46,8 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="default: %(default)s")
     chosen = parser.parse_args()
     tests = slow_tests(chosen.results, chosen.limit)
-    (ROOT / "tests" / "slow.txt").write_text("\n".join(tests) + "\n", encoding="utf-8")
+    lines = [f"{name} {seconds:.1f}\n" for name, seconds in tests.items()]
+    (ROOT / "tests" / "slow.txt").write_text("".join(lines), encoding="utf-8")
     print(f"{len(tests)} tests took more than {chosen.limit:g} s")
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +21,8 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 settings.load_profile("spatula_env")
+
+ROOT = Path(__file__).parents[1]
 
 OWN_PRESS = dedent('''
     """Press under other names."""
@@ -103,18 +106,28 @@ def _names_bullet(value: Any) -> bool:
     return any(isinstance(one, str) and one == "bullet" for one in values)
 
 
-SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
-"""Files of tests, and tests without their parameters, that `make test-fast` leaves out."""
+def read_slow() -> dict[str, float]:
+    """Tests that `make test-fast` leaves out, and how long each takes with all its parameters [s]."""
+    lines = (Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").splitlines()
+    return {name: float(seconds) for name, seconds in map(str.split, lines)}
+
+
+SLOW = read_slow()
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, and tests of which "bullet" is a parameter, an engine or a contact model; skip the latter.
+    """Mark what is slow, and what is of PyBullet, which is skipped where there is none; long files come first.
 
-    They are skipped where there is no PyBullet.
+    Of PyBullet are tests of which "bullet" is a parameter, an engine or a contact model. A file stays on one worker: if
+    a long one began last, the others would wait for it.
     """
+    lengths: Counter[Path] = Counter()
+    for name, seconds in SLOW.items():
+        lengths[ROOT / name.partition("::")[0]] += seconds
+    items.sort(key=lambda item: -lengths[item.path])
     for item in items:
-        if not SLOW.isdisjoint((item.nodeid.partition("::")[0], item.nodeid.partition("[")[0])):
+        if item.nodeid.partition("[")[0] in SLOW:
             item.add_marker(pytest.mark.slow)
         parameters = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
         if any(_names_bullet(value) for value in parameters.values()):
