@@ -276,7 +276,7 @@ def _common(trace: Trace) -> dict[str, Any]:
 
 def _held(trace: Trace, begin: float, tremor: bool) -> dict[str, Any]:
     rows = trace.between(begin, math.inf)
-    last = trace.position[trace.between(float(trace.time[-1]) - 3.0, math.inf)]
+    last = trace.position[trace.between(max(begin, float(trace.time[-1]) - 3.0), math.inf)]
     found = {**_fidelity(trace, begin, float(trace.time[-1])), "hold_step_n_per_ms": _greatest_step(trace.shown[rows])}
     if not tremor:
         # What is slow is the organ's creep.
