@@ -7,6 +7,7 @@ images in the plane y = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -257,7 +258,17 @@ def _complete(start: FloatArray, extent: FloatArray, edge_length: float, base_ed
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1))])
     part = np.clip((way - way[len(start) - 1]) / (way[rim] - way[len(start) - 1]), 0.0, 1.0)
     last = edge_length if base_edge_length is None else base_edge_length
-    return loft(profile, edge_length + (last - edge_length) * part, (rim,))
+    edge_lengths = edge_length + (last - edge_length) * part
+    return _lofted(profile.tobytes(), edge_lengths.tobytes(), rim)
+
+
+@lru_cache(maxsize=8)
+def _lofted(profile: bytes, edge_lengths: bytes, rim: int) -> Loft:
+    """`loft` of arrays told by their bytes, kept: scenes are made again and again of the same few blocks."""
+    surface = loft(np.frombuffer(profile).reshape(-1, 3), np.frombuffer(edge_lengths), (rim,))
+    for array in (surface.vertices, surface.triangles, surface.profile_index):
+        array.setflags(write=False)
+    return surface
 
 
 def _as_size(size: ArrayLike) -> FloatArray:

@@ -66,7 +66,7 @@ def open_browser(*switches: str):
 # A renderer in software draws as often as it can, and takes a core from all other tests.
 SELDOM = """(() => {
   const next = window.requestAnimationFrame.bind(window);
-  window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 400);
+  window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 200);
   window.cancelAnimationFrame = (request) => window.clearTimeout(request);
 })()"""
 
