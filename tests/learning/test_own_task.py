@@ -126,7 +126,7 @@ def test_the_task_of_the_documentation_is_trained(tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     for words in (
         ["train", "--config", str(file), "--set", "evaluation.episodes=1", "--output", "run", "--quiet"],
-        ["evaluate", "--env", "touch:Spatula/Touch-v0", "--policy", "run", "--episodes", "2", "--processes", "2"],
+        ["evaluate", "--env", "touch:Spatula/Touch-v0", "--policy", "run", "--episodes", "2", "--processes", "1"],
     ):
         done = subprocess.run(
             [sys.executable, "-m", "spatula_env.cli", *words],

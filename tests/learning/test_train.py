@@ -193,7 +193,7 @@ def test_all_random_numbers_go_on_where_they_were(tmp_path):
 
 
 def test_a_run_that_was_killed_goes_on(tmp_path):
-    config = small(total_steps=1200, checkpoint_every=100, evaluation={"every": 80, "episodes": 1})
+    config = small(total_steps=600, checkpoint_every=100, evaluation={"every": 80, "episodes": 1})
     file, output = tmp_path / "config.yaml", tmp_path / "run"
     from spatula_env.learning.configuration import write_training
 
@@ -209,14 +209,14 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
         process.wait()
     folder = output / "seed-0"
     reached = int(checkpoints_in(folder / "checkpoints")[-1].name.partition("-")[2])
-    assert 0 < reached < 1200
+    assert 0 < reached < 600
     problems = readable(output)
     assert len(problems) > 8
     assert {str(file): problem for file, problem in problems.items() if problem} == {}
     assert find_saved(output).name == "best"
     assert command.main(["--resume", str(output), "--quiet"]) == 0
     summary = json.loads((output / "summary.json").read_text())
-    final = 1200
+    final = 600
     assert summary["steps"] == [final]
     curve = [line["step"] for line in read_curve(folder / "curve.jsonl")]
     assert curve == sorted({*range(80, final + 1, 80), final})
