@@ -157,7 +157,7 @@ def test_a_plot_that_cannot_be_drawn_is_refused_before_episodes_are_read(
 
 
 def test_scripted_demonstrations(capsys, tmp_path, monkeypatch) -> None:
-    from spatula_env.data import scripted
+    from spatula_env.teleop import scripted_dataset as scripted
 
     made: list[Any] = []
     make = scripted.gymnasium.make
