@@ -17,8 +17,10 @@ PRECISION = 1e-5
 
 
 @inline_kernel
-def _reaches(under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray) -> float:
-    """Whether a part of a triangle is this deep under all faces of a tool, and how deep it is at most.
+def clip_triangle(
+    under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray
+) -> tuple[int, np.ndarray, np.ndarray]:
+    """The part of a triangle that is this deep, or deeper, under all faces of a tool: a convex polygon.
 
     Args:
         under: (P, 3) how deep its corners are under each face [u].
@@ -27,8 +29,7 @@ def _reaches(under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.n
         clipped: (P + 4, 3) workspace.
 
     Returns:
-        A bound on the depth of that part, from its corners: no point of it is deeper under the face that it is least
-        deep under [u]; 0 if there is none.
+        How many corners that part has, their weights, and the other of the two arrays.
     """
     count = 3
     for i in range(3):
@@ -54,9 +55,29 @@ def _reaches(under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.n
                 left += 1
             last, before = i, here
         if left == 0:
-            return 0.0
+            return 0, weights, clipped
         count = left
         weights, clipped = clipped, weights
+    return count, weights, clipped
+
+
+@inline_kernel
+def _reaches(under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray) -> float:
+    """Whether a part of a triangle is this deep under all faces of a tool, and how deep it is at most.
+
+    Args:
+        under: (P, 3) how deep its corners are under each face [u].
+        depth: [u].
+        weights: (P + 4, 3) workspace.
+        clipped: (P + 4, 3) workspace.
+
+    Returns:
+        A bound on the depth of that part, from its corners: no point of it is deeper under the face that it is least
+        deep under [u]; 0 if there is none.
+    """
+    count, weights, _ = clip_triangle(under, depth, weights, clipped)
+    if count == 0:
+        return 0.0
     bound = np.inf
     for p in range(under.shape[0]):
         deepest = 0.0

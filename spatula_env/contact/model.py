@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from spatula_env.contact.flags import FirstStep
-    from spatula_env.contact.world import Multipliers
+    from spatula_env.contact.world import Multipliers, NearMemory
     from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]
@@ -69,14 +69,14 @@ class ContactMemory:
         multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
         ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
-        crossed_for: For how long organs have crossed themselves or each other [s].
+        near: Of organs that are near themselves or each other.
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
     multipliers: Multipliers
     ledger: FloatArray
     wrenches: FloatArray
-    crossed_for: float = 0.0
+    near: NearMemory
 
 
 class ContactModel:
@@ -173,7 +173,7 @@ class ContactModel:
             multipliers=self._world.copy_multipliers(),
             ledger=self._world.ledger.copy(),
             wrenches=self.wrenches.copy(),
-            crossed_for=self._world.crossed_for,
+            near=self._world.copy_near(),
         )
 
     def restore(self, memory: ContactMemory, nodes: FloatArray, velocities: FloatArray) -> None:
@@ -189,7 +189,7 @@ class ContactModel:
             for detector, flags in zip(row, saved, strict=True):
                 detector.flags = flags
         self._world.restore_multipliers(memory.multipliers)
-        self._world.restore_crossing(memory.crossed_for)
+        self._world.restore_near(memory.near, nodes)
         self._world.ledger[:] = memory.ledger
         self._world.admit_energy(nodes, velocities)
         self.wrenches = memory.wrenches.copy()

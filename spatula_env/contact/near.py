@@ -406,6 +406,13 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
     _fill_cones(skin.triangle_starts, skin.triangle_order, normals, cones)
     _fill_boxes(skin, near, points, edge_boxes, triangle_boxes, boxes)
     near.patch_pairs = _close_patches(skin, near, boxes, cones)
+    _pair_features(skin, near, edge_boxes, triangle_boxes, boxes)
+
+
+@inline_kernel
+def _pair_features(skin: Any, near: Any, edge_boxes: np.ndarray, triangle_boxes: np.ndarray, boxes: np.ndarray) -> None:
+    """Find the pairs of features in the pairs of patches that are known, between boxes of what they can reach."""
+    points, patch_count = near.found_at, near.order.shape[0]
     near.counts[PATCH_PAIRS] = near.patch_pairs.shape[0]
     for pair in near.patch_pairs:
         p, q = pair // patch_count, pair % patch_count
@@ -413,7 +420,32 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
         _pair_edges(near, skin, p, q, points, edge_boxes, boxes)
         if p != q:
             _pair_vertices(near, skin, q, p, points, triangle_boxes, boxes)
-        if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] > MOST_PAIRS * start.shape[0]:
+        if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] > MOST_PAIRS * points.shape[1]:
             near.counts[:] = 0
             near.counts[IS_KNOWN] = TOO_MANY
             return
+
+
+@kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["i8"]))
+def find_as_before(skin: Any, near: Any, found_at: np.ndarray, reach: np.ndarray, patch_pairs: np.ndarray) -> None:
+    """Find the same pairs as another time.
+
+    Which neighbouring patches were flat then is not to be told from where they are now: without this, a state that is
+    restored would not go on as it did.
+
+    Args:
+        skin: `Skin`.
+        near: `Near`, written.
+        found_at: (3, V) where the vertices were then [u].
+        reach: (V,) how far they reached [u].
+        patch_pairs: (.,) the patches that might meet.
+    """
+    near.found_at[:], near.reach[:], near.patch_pairs = found_at, reach, patch_pairs.copy()
+    near.shift[:] = 0.0
+    near.counts[:] = 0
+    near.counts[IS_KNOWN] = 1
+    patch_count = near.order.shape[0]
+    triangle_boxes, boxes = np.empty((skin.triangles.shape[0], 6)), np.empty((patch_count, 6))
+    edge_boxes = np.empty((skin.edges.shape[0], 6))
+    _fill_boxes(skin, near, near.found_at, edge_boxes, triangle_boxes, boxes)
+    _pair_features(skin, near, edge_boxes, triangle_boxes, boxes)

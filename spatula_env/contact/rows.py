@@ -20,7 +20,7 @@ from spatula_env.contact.structures import (
     WEIGHTS,
 )
 
-ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND, ON_TRIANGLE, ON_EDGES = 0, 1, 2, 3, 4, 5, 6
+ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND, ON_TRIANGLE, ON_EDGES, ON_SURFACE = 0, 1, 2, 3, 4, 5, 6, 7
 """Kinds of constraints, in their names."""
 
 

@@ -308,10 +308,9 @@ def gather_organs(
     """
     if not within_reach(near, vertices) or not within_reach(near, held):
         find_again(skin, near, held, vertices, thrown, mean_edge)
-    if near.counts[IS_KNOWN] == TOO_MANY:
-        # Nothing keeps it from crossing, so it is told that it does.
-        near.crossing[CROSSINGS] = 1.0
-        return count
+        if near.counts[IS_KNOWN] == TOO_MANY:
+            # It is thrown far; where solves put it is nearer.
+            find_again(skin, near, held, vertices, vertices, mean_edge)
     if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] == 0:
         return count
     measure_shifts(near, held, vertices)
@@ -388,9 +387,12 @@ def keep_uncrossed(
     Returns:
         Whether any has been held back.
     """
-    if not within_reach(near, vertices) or not within_reach(near, held):
+    is_known = near.counts[IS_KNOWN] != TOO_MANY and within_reach(near, vertices)
+    if not is_known or not within_reach(near, held):
         find_again(skin, near, held, vertices, vertices, mean_edge)
     if near.counts[IS_KNOWN] == TOO_MANY:
+        # Nothing keeps it from crossing, so it is told that it does.
+        near.crossing[CROSSINGS] = 1.0
         return False
     measure_shifts(near, held, vertices)
     pushed = np.zeros(vertices.shape[0], np.bool_)

@@ -149,6 +149,15 @@ def forget_near(near: Any) -> None:
     near.tangled[:] = False
 
 
+@kernel(types.Tuple((ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["i8"], types.boolean))(NEAR))
+def copy_near(near: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
+    """Where vertices were when what is near was found (3, V) [u], how far they reach (V,) [u], which patches may meet,
+    and whether that is known.
+    """
+    known = near.counts[IS_KNOWN] == 1
+    return near.found_at.copy(), near.reach.copy(), near.patch_pairs.copy(), known
+
+
 @kernel(types.float64(NEAR))
 def crossed_for(near: Any) -> float:
     """For how long organs have crossed [s]."""

@@ -9,6 +9,7 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact import skin
+from spatula_env.contact.arrest import arrest, depth_of_tools
 from spatula_env.contact.corners import drop_outside
 from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.features import find_candidates, gather_features, gather_ground, gather_nodes
@@ -63,6 +64,7 @@ from spatula_env.contact.structures import (
     WORLD_CONTACTS,
     reserve,
 )
+from spatula_env.contact.sunk import gather_sunk_triangles
 
 F8, F8_2 = ARRAYS["f8"], ARRAYS["f8_2"]
 
@@ -75,11 +77,20 @@ VELOCITY_TOLERANCE = 1e-3
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
-MOST_RETRIES = 3
+MOST_RETRIES = 1
 """So many times it is gone on from where organs were held back from crossing,"""
 
 RETRY_PASSES = 3
 """and contacts are looked for so often each time."""
+
+MOST_SUNK = 4
+"""So often a query goes on where the organ is still in a tool although all contacts that were found hold."""
+
+MOST_LOOKS = 64
+"""More often than all of that together."""
+
+SUNK_DEPTH = 5e-3
+"""Where a solve could not keep the organ out by this much, it is helped by where the organ is [u]."""
 
 PASSES_WITH_FRICTION = 2
 """Of later ones the second half of the sweeps leaves friction as it is. Sweeps of friction at more points than there
@@ -364,6 +375,7 @@ def resolve_step(
         for axis in range(3):
             vertices[i, axis], velocities[i, axis] = free_vertices[i, axis], free_velocities[i, axis]
     passes, quiet = np.zeros(tool_count, np.bool_), np.zeros(tool_count * organ_count, np.bool_)
+    looked_at = np.zeros(tool_count * organ_count, np.bool_)
     parts = divide_paths(
         tools, start_positions, positions, linear_velocities, angular_velocities, start, vertices, dt, passes
     )
@@ -391,7 +403,7 @@ def resolve_step(
             expected = vertices
     queries = organ_parts + (parts if parts > 1 else 0)
     result[QUERIES] = queries
-    near, held = world.near, np.empty_like(start)
+    near, held, kept = world.near, np.empty_like(start), np.empty_like(start)
     apart = settings[KEEPS_APART] > 0.0
     if apart:
         prepare_pairs(world.skin, near, start, expected if queries == 1 else start, mean_edge, warm_count[0], warm)
@@ -485,9 +497,10 @@ def resolve_step(
                 remember_flags(memory.states)
                 lead_by_motion(tool, memory, surfaces[o])
                 decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
-        retries, last_attempt, met = 0, MOST_PASSES, False
+        retries, last_attempt, met, tries, sinks, least, is_last = 0, MOST_PASSES, False, 0, False, np.inf, False
+        crossed = near.crossing[skin.CROSSINGS]
         copy_points(reference, held)
-        for attempt in range(MOST_PASSES + MOST_RETRIES * RETRY_PASSES + 1):
+        for attempt in range(MOST_LOOKS):
             count = 0
             if apart:
                 count = gather_organs(
@@ -534,6 +547,11 @@ def resolve_step(
                         fill_record(tool, memory, thrown, first, triangles, position[k], rotation[k], True)
                         for i in range(memory.record.shape[0]):
                             result[PENETRATION] = max(result[PENETRATION], memory.record[i, 3])
+                    if sinks:
+                        count = gather_sunk_triangles(
+                            constraints, count, tool, memory, triangles, first, position[k], rotation[k], linear[k],
+                            angular[k], friction[k], k, tried, trial,
+                        )  # fmt: skip
                     reserve(constraints, count, count + tool.nodes.shape[0])
                     count = gather_nodes(
                         constraints.rows, constraints.features, constraints.names, count, tool, memory, triangles,
@@ -545,17 +563,70 @@ def resolve_step(
             islands = find_islands(count, features, inverse_mass, tool_count, holders, order, starts)
             # The first solve is there for friction too, which holds a surface that only touches.
             settled = attempt > 0 and greatest_violation(order, rows, features) <= RESIDUAL_TOLERANCE
-            if settled or attempt == last_attempt:
-                if (
-                    not (met or near.crossing[skin.CROSSINGS] > 0.0)
-                    or not keep_uncrossed(world.skin, near, inverse_mass, tried, trial, held, vertices, mean_edge)
-                    or retries == MOST_RETRIES
-                ):
+            if settled or attempt >= last_attempt or is_last:
+                if is_last:
                     break
-                # Tools go on, and push where the organ has been left.
-                remember_sides(near, tried, trial)
-                copy_points(vertices, held)
-                retries, last_attempt = retries + 1, attempt + RETRY_PASSES
+                depth = 0.0
+                if mode == FLAGS:
+                    for k in range(tool_count):
+                        for o in range(organ_count):
+                            looked_at[k * organ_count + o] = passes[k] and (
+                                attempt > 0 or not quiet[k * organ_count + o]
+                            )
+                    depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices)
+                if depth > RESIDUAL_TOLERANCE and tries < MOST_SUNK:
+                    # Rows are missing, or could not be kept.
+                    sinks = sinks or settled or depth > SUNK_DEPTH
+                    if depth < least:
+                        least = depth
+                        copy_points(vertices, kept)
+                    tries, last_attempt = tries + 1, attempt + 2
+                    continue
+                is_last = tries > 0 and depth > max(least, RESIDUAL_TOLERANCE)
+                if is_last:
+                    copy_points(kept, vertices)
+                    depth = least
+                crosses = met or near.crossing[skin.CROSSINGS] > 0.0
+                # Too much of an organ is near too much else for contact to be looked for: it stays where it was.
+                crowded = apart and near.counts[skin.IS_KNOWN] == skin.TOO_MANY and near.crossing[skin.CROSSINGS] == 0.0
+                if crowded:
+                    copy_points(reference, vertices)
+                    if mode == FLAGS:
+                        depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices)
+                if (crosses or crowded) and keep_uncrossed(
+                    world.skin, near, inverse_mass, tried, trial, held, vertices, mean_edge
+                ):
+                    is_last = True
+                    if retries < MOST_RETRIES and not crowded:
+                        # Tools go on, and push where the organ has been left.
+                        remember_sides(near, tried, trial)
+                        copy_points(vertices, held)
+                        retries, last_attempt, is_last = retries + 1, attempt + RETRY_PASSES, False
+                        tries, least, sinks = 0, np.inf, False
+                        continue
+                    if mode == FLAGS:
+                        depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices)
+                is_last |= crowded
+                crossings = near.crossing[skin.CROSSINGS]
+                if depth > SUNK_DEPTH or crossings > crossed:
+                    is_last = True
+                    for stage in range(1 if crossings > crossed else 0, 2):
+                        copy_points(vertices, kept)
+                        arrest(world, tool_count, looked_at, position, rotation, reference, stage == 1, kept)
+                        if crosses:
+                            near.crossing[skin.CROSSINGS] = crossed
+                            keep_uncrossed(world.skin, near, inverse_mass, 0, trial, reference, kept, mean_edge)
+                        left = depth
+                        if mode == FLAGS:
+                            left = depth_of_tools(world, tool_count, looked_at, position, rotation, kept)
+                        if left <= max(depth, SUNK_DEPTH) and near.crossing[skin.CROSSINGS] <= crossings:
+                            depth, crossings = left, near.crossing[skin.CROSSINGS]
+                            copy_points(kept, vertices)
+                        near.crossing[skin.CROSSINGS] = crossings
+                        if depth <= SUNK_DEPTH and crossings <= crossed:
+                            break
+                if not is_last:
+                    break
                 continue
             if attempt == 0 and query == queries - 1 and (predicts or queries == 1):
                 # From here on the organs are where they would be without contact, and what pushes them is known.

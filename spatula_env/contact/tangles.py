@@ -8,7 +8,8 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
-from spatula_env.contact.near import find_cross_pairs
+from spatula_env.contact.motion import copy_points
+from spatula_env.contact.near import find_cross_pairs, measure_shifts, within_reach
 from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
 
 MOST_ATTEMPTS = 12
@@ -125,6 +126,20 @@ def _note_crossings(near: Any, crossings: int, involved: np.ndarray) -> None:
         near.tangled[i] = involved[i]
 
 
+@kernel(types.boolean(SKIN, NEAR, ARRAYS["f8_2"]))
+def place(skin: Any, near: Any, points: np.ndarray) -> bool:
+    """Put vertices (V, 3) somewhere [u], and find out where organs cross there.
+
+    Returns:
+        Whether that is within reach of where they were when what is near was found; otherwise nothing is done.
+    """
+    if not within_reach(near, points):
+        return False
+    measure_shifts(near, points, points)
+    find_crossings(skin, near, points)
+    return True
+
+
 @inline_kernel
 def find_crossings(skin: Any, near: Any, points: np.ndarray) -> None:
     """Find out where organs cross that have just been put somewhere: vertices (V, 3) within reach [u]."""
@@ -168,10 +183,10 @@ def hold_back(
     for attempt in range(MOST_ATTEMPTS):
         if attempt < MOST_ATTEMPTS - 1:
             _move_zones(parents, involved, pushed, inverse_mass, start, goal, points)
-        else:
-            for i in range(count):
-                for axis in range(3):
-                    points[i, axis] = start[i, axis]
+        # A zone may take a vertex farther than it went by itself.
+        if attempt == MOST_ATTEMPTS - 1 or not within_reach(near, points):
+            copy_points(start, points)
+        measure_shifts(near, start, points)
         crossings = join_crossing(skin, near, points, parents, involved)
         if crossings == 0:
             break

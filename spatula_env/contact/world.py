@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from spatula_env.contact import step
 from spatula_env.contact.multipliers import MOST_PASSED
+from spatula_env.contact.near import find_as_before
 from spatula_env.contact.response import LEDGER_LENGTH
 from spatula_env.contact.self_contact import leave_out, touching_pairs
-from spatula_env.contact.skin import crossed_for, forget_near, make_near, make_skin, set_crossed_for
+from spatula_env.contact.skin import copy_near, crossed_for, forget_near, make_near, make_skin, set_crossed_for
 from spatula_env.contact.structures import (
     copy_constraints,
     make_constraints,
@@ -21,6 +22,7 @@ from spatula_env.contact.structures import (
     restore_constraints,
     tool_list,
 )
+from spatula_env.contact.tangles import place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,6 +37,24 @@ FIRST_ROOM = 256
 
 Multipliers = tuple["NDArray[Any]", "NDArray[Any]", "NDArray[Any]"]
 """From which the next position solve starts: names, features and rows of constraints."""
+
+
+class NearMemory(NamedTuple):
+    """What is remembered of organs that are near themselves or each other.
+
+    Attributes:
+        found_at: (3, V) where the nodes were when it was found what is near [u].
+        reach: (V,) how far they may get from there before it is found anew [u].
+        patch_pairs: Which parts of the surfaces may meet.
+        is_known: Whether any of this is known.
+        crossed_for: For how long organs have crossed themselves or each other [s].
+    """
+
+    found_at: FloatArray
+    reach: FloatArray
+    patch_pairs: NDArray[np.int64]
+    is_known: bool
+    crossed_for: float
 
 
 ORGAN_FRICTION = 0.1
@@ -126,7 +146,7 @@ class World:
         self.workspace = workspace
         self._warm = make_constraints(FIRST_ROOM)
         self._warm_count = np.zeros(1, dtype=np.int64)
-        self._near = make_near(skin)
+        self._skin, self._near = skin, make_near(skin)
         self.structure = make_world_contacts(
             tool_list(list(shapes)),
             memory_list([memory.structure for memory in memories]),
@@ -172,10 +192,24 @@ class World:
         """For how long organs have crossed themselves or each other [s]."""
         return float(crossed_for(self._near))
 
-    def restore_crossing(self, duration: float) -> None:
-        """Begin with organs that have been put somewhere, and that have crossed for so long there [s]."""
+    def copy_near(self) -> NearMemory:
+        """What is near and has crossed, as arrays of its own."""
+        return NearMemory(*copy_near(self._near), self.crossed_for)
+
+    def restore_near(self, memory: NearMemory, vertices: FloatArray) -> None:
+        """Go back to what was copied.
+
+        Args:
+            memory: What was copied.
+            vertices: (V, 3) where the organs' nodes have been put [u]. If that is out of reach of where they were, what
+                is near is found anew.
+        """
         forget_near(self._near)
-        set_crossed_for(self._near, duration)
+        if memory.is_known:
+            find_as_before(self._skin, self._near, memory.found_at, memory.reach, memory.patch_pairs)
+            if not place(self._skin, self._near, vertices):
+                forget_near(self._near)
+        set_crossed_for(self._near, memory.crossed_for)
 
     def admit_energy(self, vertices: FloatArray, velocities: FloatArray) -> None:
         """Count what energy the organs were given when they were put into a state; the ledger is that of the state.

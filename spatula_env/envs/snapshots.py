@@ -204,6 +204,7 @@ def _joined(states: tuple[SimulationState, ...]) -> BatchState:
                 flags=tuple(flags for row in state.contact.flags for flags in row),
                 multipliers=state.contact.multipliers,
                 ledger=state.contact.ledger,
+                near=state.contact.near,
             )
             for state in states
         ),
@@ -224,6 +225,7 @@ def _separated(states: BatchState) -> tuple[SimulationState, ...]:
             multipliers=memory.multipliers,
             ledger=memory.ledger,
             wrenches=wrenches,
+            near=memory.near,
         )
         made.append(
             SimulationState(

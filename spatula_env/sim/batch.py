@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
     from spatula_env.contact.flags import FirstStep
-    from spatula_env.contact.world import Multipliers
+    from spatula_env.contact.world import Multipliers, NearMemory
     from spatula_env.geometry import Tool
     from spatula_env.scenes import Scene
 
@@ -50,13 +50,13 @@ class WorldMemory:
         flags: Of each tool (outer) and organ (inner).
         multipliers: From which solves start.
         ledger: Of the energy that the tools put in.
-        crossed_for: For how long organs have crossed themselves or each other [s].
+        near: Of organs that are near themselves or each other.
     """
 
     flags: tuple[NDArray[np.bool_], ...]
     multipliers: Multipliers
     ledger: FloatArray
-    crossed_for: float = 0.0
+    near: NearMemory
 
 
 @dataclass(frozen=True)
@@ -563,7 +563,7 @@ class BatchSimulation:
                     flags=tuple(memory.states[0].copy() for memory in contacts.memories),
                     multipliers=contacts.copy_multipliers(),
                     ledger=contacts.ledger.copy(),
-                    crossed_for=contacts.crossed_for,
+                    near=contacts.copy_near(),
                 )
                 for contacts in (self._contacts[world] for world in indices.tolist())
             ),
@@ -599,7 +599,7 @@ class BatchSimulation:
             for memory, flags in zip(contacts.memories, remembered.flags, strict=True):
                 memory.states[0] = flags
             contacts.restore_multipliers(remembered.multipliers)
-            contacts.restore_crossing(remembered.crossed_for)
+            contacts.restore_near(remembered.near, self._nodes[world])
             contacts.ledger[:] = remembered.ledger
             contacts.admit_energy(self._nodes[world], self._velocities[world])
 

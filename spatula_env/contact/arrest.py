@@ -1,0 +1,93 @@
+"""What is done where contact cannot be resolved: the organ keeps its place beside the tool.
+
+Where an organ is pinned, folded over a blade and stretched at once, the constraints of a query may contradict each
+other, and what a solve leaves is anywhere. At the last query the organ was outside of the tool and did not cross
+itself. What is near the tool then moves with it, as if it were a part of it, until it is free again: the rigid impact
+zones of Provot (Graphics Interface 1997), with the tool in them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spatula_env._kernels import inline_kernel
+from spatula_env.contact.depth import pair_depth
+from spatula_env.contact.features import find_candidates
+from spatula_env.contact.flags import fill_local
+
+
+@inline_kernel
+def depth_of_tools(
+    world: Any, tool_count: int, looked_at: np.ndarray, position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray
+) -> float:
+    """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
+
+    Args:
+        world: `WorldContacts`; its memories' `local` is written.
+        tool_count: How many tools count.
+        looked_at: (N O,) which pairs of a tool (outer) and an organ (inner).
+        position: (N, 3) of the tools [u].
+        rotation: (N, 9).
+        vertices: (V, 3) of the organs [u].
+    """
+    depth, organ_count = 0.0, len(world.surfaces)
+    for k in range(tool_count):
+        for o in range(organ_count):
+            if looked_at[k * organ_count + o]:
+                memory = world.memories[k * organ_count + o]
+                fill_local(position[k], rotation[k], vertices, world.first_vertices[o], memory.local)
+                depth = pair_depth(world.tools[k], memory, world.surfaces[o], depth)
+    return depth
+
+
+@inline_kernel
+def arrest(
+    world: Any,
+    tool_count: int,
+    looked_at: np.ndarray,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    reference: np.ndarray,
+    whole: bool,
+    vertices: np.ndarray,
+) -> None:
+    """Have what is near the tools keep its place beside them since the last query.
+
+    Args:
+        world: `WorldContacts`; its memories have the organs in the tools' frames at the last query.
+        tool_count: How many tools count.
+        looked_at: (N O,) which pairs of a tool (outer) and an organ (inner).
+        position: (N, 3) of the tools [u].
+        rotation: (N, 9).
+        reference: (V, 3) where the vertices were at the last query [u].
+        whole: Whether the rest of the organs stays where it was, too.
+        vertices: (V, 3) where they are [u]; changed.
+    """
+    organ_count, inverse_mass = len(world.surfaces), world.inverse_mass
+    near = np.zeros(vertices.shape[0], np.bool_)
+    if whole:
+        for i in range(vertices.shape[0]):
+            for axis in range(3):
+                vertices[i, axis] = reference[i, axis]
+    for k in range(tool_count):
+        for o in range(organ_count):
+            if not looked_at[k * organ_count + o]:
+                continue
+            memory, first, triangles = world.memories[k * organ_count + o], world.first_vertices[o], world.surfaces[o]
+            fill_local(position[k], rotation[k], vertices, first, memory.local)
+            near[:] = False
+            for m in range(find_candidates(world.tools[k], memory, triangles)):
+                for corner in range(3):
+                    near[first + triangles[memory.candidates[m], corner]] = True
+            last = memory.last_local
+            for i in range(last.shape[1]):
+                if near[first + i] and inverse_mass[first + i] > 0.0:
+                    for axis in range(3):
+                        vertices[first + i, axis] = (
+                            position[k, axis]
+                            + rotation[k, 3 * axis] * last[0, i]
+                            + rotation[k, 3 * axis + 1] * last[1, i]
+                            + rotation[k, 3 * axis + 2] * last[2, i]
+                        )

@@ -1,0 +1,118 @@
+"""Triangles of an organ that are in a tool although every contact that was found holds, and the way out of it.
+
+Which face has met a point is told by the way that it came (`features`). What a solve could not keep, where an organ is
+stretched or folded so much that the rows contradict each other, has come by no face that can still be told. Then where
+the organ is tells: its outside is where the tool belongs.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from spatula_env._kernels import inline_kernel
+from spatula_env.contact.depth import clip_triangle
+from spatula_env.contact.features import pushed_by
+from spatula_env.contact.flags import fill_local_normal
+from spatula_env.contact.path import MARGIN
+from spatula_env.contact.rows import ON_SURFACE, append_constraint, constraint_name
+from spatula_env.contact.structures import reserve
+
+FACING = 0.1
+"""A face pushes a triangle only if its normal goes against the triangle's, or is within this sine across it. Of the two
+sides of a thin tool one does, however deep the triangle is."""
+
+SHALLOW = 0.25
+"""A triangle that is less deep, in the tool's thickness, is where it came in. Then a face pushes it also if it is"""
+
+TURNED = 0.7
+"""turned less than this, as a cosine, the way that the triangle is: at a rim that is so."""
+
+
+@inline_kernel
+def _way_out(under: np.ndarray, facing: np.ndarray, weights: np.ndarray, count: int, shallow: float) -> int:
+    """The face, of those that may push a triangle, behind which a part of it is least deep; -1 if there is none."""
+    best, least = -1, np.inf
+    for p in range(under.shape[0]):
+        deepest = 0.0
+        for i in range(count):
+            at = weights[i, 0] * under[p, 0] + weights[i, 1] * under[p, 1] + weights[i, 2] * under[p, 2]
+            deepest = max(deepest, at)
+        if deepest < least and (facing[p] <= FACING or (deepest < shallow and facing[p] <= TURNED)):
+            best, least = p, deepest
+    return best
+
+
+@inline_kernel
+def gather_sunk_triangles(
+    constraints: Any,
+    count: int,
+    tool: Any,
+    memory: Any,
+    triangles: np.ndarray,
+    first_vertex: int,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    linear_velocity: np.ndarray,
+    angular_velocity: np.ndarray,
+    friction: float,
+    owner: int,
+    tried: int,
+    trial: Any,
+) -> int:
+    """Append a constraint for each triangle that is in the tool, making room for them: its deepest point goes out.
+
+    Arguments as in `features.gather_features`, whose candidates are looked at. Returns the new count.
+    """
+    local, last, extent, codes = memory.local, memory.last_local, tool.extent, memory.codes
+    plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    planes = plane_offsets.shape[0]
+    under, facing, normal = np.empty((planes, 3)), np.empty(planes), np.empty(3)
+    first, second = np.empty((planes + 4, 3)), np.empty((planes + 4, 3))
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if codes[a] & codes[b] & codes[c] != 0:
+            continue
+        most = np.inf
+        for p in range(planes):
+            nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
+            under[p, 0] = offset - nx * local[0, a] - ny * local[1, a] - nz * local[2, a]
+            under[p, 1] = offset - nx * local[0, b] - ny * local[1, b] - nz * local[2, b]
+            under[p, 2] = offset - nx * local[0, c] - ny * local[1, c] - nz * local[2, c]
+            most = min(most, max(under[p, 0], under[p, 1], under[p, 2]))
+            if most <= MARGIN:
+                break
+        if most <= MARGIN:
+            continue
+        corners, weights, _ = clip_triangle(under, MARGIN, first, second)
+        if corners == 0:
+            continue
+        fill_local_normal(local, triangles[t], normal)
+        for p in range(planes):
+            facing[p] = 0.0
+            for axis in range(3):
+                facing[p] += plane_normals[p, axis] * normal[axis]
+        name = constraint_name(ON_SURFACE, 0, t, first_vertex)
+        p = pushed_by(tried, trial, owner, name, _way_out(under, facing, weights, corners, SHALLOW * extent[7]))
+        if p < 0:
+            continue
+        deepest, place = 0.0, 0
+        for i in range(corners):
+            at = weights[i, 0] * under[p, 0] + weights[i, 1] * under[p, 1] + weights[i, 2] * under[p, 2]
+            if at > deepest:
+                deepest, place = at, i
+        if deepest > extent[7]:
+            continue
+        wa, wb, wc = weights[place, 0], weights[place, 1], weights[place, 2]
+        x = wa * local[0, a] + wb * local[0, b] + wc * local[0, c]
+        y = wa * local[1, a] + wb * local[1, b] + wc * local[1, c]
+        z = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
+        nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
+        reserve(constraints, count, count + 1)
+        count = append_constraint(
+            constraints.rows, constraints.features, constraints.names, count, (a, b, c), (wa, wb, wc), (nx, ny, nz),
+            (x + deepest * nx, y + deepest * ny, z + deepest * nz),
+            last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, p, name,
+        )  # fmt: skip
+    return count
