@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.motions import RECORDED
 from spatula_env.contact.model import ContactMemory
+from spatula_env.contact.world import NearMemory
 from spatula_env.sim.drive import restrain
 from spatula_env.sim.simulation import SimulationState
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-REMEMBERED = ("names", "features", "rows", "ledger", "wrenches", "crossed_for")
+REMEMBERED = ("names", "features", "rows", "ledger", "wrenches", *(f"near_{name}" for name in NearMemory._fields))
 """What contact remembers, beside the flags of each tool and organ, `flags_0_0` and so on."""
 
 BEFORE = 4
@@ -48,7 +49,7 @@ def write_recording(path: Path, state: SimulationState, linear: FloatArray, angu
     """
     moved = (state.nodes, state.node_velocities, state.tool_positions, state.tool_orientations, linear, angular)
     contact = state.contact
-    remembered = (*contact.multipliers, contact.ledger, contact.wrenches, np.array(contact.crossed_for))
+    remembered = (*contact.multipliers, contact.ledger, contact.wrenches, *map(np.array, contact.near))
     flags = {f"flags_{i}_{j}": flags for i, row in enumerate(contact.flags) for j, flags in enumerate(row)}
     arrays: dict[str, Any] = dict(zip((*RECORDED, *REMEMBERED), (*moved, *remembered), strict=True))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +78,7 @@ def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, F
         )
         state = simulation.save()
         if all(name in recorded for name in REMEMBERED):
-            names, features, rows, ledger, wrenches, crossed_for = (recorded[name] for name in REMEMBERED)
+            names, features, rows, ledger, wrenches, *near = (recorded[name] for name in REMEMBERED)
             contact = ContactMemory(
                 flags=tuple(
                     tuple(recorded[f"flags_{i}_{j}"] for j in range(len(row))) for i, row in enumerate(state.flags)
@@ -85,7 +86,7 @@ def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, F
                 multipliers=(names, features, rows),
                 ledger=ledger,
                 wrenches=wrenches,
-                crossed_for=float(crossed_for),
+                near=NearMemory(near[0], near[1], near[2], near[3], bool(near[4]), float(near[5])),
             )
             state = replace(state, contact=contact)
     simulation.restore(
@@ -118,7 +119,7 @@ def state_of_world(state: Any, world: int) -> SimulationState:
             multipliers=memory.multipliers,
             ledger=memory.ledger,
             wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
-            crossed_for=memory.crossed_for,
+            near=memory.near,
         ),
         time=float(state.times[world]),
     )

@@ -33,6 +33,7 @@ ARRAYS: dict[str, Any] = {
     "i4_2": types.int32[:, ::1],
     "i4_3": types.int32[:, :, ::1],
     "i8": types.int64[::1],
+    "i8_2": types.int64[:, ::1],
     "u1": types.uint8[::1],
     "b1": types.boolean[::1],
     "b1_2": types.boolean[:, ::1],

@@ -20,7 +20,13 @@ from spatula_env.contact.flags import fill_local
 
 @inline_kernel
 def depth_of_tools(
-    world: Any, tool_count: int, looked_at: np.ndarray, position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray
+    world: Any,
+    tool_count: int,
+    looked_at: np.ndarray,
+    position: np.ndarray,
+    rotation: np.ndarray,
+    vertices: np.ndarray,
+    known: float,
 ) -> float:
     """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
 
@@ -31,8 +37,9 @@ def depth_of_tools(
         position: (N, 3) of the tools [u].
         rotation: (N, 9).
         vertices: (V, 3) of the organs [u].
+        known: What is returned where no depth is greater [u].
     """
-    depth, organ_count = 0.0, len(world.surfaces)
+    depth, organ_count = known, len(world.surfaces)
     for k in range(tool_count):
         for o in range(organ_count):
             if looked_at[k * organ_count + o]:

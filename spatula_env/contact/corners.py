@@ -479,6 +479,9 @@ def gather_sunk_corners(
             normal[0] = (wa * local[0, a] + wb * local[0, b] + wc * local[0, c] - x) / depth
             normal[1] = (wa * local[1, a] + wb * local[1, b] + wc * local[1, c] - y) / depth
             normal[2] = (wa * local[2, a] + wb * local[2, b] + wc * local[2, c] - z) / depth
+        if not np.isfinite(normal[0] + normal[1] + normal[2]):
+            # A triangle without area, beside which others tell the way.
+            continue
         count = append_constraint(
             rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
             (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,

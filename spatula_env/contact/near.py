@@ -16,6 +16,7 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.corners import closest_weights
+from spatula_env.contact.rigid_fit import fit_motion, move_back, move_points
 from spatula_env.contact.skin import (
     CROSS_IS_KNOWN,
     CROSS_PAIRS,
@@ -30,6 +31,15 @@ from spatula_env.contact.skin import (
 
 MARGIN = 0.15
 """How far vertices reach beyond what a step moves them by, in mean edges."""
+
+SOON = 0.3
+"""When some vertices have got out of reach, those that have used more than this of theirs are looked at again too."""
+
+MOVING = 2.5
+"""So many times as far vertices reach that have got out of reach before: they go on, most of them. That costs little"""
+
+FEW_PAIRS = 2
+"""while there are fewer pairs than this for each vertex."""
 
 MOST_PAIRS = 64
 """For so many pairs of features for each vertex there is no use in looking: an organ has collapsed into a lump."""
@@ -59,31 +69,82 @@ def closest_on_edges(
 
 
 @inline_kernel
+def follow_motion(near: Any, points: np.ndarray) -> None:
+    """Move on where vertices were, when what is near was found, as they have rolled and slid since, to (V, 3) [u]."""
+    fit_motion(near.found_at, points, near.rotation, near.motion)
+    move_points(near.found_at, near.rotation, near.motion, near.placed)
+
+
+@inline_kernel
 def within_reach(near: Any, points: np.ndarray) -> bool:
     """Whether all vertices (V, 3) are within reach of where they were when what is near was found."""
-    found_at, reach = near.found_at, near.reach
+    placed, reach = near.placed, near.reach
     beyond = False
     for i in range(points.shape[0]):
-        x, y, z = points[i, 0] - found_at[0, i], points[i, 1] - found_at[1, i], points[i, 2] - found_at[2, i]
+        x, y, z = points[i, 0] - placed[0, i], points[i, 1] - placed[1, i], points[i, 2] - placed[2, i]
         beyond |= x * x + y * y + z * z > reach[i] * reach[i]
     return not beyond
 
 
 @inline_kernel
+def forget_gaps(near: Any) -> None:
+    """Have gaps of pairs measured anew: vertices come from somewhere else, or other pairs are near."""
+    for kind in range(2):
+        count = near.counts[VERTEX_PAIRS if kind == 0 else EDGE_PAIRS]
+        gaps = near.vertex_gaps if kind == 0 else near.edge_gaps
+        if gaps.shape[0] < count:
+            gaps = np.empty(2 * count)
+            if kind == 0:
+                near.vertex_gaps = gaps
+            else:
+                near.edge_gaps = gaps
+        for m in range(count):
+            gaps[m] = -1.0
+
+
+@inline_kernel
+def mark_beyond(near: Any, held: np.ndarray, points: np.ndarray, beyond: np.ndarray) -> None:
+    """Write which vertices are out of reach or will soon be, where they come from or where they are (V, 3) [u]."""
+    placed, reach = near.placed, near.reach
+    for i in range(points.shape[0]):
+        here, there = 0.0, 0.0
+        for axis in range(3):
+            here += (points[i, axis] - placed[axis, i]) ** 2
+            there += (held[i, axis] - placed[axis, i]) ** 2
+        beyond[i] = max(here, there) > (SOON * reach[i]) ** 2
+
+
+@inline_kernel
 def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> None:
-    """Write how far vertices have got from where they were when what is near was found.
+    """Write how far vertices have got from where they were when what is near was found, and from where they come.
 
     Args:
         near: `Near`.
         held: (V, 3) where they come from [u].
         points: (V, 3) where they are [u].
     """
-    found_at, shift = near.found_at, near.shift
+    placed, shift, moved = near.placed, near.shift, near.moved
     for i in range(points.shape[0]):
-        u, v, w = found_at[0, i], found_at[1, i], found_at[2, i]
+        u, v, w = placed[0, i], placed[1, i], placed[2, i]
         x, y, z = points[i, 0] - u, points[i, 1] - v, points[i, 2] - w
         r, s, t = held[i, 0] - u, held[i, 1] - v, held[i, 2] - w
         shift[i] = np.sqrt(max(x * x + y * y + z * z, r * r + s * s + t * t))
+        x, y, z = x - r, y - s, z - t
+        moved[i] = np.sqrt(x * x + y * y + z * z)
+
+
+@inline_kernel
+def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs and their distances, `count` of them, in arrays that have room for as many as are wanted."""
+    if wanted <= pairs.shape[0] and wanted <= distances.shape[0]:
+        return pairs, distances
+    room = max(2 * wanted, 64)
+    more, longer = np.empty((room, pairs.shape[1]), np.int32), np.empty(room)
+    for p in range(count):
+        longer[p] = distances[p]
+        for column in range(pairs.shape[1]):
+            more[p, column] = pairs[p, column]
+    return more, longer
 
 
 @inline_kernel
@@ -91,14 +152,7 @@ def _with_pair(
     pairs: np.ndarray, distances: np.ndarray, count: int, first: int, second: int, distance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The pairs and their distances with one more after `count`, in longer arrays if there is no room."""
-    if count >= pairs.shape[0] or count >= distances.shape[0]:
-        room = max(2 * count, 64)
-        more, longer = np.zeros((room, pairs.shape[1]), np.int32), np.empty(room)
-        for p in range(count):
-            longer[p] = distances[p]
-            for column in range(pairs.shape[1]):
-                more[p, column] = pairs[p, column]
-        pairs, distances = more, longer
+    pairs, distances = _with_room(pairs, distances, count, count + 1)
     for column in range(pairs.shape[1]):
         pairs[count, column] = 0
     pairs[count, 0], pairs[count, 1] = first, second
@@ -118,60 +172,72 @@ def _apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
 
 
 @inline_kernel
-def _fill_feature_boxes(points: np.ndarray, reach: np.ndarray, features: np.ndarray, boxes: np.ndarray) -> None:
-    """Write the boxes (n, 6) around what the vertices of edges (n, 2) or triangles (n, 3) can reach."""
+def _fill_feature_boxes(
+    points: np.ndarray, reach: np.ndarray, features: np.ndarray, order: np.ndarray, first: int, end: int,
+    boxes: np.ndarray,
+) -> None:  # fmt: skip
+    """Write the boxes (n, 6) around what the vertices of some edges (n, 2) or triangles (n, 3) can reach."""
     corners = features.shape[1]
-    for axis in range(3):
-        of_axis = points[axis]
-        for f in range(features.shape[0]):
+    for m in range(first, end):
+        f = order[m]
+        for axis in range(3):
             v = features[f, 0]
-            low, high = of_axis[v] - reach[v], of_axis[v] + reach[v]
+            low, high = points[axis, v] - reach[v], points[axis, v] + reach[v]
             for corner in range(1, corners):
                 v = features[f, corner]
-                low, high = min(low, of_axis[v] - reach[v]), max(high, of_axis[v] + reach[v])
+                low, high = min(low, points[axis, v] - reach[v]), max(high, points[axis, v] + reach[v])
             boxes[f, axis], boxes[f, 3 + axis] = low, high
 
 
 @inline_kernel
-def _fill_normals(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> None:
-    """Write the unit normals (T, 3) of triangles with vertices (V, 3)."""
-    for t in range(triangles.shape[0]):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-        vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        scale = 1.0 / length if length > 0.0 else 0.0
-        normals[t, 0], normals[t, 1], normals[t, 2] = scale * nx, scale * ny, scale * nz
+def _fill_box(skin: Any, near: Any, p: int, boxes: np.ndarray) -> None:
+    """Write the box around what a patch can reach into boxes (P, 6)."""
+    points, reach, triangles, order = near.found_at, near.reach, skin.triangles, skin.triangle_order
+    for axis in range(3):
+        low, high = np.inf, -np.inf
+        for m in range(skin.triangle_starts[p], skin.triangle_starts[p + 1]):
+            for corner in range(3):
+                v = triangles[order[m], corner]
+                low, high = min(low, points[axis, v] - reach[v]), max(high, points[axis, v] + reach[v])
+        boxes[p, axis], boxes[p, 3 + axis] = low, high
 
 
 @inline_kernel
-def _fill_cones(
-    triangle_starts: np.ndarray, triangle_order: np.ndarray, normals: np.ndarray, cones: np.ndarray
-) -> None:
-    """Write a cone around the normals of each patch's triangles: axis, and half its opening (P, 4) [rad].
+def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: np.ndarray) -> None:
+    """Write a cone around the normals of a patch's triangles: its axis, and half its opening, in cones (P, 4) [rad].
 
     Args:
-        triangle_starts: (P + 1,) of a `Skin`.
-        triangle_order: (T,).
-        normals: (2, T, 3) before and after a step.
+        skin: `Skin`.
+        p: The patch.
+        start: (V, 3) before a step [u].
+        thrown: (V, 3) after it [u].
         cones: Written.
     """
-    for p in range(cones.shape[0]):
-        x, y, z = 0.0, 0.0, 0.0
-        for m in range(triangle_starts[p], triangle_starts[p + 1]):
-            t = triangle_order[m]
-            x, y, z = x + normals[0, t, 0], y + normals[0, t, 1], z + normals[0, t, 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        least = -1.0
-        if length > 0.0:
-            x, y, z, least = x / length, y / length, z / length, 1.0
-            for m in range(triangle_starts[p], triangle_starts[p + 1]):
-                t = triangle_order[m]
-                for time in range(2):
-                    along = normals[time, t, 0] * x + normals[time, t, 1] * y + normals[time, t, 2] * z
-                    least = min(least, along)
-        cones[p, 0], cones[p, 1], cones[p, 2], cones[p, 3] = x, y, z, np.arccos(max(least, -1.0))
+    first, end = skin.triangle_starts[p], skin.triangle_starts[p + 1]
+    normals = np.empty((2, end - first, 3))
+    for time in range(2):
+        points = start if time == 0 else thrown
+        for m in range(first, end):
+            t = skin.triangle_order[m]
+            a, b, c = skin.triangles[t, 0], skin.triangles[t, 1], skin.triangles[t, 2]
+            ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+            vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            scale = 1.0 / length if length > 0.0 else 0.0
+            normals[time, m - first, 0], normals[time, m - first, 1] = scale * nx, scale * ny
+            normals[time, m - first, 2] = scale * nz
+    x, y, z = 0.0, 0.0, 0.0
+    for m in range(end - first):
+        x, y, z = x + normals[0, m, 0], y + normals[0, m, 1], z + normals[0, m, 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    least = -1.0
+    if length > 0.0:
+        x, y, z, least = x / length, y / length, z / length, 1.0
+        for time in range(2):
+            for m in range(end - first):
+                least = min(least, normals[time, m, 0] * x + normals[time, m, 1] * y + normals[time, m, 2] * z)
+    cones[p, 0], cones[p, 1], cones[p, 2], cones[p, 3] = x, y, z, np.arccos(max(least, -1.0))
 
 
 @inline_kernel
@@ -196,9 +262,11 @@ def _sort_along_x(order: np.ndarray, boxes: np.ndarray) -> None:
 
 
 @inline_kernel
-def _close_patches(skin: Any, near: Any, boxes: np.ndarray, cones: np.ndarray) -> np.ndarray:
-    """Pairs of patches that may meet, as first x P + second, ascending: the same whatever else is near."""
-    order, starts, neighbours = near.order, skin.neighbour_starts, skin.neighbours
+def _close_patches(skin: Any, near: Any, moved: np.ndarray) -> np.ndarray:
+    """Pairs of patches that may meet, one of which has moved (P,), as first x P + second, ascending."""
+    order, starts, neighbours, boxes, cones = (
+        near.order, skin.neighbour_starts, skin.neighbours, near.boxes, near.cones,
+    )  # fmt: skip
     patches = order.shape[0]
     _sort_along_x(order, boxes)
     found, count = np.empty(64, np.int64), 0
@@ -207,7 +275,7 @@ def _close_patches(skin: Any, near: Any, boxes: np.ndarray, cones: np.ndarray) -
             p, q = min(order[i], order[k]), max(order[i], order[k])
             if boxes[order[k], 0] > boxes[order[i], 3]:
                 break
-            if p != q and _apart(boxes, p, boxes, q):
+            if not (moved[p] or moved[q]) or (p != q and _apart(boxes, p, boxes, q)):
                 continue
             shares = False
             for m in range(starts[p], starts[p + 1]):
@@ -225,14 +293,47 @@ def _close_patches(skin: Any, near: Any, boxes: np.ndarray, cones: np.ndarray) -
 
 
 @inline_kernel
-def _pair_vertices(
-    near: Any, skin: Any, of_vertices: int, of_triangles: int, points: np.ndarray, triangle_boxes: np.ndarray,
-    patch_boxes: np.ndarray,
-) -> None:  # fmt: skip
+def _merged(kept: np.ndarray, moved: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Pairs of patches that were known and of which neither has moved (P,), and found ones, all ascending."""
+    patches = moved.shape[0]
+    pairs, count, place = np.empty(kept.shape[0] + found.shape[0], np.int64), 0, 0
+    for pair in kept:
+        if moved[pair // patches] or moved[pair % patches]:
+            continue
+        while place < found.shape[0] and found[place] < pair:
+            pairs[count] = found[place]
+            place, count = place + 1, count + 1
+        pairs[count] = pair
+        count += 1
+    while place < found.shape[0]:
+        pairs[count] = found[place]
+        place, count = place + 1, count + 1
+    return pairs[:count].copy()
+
+
+@inline_kernel
+def _listed(
+    order: np.ndarray, first: int, end: int, boxes: np.ndarray, patch_boxes: np.ndarray, patch: int, listed: np.ndarray
+) -> int:
+    """List the features of a patch whose boxes meet another patch's. Returns how many there are."""
+    count = 0
+    for m in range(first, end):
+        if not _apart(boxes, order[m], patch_boxes, patch):
+            listed[count] = order[m]
+            count += 1
+    return count
+
+
+@inline_kernel
+def _pair_vertices(near: Any, skin: Any, of_vertices: int, of_triangles: int, triangle_boxes: np.ndarray) -> None:
     """Add the vertices of one patch that are near triangles of another."""
-    triangles, reach = skin.triangles, near.reach
+    triangles, reach, points, patch_boxes = skin.triangles, near.reach, near.found_at, near.boxes
     pairs, count, distances = near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances
-    box = np.empty((1, 6))
+    first, end = skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
+    box, listed = np.empty((1, 6)), np.empty(end - first, np.int32)
+    close = _listed(skin.triangle_order, first, end, triangle_boxes, patch_boxes, of_vertices, listed)
+    if close == 0:
+        return
     for m in range(skin.vertex_starts[of_vertices], skin.vertex_starts[of_vertices + 1]):
         v = skin.vertex_order[m]
         x, y, z = points[0, v], points[1, v], points[2, v]
@@ -240,8 +341,8 @@ def _pair_vertices(
             box[0, axis], box[0, 3 + axis] = points[axis, v] - reach[v], points[axis, v] + reach[v]
         if _apart(box, 0, patch_boxes, of_triangles):
             continue
-        for e in range(skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]):
-            t = skin.triangle_order[e]
+        for e in range(close):
+            t = listed[e]
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
             if v == a or v == b or v == c or _apart(box, 0, triangle_boxes, t):
                 continue
@@ -259,21 +360,23 @@ def _pair_vertices(
 
 
 @inline_kernel
-def _pair_edges(
-    near: Any, skin: Any, p: int, q: int, points: np.ndarray, edge_boxes: np.ndarray, patch_boxes: np.ndarray
-) -> None:
+def _pair_edges(near: Any, skin: Any, p: int, q: int, edge_boxes: np.ndarray) -> None:
     """Add the edges of one patch that are near edges of another, or of the same one."""
-    edges, reach, order = skin.edges, near.reach, skin.edge_order
+    edges, reach, order, points, patch_boxes = skin.edges, near.reach, skin.edge_order, near.found_at, near.boxes
     pairs, count, distances = near.edge_pairs, near.counts[EDGE_PAIRS], near.edge_distances
-    first_second, end = skin.edge_starts[q], skin.edge_starts[q + 1]
+    first, end = skin.edge_starts[q], skin.edge_starts[q + 1]
+    others = np.empty(end - first, np.int32)
+    close = _listed(order, first, end, edge_boxes, patch_boxes, p, others)
+    if close == 0:
+        return
     for m in range(skin.edge_starts[p], skin.edge_starts[p + 1]):
         e = order[m]
         if _apart(edge_boxes, e, patch_boxes, q):
             continue
         a, b = edges[e, 0], edges[e, 1]
         ux, uy, uz = points[0, b] - points[0, a], points[1, b] - points[1, a], points[2, b] - points[2, a]
-        for k in range(m + 1 if p == q else first_second, end):
-            f = order[k]
+        for k in range(m + 1 - first if p == q else 0, close):
+            f = others[k]
             if _apart(edge_boxes, e, edge_boxes, f):
                 continue
             c, d = edges[f, 0], edges[f, 1]
@@ -293,41 +396,64 @@ def _pair_edges(
 
 
 @inline_kernel
-def _height_range(
-    points: np.ndarray, normals: np.ndarray, t: int, a: int, first: int, second: int
-) -> tuple[float, float]:
-    """Least and greatest height of an edge over the plane of a triangle t with a corner a; normals are (T, 3)."""
-    heights = np.empty(2)
-    for k in range(2):
-        v = first if k == 0 else second
-        heights[k] = 0.0
-        for axis in range(3):
-            heights[k] += normals[t, axis] * (points[axis, v] - points[axis, a])
-    return min(heights[0], heights[1]), max(heights[0], heights[1])
+def _distance_to_edge(points: np.ndarray, corners: tuple[int, int, int], first: int, second: int) -> float:
+    """How far an edge is from a triangle at least: along its normal or across one of its sides [u]."""
+    a, b, c = corners
+    ux, uy, uz = points[0, b] - points[0, a], points[1, b] - points[1, a], points[2, b] - points[2, a]
+    vx, vy, vz = points[0, c] - points[0, a], points[1, c] - points[1, a], points[2, c] - points[2, a]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    squared = nx * nx + ny * ny + nz * nz
+    if not squared > 0.0:
+        return 0.0
+    scale = 1.0 / np.sqrt(squared)
+    nx, ny, nz = scale * nx, scale * ny, scale * nz
+    distance = 0.0
+    for side in range(4):
+        # The plane itself, and those through the sides, upright on it.
+        start = a if side == 3 else (a if side == 0 else (b if side == 1 else c))
+        mx, my, mz = nx, ny, nz
+        if side < 3:
+            end = b if side == 0 else (c if side == 1 else a)
+            sx, sy, sz = (
+                points[0, end] - points[0, start], points[1, end] - points[1, start], points[2, end] - points[2, start],
+            )  # fmt: skip
+            mx, my, mz = sy * nz - sz * ny, sz * nx - sx * nz, sx * ny - sy * nx
+            scale = 1.0 / np.sqrt(mx * mx + my * my + mz * mz)
+            mx, my, mz = scale * mx, scale * my, scale * mz
+        x, y, z = points[0, start], points[1, start], points[2, start]
+        one = mx * (points[0, first] - x) + my * (points[1, first] - y) + mz * (points[2, first] - z)
+        other = mx * (points[0, second] - x) + my * (points[1, second] - y) + mz * (points[2, second] - z)
+        distance = max(distance, min(one, other))
+        if side == 3:
+            distance = max(distance, -max(one, other))
+    return distance
 
 
 @inline_kernel
 def _pair_crossings(
-    near: Any, skin: Any, of_edges: int, of_triangles: int, points: np.ndarray, edge_boxes: np.ndarray,
-    triangle_boxes: np.ndarray, patch_boxes: np.ndarray, normals: np.ndarray,
-) -> None:  # fmt: skip
+    near: Any, skin: Any, of_edges: int, of_triangles: int, edge_boxes: np.ndarray, triangle_boxes: np.ndarray
+) -> None:
     """Add the edges of one patch that may cross triangles of another."""
-    edges, triangles, reach = skin.edges, skin.triangles, near.reach
+    edges, triangles, reach, points, patch_boxes = skin.edges, skin.triangles, near.reach, near.found_at, near.boxes
     pairs, count, distances = near.cross_pairs, near.counts[CROSS_PAIRS], near.cross_distances
+    first_triangle, end = skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
+    listed = np.empty(end - first_triangle, np.int32)
+    close = _listed(skin.triangle_order, first_triangle, end, triangle_boxes, patch_boxes, of_edges, listed)
+    if close == 0:
+        return
     for m in range(skin.edge_starts[of_edges], skin.edge_starts[of_edges + 1]):
         e = skin.edge_order[m]
         if _apart(edge_boxes, e, patch_boxes, of_triangles):
             continue
         a, b = edges[e, 0], edges[e, 1]
-        for k in range(skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]):
-            t = skin.triangle_order[k]
+        for k in range(close):
+            t = listed[k]
             if _apart(edge_boxes, e, triangle_boxes, t):
                 continue
             first, second, third = triangles[t, 0], triangles[t, 1], triangles[t, 2]
             if a == first or a == second or a == third or b == first or b == second or b == third:
                 continue
-            low, high = _height_range(points, normals, t, first, a, b)
-            distance = max(low, -high, 0.0)
+            distance = _distance_to_edge(points, (first, second, third), a, b)
             if distance > max(reach[a], reach[b]) + max(reach[first], reach[second], reach[third]):
                 continue
             pairs, distances = _with_pair(pairs, distances, count, e, t, distance)
@@ -336,20 +462,96 @@ def _pair_crossings(
 
 
 @inline_kernel
-def _fill_boxes(
-    skin: Any, near: Any, points: np.ndarray, edge_boxes: np.ndarray, triangle_boxes: np.ndarray, boxes: np.ndarray
+def _fill_features(
+    skin: Any, near: Any, p: int, filled: np.ndarray, edge_boxes: np.ndarray, triangle_boxes: np.ndarray
 ) -> None:
-    """Write the boxes around what edges (E, 6), triangles (T, 6) and patches (P, 6) can reach."""
-    starts, order, reach = skin.triangle_starts, skin.triangle_order, near.reach
-    _fill_feature_boxes(points, reach, skin.edges, edge_boxes)
-    _fill_feature_boxes(points, reach, skin.triangles, triangle_boxes)
-    for p in range(boxes.shape[0]):
-        for axis in range(3):
-            boxes[p, axis], boxes[p, 3 + axis] = np.inf, -np.inf
-        for m in range(starts[p], starts[p + 1]):
-            for axis in range(3):
-                boxes[p, axis] = min(boxes[p, axis], triangle_boxes[order[m], axis])
-                boxes[p, 3 + axis] = max(boxes[p, 3 + axis], triangle_boxes[order[m], 3 + axis])
+    """Write the boxes around what the edges and triangles of a patch can reach, if they are not filled (P,) yet."""
+    if filled[p]:
+        return
+    filled[p] = True
+    _fill_feature_boxes(
+        near.found_at, near.reach, skin.edges, skin.edge_order, skin.edge_starts[p], skin.edge_starts[p + 1],
+        edge_boxes,
+    )  # fmt: skip
+    _fill_feature_boxes(
+        near.found_at, near.reach, skin.triangles, skin.triangle_order, skin.triangle_starts[p],
+        skin.triangle_starts[p + 1], triangle_boxes,
+    )  # fmt: skip
+
+
+@inline_kernel
+def _copied(
+    pairs: np.ndarray, distances: np.ndarray, count: int, old: np.ndarray, apart: np.ndarray, first: int, end: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs and their distances with some old ones more, from `first` to `end`; sides are kept."""
+    pairs, distances = _with_room(pairs, distances, count, count + end - first)
+    for m in range(first, end):
+        distances[count + m - first] = apart[m]
+        for column in range(pairs.shape[1]):
+            pairs[count + m - first, column] = old[m, column]
+    return pairs, distances
+
+
+@inline_kernel
+def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndarray, with_crossings: bool) -> None:
+    """Find the pairs of features in pairs of patches, ascending; those of patches that have not moved (P,) are kept."""
+    patch_count, total = near.order.shape[0], patch_pairs.shape[0]
+    old_pairs, old_ends = near.patch_pairs, near.ends
+    vertex_pairs, vertex_distances = near.vertex_pairs, near.vertex_distances
+    edge_pairs, edge_distances = near.edge_pairs, near.edge_distances
+    cross_pairs, cross_distances = near.cross_pairs, near.cross_distances
+    near.vertex_pairs, near.vertex_distances = np.empty_like(vertex_pairs), np.empty_like(vertex_distances)
+    near.edge_pairs, near.edge_distances = np.empty_like(edge_pairs), np.empty_like(edge_distances)
+    if with_crossings:
+        near.cross_pairs, near.cross_distances = np.empty_like(cross_pairs), np.empty_like(cross_distances)
+    ends, filled, counts = np.zeros((total, 3), np.int64), np.zeros(patch_count, np.bool_), near.counts
+    edge_boxes, triangle_boxes = np.empty((skin.edges.shape[0], 6)), np.empty((skin.triangles.shape[0], 6))
+    counts[VERTEX_PAIRS], counts[EDGE_PAIRS], counts[CROSS_PAIRS] = 0, 0, 0
+    counts[IS_KNOWN], counts[CROSS_IS_KNOWN], counts[PATCH_PAIRS] = 1, 1 if with_crossings else 0, total
+    place = 0
+    for k in range(total):
+        p, q = patch_pairs[k] // patch_count, patch_pairs[k] % patch_count
+        if moved[p] or moved[q]:
+            _fill_features(skin, near, p, filled, edge_boxes, triangle_boxes)
+            _fill_features(skin, near, q, filled, edge_boxes, triangle_boxes)
+            for way in range(1 if p == q else 2):
+                one, other = (p, q) if way == 0 else (q, p)
+                _pair_vertices(near, skin, one, other, triangle_boxes)
+                if with_crossings:
+                    _pair_crossings(near, skin, one, other, edge_boxes, triangle_boxes)
+            _pair_edges(near, skin, p, q, edge_boxes)
+        else:
+            while old_pairs[place] != patch_pairs[k]:
+                place += 1
+            first = 0 if place == 0 else old_ends[place - 1, VERTEX_PAIRS]
+            end = old_ends[place, VERTEX_PAIRS]
+            near.vertex_pairs, near.vertex_distances = _copied(
+                near.vertex_pairs, near.vertex_distances, counts[VERTEX_PAIRS], vertex_pairs, vertex_distances, first,
+                end,
+            )  # fmt: skip
+            counts[VERTEX_PAIRS] += end - first
+            first = 0 if place == 0 else old_ends[place - 1, EDGE_PAIRS]
+            end = old_ends[place, EDGE_PAIRS]
+            near.edge_pairs, near.edge_distances = _copied(
+                near.edge_pairs, near.edge_distances, counts[EDGE_PAIRS], edge_pairs, edge_distances, first, end
+            )
+            counts[EDGE_PAIRS] += end - first
+            if with_crossings:
+                first = 0 if place == 0 else old_ends[place - 1, CROSS_PAIRS]
+                end = old_ends[place, CROSS_PAIRS]
+                near.cross_pairs, near.cross_distances = _copied(
+                    near.cross_pairs, near.cross_distances, counts[CROSS_PAIRS], cross_pairs, cross_distances, first,
+                    end,
+                )  # fmt: skip
+                counts[CROSS_PAIRS] += end - first
+        for kind in range(3):
+            ends[k, kind] = counts[kind]
+        if counts[VERTEX_PAIRS] + counts[EDGE_PAIRS] > MOST_PAIRS * near.reach.shape[0]:
+            counts[:] = 0
+            counts[IS_KNOWN] = TOO_MANY
+            return
+    near.patch_pairs, near.ends = patch_pairs, ends
+    forget_gaps(near)
 
 
 @kernel(types.void(SKIN, NEAR))
@@ -360,25 +562,24 @@ def find_cross_pairs(skin: Any, near: Any) -> None:
         skin: `Skin`.
         near: `Near`, written.
     """
-    points, triangles = near.found_at, skin.triangles
-    patch_count = near.order.shape[0]
-    triangle_boxes, boxes = np.empty((triangles.shape[0], 6)), np.empty((patch_count, 6))
-    edge_boxes = np.empty((skin.edges.shape[0], 6))
-    _fill_boxes(skin, near, points, edge_boxes, triangle_boxes, boxes)
-    normals = np.empty((triangles.shape[0], 3))
-    _fill_normals(np.ascontiguousarray(points.T), triangles, normals)
+    patch_count, ends = near.order.shape[0], near.ends
+    triangle_boxes, edge_boxes = np.empty((skin.triangles.shape[0], 6)), np.empty((skin.edges.shape[0], 6))
+    filled = np.zeros(patch_count, np.bool_)
     near.counts[CROSS_PAIRS] = 0
     near.counts[CROSS_IS_KNOWN] = 1
     patch_pairs = near.patch_pairs
     for k in range(near.counts[PATCH_PAIRS]):
         p, q = patch_pairs[k] // patch_count, patch_pairs[k] % patch_count
-        _pair_crossings(near, skin, p, q, points, edge_boxes, triangle_boxes, boxes, normals)
+        _fill_features(skin, near, p, filled, edge_boxes, triangle_boxes)
+        _fill_features(skin, near, q, filled, edge_boxes, triangle_boxes)
+        _pair_crossings(near, skin, p, q, edge_boxes, triangle_boxes)
         if p != q:
-            _pair_crossings(near, skin, q, p, points, edge_boxes, triangle_boxes, boxes, normals)
+            _pair_crossings(near, skin, q, p, edge_boxes, triangle_boxes)
+        ends[k, CROSS_PAIRS] = near.counts[CROSS_PAIRS]
 
 
-@kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8_2"], types.float64))
-def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margin: float) -> None:
+@kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8_2"], types.float64, ARRAYS["b1"]))
+def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margin: float, beyond: np.ndarray) -> None:
     """Find which features are near each other.
 
     Args:
@@ -387,47 +588,46 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
         start: (V, 3) where the vertices are [u].
         thrown: (V, 3) to where they may move at once [u].
         margin: How far they reach beyond that [u].
+        beyond: (V,) which of them have got out of reach of where they were when that was found before. The others
+            count as there still, and what is near is found anew in patches with such vertices only.
     """
-    points, reach, triangles = near.found_at, near.reach, skin.triangles
+    points, placed, reach, patch_count = near.found_at, near.placed, near.reach, near.order.shape[0]
+    whole, few = near.counts[IS_KNOWN] != 1, FEW_PAIRS * start.shape[0]
+    if not whole and near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] < few:
+        margin = MOVING * margin
+    if whole:
+        near.rotation[:], near.motion[:] = np.eye(3), 0.0
+    # As the vertices would be if the organs had not moved as a whole.
+    unmoved, ahead = np.empty_like(start), np.empty_like(start)
+    move_back(start, near.rotation, near.motion, unmoved)
+    move_back(thrown, near.rotation, near.motion, ahead)
     for i in range(start.shape[0]):
-        squared = 0.0
-        for axis in range(3):
-            points[axis, i] = start[i, axis]
-            squared += (thrown[i, axis] - start[i, axis]) ** 2
-        reach[i] = margin + np.sqrt(squared)
-    near.counts[:] = 0
-    near.counts[IS_KNOWN] = 1
-    patch_count = near.order.shape[0]
-    triangle_boxes, boxes = np.empty((triangles.shape[0], 6)), np.empty((patch_count, 6))
-    edge_boxes = np.empty((skin.edges.shape[0], 6))
-    normals, cones = np.empty((2, triangles.shape[0], 3)), np.empty((patch_count, 4))
-    _fill_normals(start, triangles, normals[0])
-    _fill_normals(thrown, triangles, normals[1])
-    _fill_cones(skin.triangle_starts, skin.triangle_order, normals, cones)
-    _fill_boxes(skin, near, points, edge_boxes, triangle_boxes, boxes)
-    near.patch_pairs = _close_patches(skin, near, boxes, cones)
-    _pair_features(skin, near, edge_boxes, triangle_boxes, boxes)
+        if whole or beyond[i]:
+            squared = 0.0
+            for axis in range(3):
+                points[axis, i], placed[axis, i] = unmoved[i, axis], start[i, axis]
+                squared += (thrown[i, axis] - start[i, axis]) ** 2
+            reach[i] = margin + np.sqrt(squared)
+    moved = np.zeros(patch_count, np.bool_)
+    for p in range(patch_count):
+        has_moved = whole
+        for m in range(skin.triangle_starts[p], skin.triangle_starts[p + 1]):
+            t = skin.triangle_order[m]
+            for corner in range(3):
+                has_moved |= beyond[skin.triangles[t, corner]]
+        if has_moved:
+            moved[p] = True
+            _fill_cone(skin, p, unmoved, ahead, near.cones)
+            _fill_box(skin, near, p, near.boxes)
+    known = near.patch_pairs[: 0 if whole else near.counts[PATCH_PAIRS]]
+    pairs = _merged(known, moved, _close_patches(skin, near, moved))
+    _pair_features(skin, near, pairs, moved, not whole and near.counts[CROSS_IS_KNOWN] == 1)
 
 
-@inline_kernel
-def _pair_features(skin: Any, near: Any, edge_boxes: np.ndarray, triangle_boxes: np.ndarray, boxes: np.ndarray) -> None:
-    """Find the pairs of features in the pairs of patches that are known, between boxes of what they can reach."""
-    points, patch_count = near.found_at, near.order.shape[0]
-    near.counts[PATCH_PAIRS] = near.patch_pairs.shape[0]
-    for pair in near.patch_pairs:
-        p, q = pair // patch_count, pair % patch_count
-        _pair_vertices(near, skin, p, q, points, triangle_boxes, boxes)
-        _pair_edges(near, skin, p, q, points, edge_boxes, boxes)
-        if p != q:
-            _pair_vertices(near, skin, q, p, points, triangle_boxes, boxes)
-        if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] > MOST_PAIRS * points.shape[1]:
-            near.counts[:] = 0
-            near.counts[IS_KNOWN] = TOO_MANY
-            return
-
-
-@kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["i8"]))
-def find_as_before(skin: Any, near: Any, found_at: np.ndarray, reach: np.ndarray, patch_pairs: np.ndarray) -> None:
+@kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i8"]))
+def find_as_before(
+    skin: Any, near: Any, found_at: np.ndarray, reach: np.ndarray, cones: np.ndarray, patch_pairs: np.ndarray
+) -> None:
     """Find the same pairs as another time.
 
     Which neighbouring patches were flat then is not to be told from where they are now: without this, a state that is
@@ -438,14 +638,13 @@ def find_as_before(skin: Any, near: Any, found_at: np.ndarray, reach: np.ndarray
         near: `Near`, written.
         found_at: (3, V) where the vertices were then [u].
         reach: (V,) how far they reached [u].
+        cones: (P, 4) around the patches' normals.
         patch_pairs: (.,) the patches that might meet.
     """
-    near.found_at[:], near.reach[:], near.patch_pairs = found_at, reach, patch_pairs.copy()
+    near.found_at[:], near.placed[:], near.reach[:], near.cones[:] = found_at, found_at, reach, cones
+    near.rotation[:], near.motion[:] = np.eye(3), 0.0
     near.shift[:] = 0.0
-    near.counts[:] = 0
-    near.counts[IS_KNOWN] = 1
-    patch_count = near.order.shape[0]
-    triangle_boxes, boxes = np.empty((skin.triangles.shape[0], 6)), np.empty((patch_count, 6))
-    edge_boxes = np.empty((skin.edges.shape[0], 6))
-    _fill_boxes(skin, near, near.found_at, edge_boxes, triangle_boxes, boxes)
-    _pair_features(skin, near, edge_boxes, triangle_boxes, boxes)
+    patches = near.order.shape[0]
+    for p in range(patches):
+        _fill_box(skin, near, p, near.boxes)
+    _pair_features(skin, near, patch_pairs.copy(), np.ones(patches, np.bool_), False)

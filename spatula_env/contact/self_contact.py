@@ -18,8 +18,18 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env.contact.corners import closest_weights
 from spatula_env.contact.meeting import fill_volume, find_roots, has_no_root
-from spatula_env.contact.near import MARGIN, find_near, measure_shifts, within_reach
+from spatula_env.contact.near import (
+    MARGIN,
+    closest_on_edges,
+    find_near,
+    follow_motion,
+    forget_gaps,
+    mark_beyond,
+    measure_shifts,
+    within_reach,
+)
 from spatula_env.contact.rows import ON_EDGES, ON_TRIANGLE, constraint_name
 from spatula_env.contact.skin import CROSSINGS, EDGE_PAIRS, IS_KNOWN, NEAR, SKIN, TOO_MANY, VERTEX_PAIRS
 from spatula_env.contact.structures import (
@@ -73,6 +83,29 @@ def _fill_sides(points: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bo
         else:
             sides[3 + axis] = points[c, axis] - start
             sides[6 + axis] = points[d, axis] - start
+
+
+@inline_kernel
+def _gap(sides: np.ndarray, is_edges: bool, corners: np.ndarray) -> float:
+    """How far apart two features are [u].
+
+    Args:
+        sides: (9,) see `_fill_sides`.
+        is_edges: Whether these are edges.
+        corners: (3, 3) workspace, of zeros in its first column.
+    """
+    x, y, z = sides[6], sides[7], sides[8]
+    if is_edges:
+        ux, uy, uz, vx, vy, vz = sides[0], sides[1], sides[2], sides[3], sides[4], sides[5]
+        s, t = closest_on_edges(ux, uy, uz, vx, vy, vz, -x, -y, -z)
+        x, y, z = x + t * vx - s * ux, y + t * vy - s * uy, z + t * vz - s * uz
+    else:
+        for axis in range(3):
+            corners[axis, 1], corners[axis, 2] = sides[axis], sides[3 + axis]
+        _, b, c = closest_weights(corners, 0, 1, 2, x, y, z)
+        x, y, z = x - b * sides[0] - c * sides[3], y - b * sides[1] - c * sides[4], z - b * sides[2] - c * sides[5]
+    gap: float = np.sqrt(x * x + y * y + z * z)
+    return gap
 
 
 @inline_kernel
@@ -228,6 +261,7 @@ def _gather_pairs(
     """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
     pairs = near.edge_pairs if is_edges else near.vertex_pairs
     distances, shift = near.edge_distances if is_edges else near.vertex_distances, near.shift
+    gaps, moved, corners = near.edge_gaps if is_edges else near.vertex_gaps, near.moved, np.zeros((3, 3))
     triangles, edges, left_out = skin.triangles, skin.edges, skin.left_out
     separation, deepest = SEPARATION * mean_edge, DEEPEST * mean_edge
     touching = TOUCHING * separation
@@ -240,15 +274,23 @@ def _gather_pairs(
             a, b, c, d = edges[first, 0], edges[first, 1], edges[second, 0], edges[second, 1]
             if max(shift[a], shift[b]) + max(shift[c], shift[d]) < distances[m] - touching:
                 continue
+            way = max(moved[a], moved[b]) + max(moved[c], moved[d])
         else:
             a, b, c, d = triangles[second, 0], triangles[second, 1], triangles[second, 2], first
             if max(shift[a], shift[b], shift[c]) + shift[d] < distances[m] - touching:
                 continue
+            way = max(moved[a], moved[b], moved[c]) + moved[d]
+        if way < gaps[m] - touching:
+            continue
         # Of what crosses nobody knows the side: it is left to the springs to pull it apart.
         if is_tangled and tangled[d] and (tangled[a] or tangled[b] or tangled[c]):
             continue
-        _fill_sides(vertices, a, b, c, d, is_edges, now)
         _fill_sides(held, a, b, c, d, is_edges, before)
+        if gaps[m] < 0.0:
+            gaps[m] = _gap(before, is_edges, corners)
+            if way < gaps[m] - touching:
+                continue
+        _fill_sides(vertices, a, b, c, d, is_edges, now)
         side = _side_held(before, now, is_edges, pairs[m, 2], touching, deepest, normal, place)
         if side == 0:
             continue
@@ -274,7 +316,7 @@ def _gather_pairs(
 @kernel(
     types.int64(
         CONSTRAINTS, types.int64, SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8_2"], ARRAYS["f8_2"], ARRAYS["f8_2"],
-        types.float64, types.float64,
+        types.float64, types.float64, types.boolean,
     )
 )  # fmt: skip
 def gather_organs(
@@ -288,6 +330,7 @@ def gather_organs(
     reference: np.ndarray,
     mean_edge: float,
     friction: float,
+    afresh: bool,
 ) -> int:
     """Append constraints where organs have come to themselves or to each other, making room for them.
 
@@ -302,6 +345,7 @@ def gather_organs(
         reference: (V, 3) where they were at the last query, from which friction counts [u].
         mean_edge: Of the organ with the smallest [u].
         friction: Coefficient between organs.
+        afresh: Whether `held` has changed since the last time.
 
     Returns:
         The new count.
@@ -311,8 +355,14 @@ def gather_organs(
         if near.counts[IS_KNOWN] == TOO_MANY:
             # It is thrown far; where solves put it is nearer.
             find_again(skin, near, held, vertices, vertices, mean_edge)
+    if near.counts[IS_KNOWN] == TOO_MANY:
+        # Nothing keeps it from crossing, so it is told that it does.
+        near.crossing[CROSSINGS] = 1.0
+        return count
     if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] == 0:
         return count
+    if afresh:
+        forget_gaps(near)
     measure_shifts(near, held, vertices)
     for kind in range(2):
         count = _gather_pairs(constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction)
@@ -321,7 +371,7 @@ def gather_organs(
 
 @inline_kernel
 def prepare_pairs(
-    skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, mean_edge: float, known: int, warm: Any
+    skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, mean_edge: float, is_free: bool, known: int, warm: Any
 ) -> None:
     """Begin a step: see to it that what is near is known, and tell pairs on which sides they were held in the last one.
 
@@ -331,14 +381,17 @@ def prepare_pairs(
         start: (V, 3) where the vertices are [u].
         thrown: (V, 3) where the first query looks for contact [u].
         mean_edge: Of the organ with the smallest [u].
+        is_free: Whether no node is held: organs roll and slide as a whole.
         known: How many constraints were kept.
         warm: They, a `Constraints`.
     """
     if near.counts[IS_KNOWN] == 0:
-        find_near(skin, near, start, thrown, MARGIN * mean_edge)
+        find_near(skin, near, start, thrown, MARGIN * mean_edge, near.tangled)
         near.shift[:] = 0.0
         if near.counts[IS_KNOWN] != TOO_MANY:
             find_crossings(skin, near, start)
+    elif is_free:
+        follow_motion(near, start)
     remember_sides(near, known, warm)
 
 
@@ -348,7 +401,8 @@ def find_again(
 ) -> None:
     """Find what is near, keeping in mind which sides are known."""
     names, sides = _known_sides(near)
-    farthest = vertices.copy()
+    farthest, beyond = vertices.copy(), np.empty(vertices.shape[0], np.bool_)
+    mark_beyond(near, reference, vertices, beyond)
     for i in range(vertices.shape[0]):
         here, there = 0.0, 0.0
         for axis in range(3):
@@ -357,7 +411,7 @@ def find_again(
         if there > here:
             for axis in range(3):
                 farthest[i, axis] = thrown[i, axis]
-    find_near(skin, near, reference, farthest, MARGIN * mean_edge)
+    find_near(skin, near, reference, farthest, MARGIN * mean_edge, beyond)
     _tell_sides(near, names, sides, names.shape[0])
 
 
@@ -387,8 +441,7 @@ def keep_uncrossed(
     Returns:
         Whether any has been held back.
     """
-    is_known = near.counts[IS_KNOWN] != TOO_MANY and within_reach(near, vertices)
-    if not is_known or not within_reach(near, held):
+    if not within_reach(near, vertices) or not within_reach(near, held):
         find_again(skin, near, held, vertices, vertices, mean_edge)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # Nothing keeps it from crossing, so it is told that it does.
@@ -466,9 +519,9 @@ def remember_sides(near: Any, known: int, warm: Any) -> None:
 @kernel(ARRAYS["i8"](SKIN, NEAR, ARRAYS["f8_2"], types.float64))
 def touching_pairs(skin: Any, near: Any, vertices: np.ndarray, mean_edge: float) -> np.ndarray:
     """Names, without a side, of the pairs within one organ that touch where the vertices (V, 3) are; sorted."""
-    find_near(skin, near, vertices, vertices, MARGIN * mean_edge)
+    find_near(skin, near, vertices, vertices, MARGIN * mean_edge, near.tangled)
     constraints = make_constraints(64)
-    count = gather_organs(constraints, 0, skin, near, vertices, vertices, vertices, vertices, mean_edge, 0.0)
+    count = gather_organs(constraints, 0, skin, near, vertices, vertices, vertices, vertices, mean_edge, 0.0, True)
     names, touching = np.empty(count, np.int64), 0
     for c in range(count):
         features = constraints.features[c]

@@ -59,12 +59,19 @@ class Near(structref.StructRefProxy):
         cross_pairs (., 2): an edge and a triangle; found only when it is asked what crosses.
         vertex_distances, edge_distances, cross_distances (.,): how far apart they were at least when they were found
             [u].
-        patch_pairs (.,): pairs of patches that may meet, as first x P + second.
+        patch_pairs (.,): pairs of patches that may meet, as first x P + second, ascending.
+        ends (., 3): of each pair of patches, the place after its last vertex pair, edge pair and cross pair.
+        cones (P, 4): around the normals of each patch: axis, and half the opening [rad].
+        boxes (P, 6): around what each patch can reach: lower and upper corner [u].
         counts (6,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known; how many
             pairs of patches.
         found_at (3, V): where the vertices were when they were found [u].
-        reach (V,): how far a vertex may get from there before they are to be found anew [u].
+        placed (3, V): the same, moved on as the organs have rolled and slid since as a whole [u].
+        rotation (3, 3), motion (3,): that motion takes a point x to rotation x + motion [u].
+        reach (V,): how far a vertex may get from where it is placed before they are to be found anew [u].
         shift (V,): how far it has got, as was last looked at [u].
+        moved (V,): how far it has got from where it was last on its right side [u].
+        vertex_gaps, edge_gaps (.,): how far apart pairs were there [u]; -1 where nobody has asked.
         order (P,): patches by where they begin along x.
         crossing (2,): for how long organs have crossed themselves or each other [s]; in how many places.
         tangled (V,): whether a vertex belongs to what crosses.
@@ -94,10 +101,19 @@ NEAR_FIELDS = [
     ("edge_distances", ARRAYS["f8"]),
     ("cross_distances", ARRAYS["f8"]),
     ("patch_pairs", ARRAYS["i8"]),
+    ("ends", ARRAYS["i8_2"]),
+    ("cones", ARRAYS["f8_2"]),
+    ("boxes", ARRAYS["f8_2"]),
     ("counts", ARRAYS["i8"]),
     ("found_at", ARRAYS["f8_2"]),
+    ("placed", ARRAYS["f8_2"]),
+    ("rotation", ARRAYS["f8_2"]),
+    ("motion", ARRAYS["f8"]),
     ("reach", ARRAYS["f8"]),
     ("shift", ARRAYS["f8"]),
+    ("moved", ARRAYS["f8"]),
+    ("vertex_gaps", ARRAYS["f8"]),
+    ("edge_gaps", ARRAYS["f8"]),
     ("order", ARRAYS["i4"]),
     ("crossing", ARRAYS["f8"]),
     ("tangled", ARRAYS["b1"]),
@@ -135,9 +151,10 @@ def make_near(skin: Any) -> Any:
     vertices, patches = skin.organs.shape[0], skin.neighbour_starts.shape[0] - 1
     return Near(
         np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0),
-        np.zeros(0), np.zeros(0, np.int64), np.zeros(6, np.int64), np.zeros((3, vertices)), np.zeros(vertices),
-        np.zeros(vertices), np.arange(patches).astype(np.int32), np.zeros(2),
-        np.zeros(vertices, np.bool_),
+        np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((patches, 4)), np.zeros((patches, 6)),
+        np.zeros(6, np.int64), np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3),
+        np.zeros(vertices), np.zeros(vertices), np.zeros(vertices), np.zeros(0), np.zeros(0),
+        np.arange(patches).astype(np.int32), np.zeros(2), np.zeros(vertices, np.bool_),
     )  # fmt: skip
 
 
@@ -149,13 +166,11 @@ def forget_near(near: Any) -> None:
     near.tangled[:] = False
 
 
-@kernel(types.Tuple((ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["i8"], types.boolean))(NEAR))
-def copy_near(near: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool]:
-    """Where vertices were when what is near was found (3, V) [u], how far they reach (V,) [u], which patches may meet,
-    and whether that is known.
-    """
+@kernel(types.Tuple((ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i8"], types.boolean))(NEAR))
+def copy_near(near: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
+    """What `near.find_as_before` is to be given to find again what is near; and whether it has been found."""
     known = near.counts[IS_KNOWN] == 1
-    return near.found_at.copy(), near.reach.copy(), near.patch_pairs.copy(), known
+    return near.found_at.copy(), near.reach.copy(), near.cones.copy(), near.patch_pairs.copy(), known
 
 
 @kernel(types.float64(NEAR))

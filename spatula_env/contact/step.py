@@ -77,7 +77,7 @@ VELOCITY_TOLERANCE = 1e-3
 MOST_PASSES = 10
 """Most times that contacts are looked for in one query."""
 
-MOST_RETRIES = 1
+MOST_RETRIES = 4
 """So many times it is gone on from where organs were held back from crossing,"""
 
 RETRY_PASSES = 3
@@ -139,12 +139,12 @@ ROUNDING = 1e-12
 FLAGS, SECOND_STEP = 0, 1
 """What makes contact: the flags method, with all features of the surfaces; or its second step alone, on nodes."""
 
-SETTINGS_LENGTH = 9
+SETTINGS_LENGTH = 10
 DT, MEAN_EDGE, HAS_GROUND, GROUND_HEIGHT, GROUND_FRICTION, MEAN_INVERSE_MASS, GRAVITY = 0, 1, 2, 3, 4, 5, 6
-ORGAN_FRICTION, KEEPS_APART = 7, 8
+ORGAN_FRICTION, KEEPS_APART, IS_FREE = 7, 8, 9
 """Columns of the settings: length of a step [s], mean edge of the organ with the smallest [u], whether there is ground,
 its height [u] and friction, mean inverse mass of the free nodes [1/kg], gravity [u/s2], friction between organs,
-whether organs are kept apart from themselves and each other."""
+whether organs are kept apart from themselves and each other, whether no node is held."""
 
 PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, CROSSINGS, CROSSED_FOR = 0, 1, 2, 3, 4, 5
 RESULT_LENGTH = 6
@@ -406,7 +406,10 @@ def resolve_step(
     near, held, kept = world.near, np.empty_like(start), np.empty_like(start)
     apart = settings[KEEPS_APART] > 0.0
     if apart:
-        prepare_pairs(world.skin, near, start, expected if queries == 1 else start, mean_edge, warm_count[0], warm)
+        prepare_pairs(
+            world.skin, near, start, expected if queries == 1 else start, mean_edge, settings[IS_FREE] > 0.0,
+            warm_count[0], warm,
+        )  # fmt: skip
     reference = start
     shift = start
     if queries > 1:
@@ -438,7 +441,7 @@ def resolve_step(
         fill_rotation(start_orientations[k], 1.0, last_rotation[k])
     holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 2, np.int64)
     count, passed, tried = 0, 0, 0
-    organ_done = 0.0
+    organ_done, depth = 0.0, 0.0
     # In a step that is divided more may be asked than can be had, and what is overdone in one place is then missing in
     # another.
     relaxation = OVER_RELAXATION if queries == 1 else 1.0
@@ -498,15 +501,18 @@ def resolve_step(
                 lead_by_motion(tool, memory, surfaces[o])
                 decide_flags(tool, memory, surfaces[o], first_step, exclusive, 0 if mode == SECOND_STEP else 2)
         retries, last_attempt, met, tries, sinks, least, is_last = 0, MOST_PASSES, False, 0, False, np.inf, False
-        crossed = near.crossing[skin.CROSSINGS]
+        crossed, afresh = near.crossing[skin.CROSSINGS], True
+        # Between queries it is enough to know that it is not too deep.
+        depth, allowed = 0.0, 0.0 if query == queries - 1 else RESIDUAL_TOLERANCE
         copy_points(reference, held)
         for attempt in range(MOST_LOOKS):
             count = 0
             if apart:
                 count = gather_organs(
                     constraints, 0, world.skin, near, held, vertices, thrown, reference, mean_edge,
-                    settings[ORGAN_FRICTION],
+                    settings[ORGAN_FRICTION], afresh,
                 )  # fmt: skip
+                afresh = False
             met |= count > 0
             if settings[HAS_GROUND] > 0.0:
                 reserve(constraints, count, count + vertex_count)
@@ -566,15 +572,15 @@ def resolve_step(
             if settled or attempt >= last_attempt or is_last:
                 if is_last:
                     break
-                depth = 0.0
                 if mode == FLAGS:
                     for k in range(tool_count):
                         for o in range(organ_count):
                             looked_at[k * organ_count + o] = passes[k] and (
                                 attempt > 0 or not quiet[k * organ_count + o]
                             )
-                    depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices)
-                if depth > RESIDUAL_TOLERANCE and tries < MOST_SUNK:
+                    depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices, allowed)
+                # A tool that goes far in a step is where it is by its way alone.
+                if parts == 1 and depth > RESIDUAL_TOLERANCE and tries < MOST_SUNK:
                     # Rows are missing, or could not be kept.
                     sinks = sinks or settled or depth > SUNK_DEPTH
                     if depth < least:
@@ -587,30 +593,23 @@ def resolve_step(
                     copy_points(kept, vertices)
                     depth = least
                 crosses = met or near.crossing[skin.CROSSINGS] > 0.0
-                # Too much of an organ is near too much else for contact to be looked for: it stays where it was.
-                crowded = apart and near.counts[skin.IS_KNOWN] == skin.TOO_MANY and near.crossing[skin.CROSSINGS] == 0.0
-                if crowded:
-                    copy_points(reference, vertices)
-                    if mode == FLAGS:
-                        depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices)
-                if (crosses or crowded) and keep_uncrossed(
-                    world.skin, near, inverse_mass, tried, trial, held, vertices, mean_edge
-                ):
+                if crosses and keep_uncrossed(world.skin, near, inverse_mass, tried, trial, held, vertices, mean_edge):
                     is_last = True
-                    if retries < MOST_RETRIES and not crowded:
+                    if mode == FLAGS:
+                        depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices, allowed)
+                    most = MOST_RETRIES if depth > SUNK_DEPTH else 1
+                    if retries < most:
                         # Tools go on, and push where the organ has been left.
                         remember_sides(near, tried, trial)
                         copy_points(vertices, held)
+                        afresh = True
                         retries, last_attempt, is_last = retries + 1, attempt + RETRY_PASSES, False
                         tries, least, sinks = 0, np.inf, False
                         continue
-                    if mode == FLAGS:
-                        depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices)
-                is_last |= crowded
                 crossings = near.crossing[skin.CROSSINGS]
-                if depth > SUNK_DEPTH or crossings > crossed:
+                if parts == 1 and tool_count > 0 and (depth > SUNK_DEPTH or (crossings > 0.0 and crossed == 0.0)):
                     is_last = True
-                    for stage in range(1 if crossings > crossed else 0, 2):
+                    for stage in range(1 if (crossings > 0.0 and crossed == 0.0) else 0, 2):
                         copy_points(vertices, kept)
                         arrest(world, tool_count, looked_at, position, rotation, reference, stage == 1, kept)
                         if crosses:
@@ -618,7 +617,7 @@ def resolve_step(
                             keep_uncrossed(world.skin, near, inverse_mass, 0, trial, reference, kept, mean_edge)
                         left = depth
                         if mode == FLAGS:
-                            left = depth_of_tools(world, tool_count, looked_at, position, rotation, kept)
+                            left = depth_of_tools(world, tool_count, looked_at, position, rotation, kept, allowed)
                         if left <= max(depth, SUNK_DEPTH) and near.crossing[skin.CROSSINGS] <= crossings:
                             depth, crossings = left, near.crossing[skin.CROSSINGS]
                             copy_points(kept, vertices)
@@ -664,12 +663,12 @@ def resolve_step(
     keep_for_next(tried, trial, passed if parts == 1 else 0, earlier, warm)
     warm_count[0] = tried
     measure_gaps(count, constraints.rows, constraints.features, inverse_mass, settings[MEAN_INVERSE_MASS], vertices)
-    for k in range(tool_count):
-        for o in range(organ_count):
-            if passes[k] and not quiet[k * organ_count + o]:
-                memory = memories[k * organ_count + o]
-                fill_local(position[k], rotation[k], vertices, first_vertices[o], memory.local)
-                result[RESIDUAL] = pair_depth(tools[k], memory, surfaces[o], result[RESIDUAL])
+    if mode != FLAGS:
+        for k in range(tool_count):
+            for o in range(organ_count):
+                looked_at[k * organ_count + o] = passes[k] and not quiet[k * organ_count + o]
+        depth = depth_of_tools(world, tool_count, looked_at, position, rotation, vertices, 0.0)
+    result[RESIDUAL] = depth
     if passed > 0:
         reserve(constraints, count, count + passed)
         count = add_passed(count, passed, constraints, earlier, positions)

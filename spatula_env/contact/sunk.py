@@ -89,6 +89,8 @@ def gather_sunk_triangles(
         if corners == 0:
             continue
         fill_local_normal(local, triangles[t], normal)
+        if not np.isfinite(normal[0] + normal[1] + normal[2]):
+            continue
         for p in range(planes):
             facing[p] = 0.0
             for axis in range(3):

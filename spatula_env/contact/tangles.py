@@ -9,7 +9,7 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, inline_kernel, kernel
 from spatula_env.contact.motion import copy_points
-from spatula_env.contact.near import find_cross_pairs, measure_shifts, within_reach
+from spatula_env.contact.near import find_cross_pairs, follow_motion, measure_shifts, within_reach
 from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
 
 MOST_ATTEMPTS = 12
@@ -126,13 +126,15 @@ def _note_crossings(near: Any, crossings: int, involved: np.ndarray) -> None:
         near.tangled[i] = involved[i]
 
 
-@kernel(types.boolean(SKIN, NEAR, ARRAYS["f8_2"]))
-def place(skin: Any, near: Any, points: np.ndarray) -> bool:
-    """Put vertices (V, 3) somewhere [u], and find out where organs cross there.
+@kernel(types.boolean(SKIN, NEAR, ARRAYS["f8_2"], types.boolean))
+def place(skin: Any, near: Any, points: np.ndarray, is_free: bool) -> bool:
+    """Put vertices (V, 3) somewhere [u], of organs of which none is held if they are free, and find what crosses there.
 
     Returns:
         Whether that is within reach of where they were when what is near was found; otherwise nothing is done.
     """
+    if is_free:
+        follow_motion(near, points)
     if not within_reach(near, points):
         return False
     measure_shifts(near, points, points)

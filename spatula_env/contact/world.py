@@ -45,13 +45,15 @@ class NearMemory(NamedTuple):
     Attributes:
         found_at: (3, V) where the nodes were when it was found what is near [u].
         reach: (V,) how far they may get from there before it is found anew [u].
-        patch_pairs: Which parts of the surfaces may meet.
+        cones: (P, 4) around the normals of parts of the surfaces.
+        patch_pairs: Which of those parts may meet.
         is_known: Whether any of this is known.
         crossed_for: For how long organs have crossed themselves or each other [s].
     """
 
     found_at: FloatArray
     reach: FloatArray
+    cones: FloatArray
     patch_pairs: NDArray[np.int64]
     is_known: bool
     crossed_for: float
@@ -97,7 +99,7 @@ class World:
     Attributes:
         memories: Of each tool (outer) and organ (inner).
         friction: (N,) coefficients of the tools.
-        settings: (9,) by the column names of `step`.
+        settings: (10,) by the column names of `step`.
         inverse_masses: (V,) of the organs' nodes [1/kg].
         ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
         workspace: Of a query.
@@ -169,6 +171,7 @@ class World:
         """Change the masses of the organs' nodes (V,) [1/kg]."""
         self.inverse_masses[:] = inverse_masses
         free = inverse_masses[inverse_masses > 0.0]
+        self.settings[step.IS_FREE] = float(len(free) == len(inverse_masses))
         self.settings[step.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
 
     def forget_solves(self) -> None:
@@ -194,7 +197,8 @@ class World:
 
     def copy_near(self) -> NearMemory:
         """What is near and has crossed, as arrays of its own."""
-        return NearMemory(*copy_near(self._near), self.crossed_for)
+        found_at, reach, cones, patch_pairs, is_known = copy_near(self._near)
+        return NearMemory(found_at, reach, cones, patch_pairs, bool(is_known), self.crossed_for)
 
     def restore_near(self, memory: NearMemory, vertices: FloatArray) -> None:
         """Go back to what was copied.
@@ -206,8 +210,8 @@ class World:
         """
         forget_near(self._near)
         if memory.is_known:
-            find_as_before(self._skin, self._near, memory.found_at, memory.reach, memory.patch_pairs)
-            if not place(self._skin, self._near, vertices):
+            find_as_before(self._skin, self._near, *memory[:4])
+            if not place(self._skin, self._near, vertices, bool(self.settings[step.IS_FREE])):
                 forget_near(self._near)
         set_crossed_for(self._near, memory.crossed_for)
 

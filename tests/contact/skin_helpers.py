@@ -46,5 +46,5 @@ def skin_of(*organs):
 def gathered(gather_organs, skin, near, held, vertices, mean_edge=1.0, friction=0.0):
     """Names, features and rows of the constraints between organs."""
     constraints = make_constraints(16)
-    count = gather_organs(constraints, 0, skin, near, held, vertices, vertices, held, mean_edge, friction)
+    count = gather_organs(constraints, 0, skin, near, held, vertices, vertices, held, mean_edge, friction, True)
     return copy_constraints(constraints, count)

@@ -7,10 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skin_helpers import edges_of, pairs_of, patches_of, skin_of, triangles_of
 
-from spatula_env.contact.near import find_near
+from spatula_env.contact.near import find_as_before, find_cross_pairs, find_near
+from spatula_env.contact.skin import copy_near
 from spatula_env.geometry import box_surface, icosphere
 
 seeds = st.integers(0, 2**32 - 1)
+
+
+def nowhere(points):
+    """No vertex of which it is known that it has got out of reach."""
+    return np.zeros(len(points), dtype=np.bool_)
 
 
 def segment_distances(p, q, c, d):
@@ -43,7 +49,7 @@ def test_what_is_within_reach_of_each_other_on_two_organs_is_found(seed):
     points = np.concatenate([organ.vertices, organ.vertices + shift])
     points = points + 0.02 * generator.normal(size=points.shape)
     thrown, margin = points + 0.03 * generator.normal(size=points.shape), 0.03
-    find_near(skin, near, points, thrown, margin)
+    find_near(skin, near, points, thrown, margin, nowhere(points))
     _, edge_pairs, _ = pairs_of(near)
     assert len(edge_pairs) > 0
     reach = margin + np.linalg.norm(thrown - points, axis=1)
@@ -59,7 +65,7 @@ def test_what_is_within_reach_of_each_other_on_two_organs_is_found(seed):
 def test_a_smooth_surface_is_not_near_itself():
     organ = icosphere(3.0, 2)
     skin, near = skin_of(organ)
-    find_near(skin, near, np.array(organ.vertices), np.array(organ.vertices), 0.1)
+    find_near(skin, near, np.array(organ.vertices), np.array(organ.vertices), 0.1, nowhere(organ.vertices))
     vertex_pairs, edge_pairs, _ = pairs_of(near)
     assert len(vertex_pairs) == 0 and len(edge_pairs) == 0
 
@@ -68,10 +74,35 @@ def test_walls_that_are_pressed_together_are_near_each_other():
     organ = icosphere(3.0, 2)
     skin, near = skin_of(organ)
     flat = organ.vertices * (1.0, 1.0, 0.02)
-    find_near(skin, near, flat, flat, 0.1)
+    find_near(skin, near, flat, flat, 0.1, nowhere(flat))
     vertex_pairs, _, _ = pairs_of(near)
     triangles = triangles_of(skin)
     # Each vertex of the upper half is near a triangle of the lower one.
     upper = np.flatnonzero(organ.vertices[:, 2] > 0.5)
     below = {int(v) for v, t, _ in vertex_pairs.tolist() if organ.vertices[triangles[t], 2].max() < 0.0}
     assert set(upper.tolist()) <= below
+
+
+@settings(max_examples=25)
+@given(seeds, st.floats(0.0, 0.3), st.booleans())
+def test_what_is_found_anew_around_moved_vertices_is_what_would_be_found_from_nothing(seed, share, crossings):
+    generator = np.random.default_rng(seed)
+    organ = icosphere(1.0, 2)
+    skin, near = skin_of(organ, organ)
+    points = np.concatenate([organ.vertices * (1.0, 1.0, 0.1), organ.vertices + np.array([0.0, 0.0, 1.2])])
+    find_near(skin, near, points, points, 0.05, nowhere(points))
+    if crossings:
+        find_cross_pairs(skin, near)
+    moved = generator.random(len(points)) < share
+    points = points + np.where(moved[:, None], 0.2 * generator.normal(size=points.shape), 0.0)
+    thrown = points + 0.05 * generator.normal(size=points.shape)
+    find_near(skin, near, points, thrown, 0.05, moved)
+    if not crossings:
+        find_cross_pairs(skin, near)
+    *remembered, known = copy_near(near)
+    assert known
+    other = skin_of(organ, organ)[1]
+    find_as_before(skin, other, *remembered)
+    find_cross_pairs(skin, other)
+    for found, expected in zip(pairs_of(near), pairs_of(other), strict=True):
+        assert found.tolist() == expected.tolist()

@@ -1,0 +1,107 @@
+"""Which rigid motion takes points to where they are now: organs that roll stay as near to themselves as before."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from spatula_env._kernels import inline_kernel
+
+ITERATIONS = 12
+"""Most steps of Newton's method for the rotation; a few do."""
+
+CONVERGED = 1e-9
+"""Greatest change in the last one."""
+
+DEGENERATE = 1e-6
+"""Points with a smaller determinant than this, in their size, tell no rotation."""
+
+
+@inline_kernel
+def _polar(matrix: np.ndarray) -> bool:
+    """Replace a matrix (3, 3) by the rotation in its polar decomposition; whether there is one.
+
+    N. J. Higham, SIAM Journal on Scientific and Statistical Computing 7(4), 1986.
+    """
+    size = 0.0
+    for i in range(3):
+        for k in range(3):
+            size = max(size, abs(matrix[i, k]))
+    if not size > 0.0:
+        return False
+    for i in range(3):
+        for k in range(3):
+            matrix[i, k] /= size
+    cofactors = np.empty((3, 3))
+    for iteration in range(ITERATIONS):
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            for m in range(3):
+                n, o = (m + 1) % 3, (m + 2) % 3
+                cofactors[i, m] = matrix[j, n] * matrix[k, o] - matrix[j, o] * matrix[k, n]
+        determinant = matrix[0, 0] * cofactors[0, 0] + matrix[0, 1] * cofactors[0, 1] + matrix[0, 2] * cofactors[0, 2]
+        if iteration == 0 and not determinant > DEGENERATE:
+            return False
+        change = 0.0
+        for i in range(3):
+            for k in range(3):
+                value = 0.5 * (matrix[i, k] + cofactors[i, k] / determinant)
+                change = max(change, abs(value - matrix[i, k]))
+                matrix[i, k] = value
+        if change < CONVERGED:
+            break
+    return True
+
+
+@inline_kernel
+def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> None:
+    """Write the rigid motion that takes points to where they are now in the sense of least squares, about.
+
+    Args:
+        before: (3, V) [u].
+        now: (V, 3) [u].
+        rotation: (3, 3) written.
+        shift: (3,) written: a point x has gone to rotation x + shift [u].
+    """
+    count = now.shape[0]
+    first, second = np.zeros(3), np.zeros(3)
+    for i in range(count):
+        for axis in range(3):
+            first[axis] += before[axis, i]
+            second[axis] += now[i, axis]
+    for axis in range(3):
+        first[axis] /= count
+        second[axis] /= count
+    rotation[:] = 0.0
+    for i in range(count):
+        x, y, z = before[0, i] - first[0], before[1, i] - first[1], before[2, i] - first[2]
+        for axis in range(3):
+            p = now[i, axis] - second[axis]
+            rotation[axis, 0] += p * x
+            rotation[axis, 1] += p * y
+            rotation[axis, 2] += p * z
+    if not _polar(rotation):
+        rotation[:] = 0.0
+        for axis in range(3):
+            rotation[axis, axis] = 1.0
+    for axis in range(3):
+        shift[axis] = second[axis] - (
+            rotation[axis, 0] * first[0] + rotation[axis, 1] * first[1] + rotation[axis, 2] * first[2]
+        )
+
+
+@inline_kernel
+def move_points(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, moved: np.ndarray) -> None:
+    """Write where a rigid motion takes points (3, V) [u] into an array of that shape."""
+    for axis in range(3):
+        a, b, c, d = rotation[axis, 0], rotation[axis, 1], rotation[axis, 2], shift[axis]
+        for i in range(points.shape[1]):
+            moved[axis, i] = a * points[0, i] + b * points[1, i] + c * points[2, i] + d
+
+
+@inline_kernel
+def move_back(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, moved: np.ndarray) -> None:
+    """Write from where a rigid motion takes points to (V, 3) [u], into an array of that shape."""
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] - shift[0], points[i, 1] - shift[1], points[i, 2] - shift[2]
+        for axis in range(3):
+            moved[i, axis] = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
