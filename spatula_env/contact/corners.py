@@ -166,7 +166,8 @@ def gather_corners(
                 + last_normal[2] * (z - last[2, a])
             )
             behind[corner] |= height < -MARGIN
-            if height > MARGIN or last_height < -SLACK or count == room:
+            # So that a triangle without area, whose heights are no numbers, is left out, too.
+            if not (height <= MARGIN and last_height >= -SLACK) or count == room:
                 continue
             wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height)
             if min(wa, wb, wc) < -OUTSIDE_TRIANGLE:
