@@ -304,7 +304,10 @@ def run(job: Job, *, tell: bool = False) -> Endurance:
         act = ExploringPolicy(job.task, envs, generator).act
     else:
         drawn = RandomActions(job.actions, (count, envs.single_action_space.shape[0]), generator)
-        act = lambda observation: drawn.draw()  # noqa: E731
+
+        def act(observation: Any) -> Any:
+            return drawn.draw()
+
     worlds = envs.unwrapped.worlds
     observation, _ = envs.reset(seed=job.seed)
     recorders = []

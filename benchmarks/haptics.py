@@ -14,7 +14,7 @@ is asked of it (`haptics_matrix`). 792 runs, 3.6 hours of simulated time: about 
 *period*, in real time: how regularly the loop goes round, in a process of its own and in a thread beside the simulation
 (`haptics_period`). Needs a machine that does nothing else::
 
-    python -m benchmarks.haptics --file /tmp/haptics.jsonl
+    python -m benchmarks.haptics --file haptics.jsonl
     python -m benchmarks.haptics --parts period --seconds 60
     python -m benchmarks.haptics --parts holds scenarios --hands nominal --scales 1 --mechanisms off
 """

@@ -17,6 +17,38 @@ PRECISION = 1e-5
 
 
 @inline_kernel
+def fill_under(
+    plane_normals: np.ndarray, plane_offsets: np.ndarray, local: np.ndarray, a: int, b: int, c: int, enough: float,
+    under: np.ndarray,
+) -> float:  # fmt: skip
+    """Write how deep the corners of a triangle are under each face of a tool.
+
+    Args:
+        plane_normals: (P, 3) of the tool.
+        plane_offsets: (P,) of the tool [u].
+        local: (3, V) the organ's vertices in the tool's frame [u].
+        a: First corner.
+        b: Second corner.
+        c: Third corner.
+        enough: Where no corner is deeper than this under a face, those that follow are left out [u].
+        under: (P, 3) written [u].
+
+    Returns:
+        No point of the triangle is deeper in the tool than this [u].
+    """
+    most = np.inf
+    for p in range(plane_offsets.shape[0]):
+        nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
+        under[p, 0] = offset - nx * local[0, a] - ny * local[1, a] - nz * local[2, a]
+        under[p, 1] = offset - nx * local[0, b] - ny * local[1, b] - nz * local[2, b]
+        under[p, 2] = offset - nx * local[0, c] - ny * local[1, c] - nz * local[2, c]
+        most = min(most, max(under[p, 0], under[p, 1], under[p, 2]))
+        if most <= enough:
+            break
+    return most
+
+
+@inline_kernel
 def clip_triangle(
     under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray
 ) -> tuple[int, np.ndarray, np.ndarray]:
@@ -119,15 +151,7 @@ def surface_depth(
             apart |= (min(x, y, z) > extent[3 + axis]) | (max(x, y, z) < extent[axis])
         if apart:
             continue
-        most = np.inf
-        for p in range(planes):
-            nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
-            under[p, 0] = offset - nx * local[0, a] - ny * local[1, a] - nz * local[2, a]
-            under[p, 1] = offset - nx * local[0, b] - ny * local[1, b] - nz * local[2, b]
-            under[p, 2] = offset - nx * local[0, c] - ny * local[1, c] - nz * local[2, c]
-            most = min(most, max(under[p, 0], under[p, 1], under[p, 2]))
-            if most <= greatest:
-                break
+        most = fill_under(plane_normals, plane_offsets, local, a, b, c, greatest, under)
         if most <= greatest + PRECISION:
             continue
         low, high = greatest, _reaches(under, greatest + PRECISION, first, second)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from spatula_env._kernels import inline_kernel
-from spatula_env.contact.depth import clip_triangle
+from spatula_env.contact.depth import clip_triangle, fill_under
 from spatula_env.contact.features import pushed_by
 from spatula_env.contact.flags import fill_local_normal
 from spatula_env.contact.path import MARGIN
@@ -74,22 +74,14 @@ def gather_sunk_triangles(
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         if codes[a] & codes[b] & codes[c] != 0:
             continue
-        most = np.inf
-        for p in range(planes):
-            nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
-            under[p, 0] = offset - nx * local[0, a] - ny * local[1, a] - nz * local[2, a]
-            under[p, 1] = offset - nx * local[0, b] - ny * local[1, b] - nz * local[2, b]
-            under[p, 2] = offset - nx * local[0, c] - ny * local[1, c] - nz * local[2, c]
-            most = min(most, max(under[p, 0], under[p, 1], under[p, 2]))
-            if most <= MARGIN:
-                break
-        if most <= MARGIN:
+        if fill_under(plane_normals, plane_offsets, local, a, b, c, MARGIN, under) <= MARGIN:
             continue
         corners, weights, _ = clip_triangle(under, MARGIN, first, second)
         if corners == 0:
             continue
         fill_local_normal(local, triangles[t], normal)
         if not np.isfinite(normal[0] + normal[1] + normal[2]):
+            # A triangle without area has no outside.
             continue
         for p in range(planes):
             facing[p] = 0.0
