@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.flags import fill_local_normal, triangle_weights
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, SLACK
 from spatula_env.contact.rows import ON_CORNER, append_constraint, constraint_name
@@ -29,7 +29,7 @@ TIE = 1.0 + 1e-9
 """Squared distances with a smaller ratio are the same."""
 
 
-@inline_kernel
+@array_kernel
 def best_plane(plane_normals: np.ndarray, nx: float, ny: float, nz: float) -> int:
     """The face of the tool whose normal is nearest to a direction."""
     best, largest = 0, -np.inf
@@ -40,7 +40,7 @@ def best_plane(plane_normals: np.ndarray, nx: float, ny: float, nz: float) -> in
     return best
 
 
-@inline_kernel
+@array_kernel
 def meeting_weights(
     last: np.ndarray,
     local: np.ndarray,
@@ -52,6 +52,7 @@ def meeting_weights(
     z: float,
     last_height: float,
     height: float,
+    moving: np.ndarray,
 ) -> tuple[float, float, float]:
     """Barycentric weights of a point where the plane of a moving triangle met it.
 
@@ -66,11 +67,11 @@ def meeting_weights(
         z: The point.
         last_height: Of the point over the plane before [u].
         height: Now, not greater than `MARGIN` [u].
+        moving: (3, 3) workspace.
 
     Returns:
         Weights of the corners, as the triangle was then.
     """
-    moving = np.empty((3, 3))
     low, high = 0.0, 1.0
     at_low, at_high = max(last_height, 0.0), min(height, 0.0)
     wa, wb, wc = 0.0, 0.0, 0.0
@@ -97,7 +98,7 @@ def meeting_weights(
     return wa, wb, wc
 
 
-@inline_kernel
+@array_kernel
 def _swept_range(local: np.ndarray, last: np.ndarray, axis: int, a: int, b: int, c: int) -> tuple[float, float]:
     """Least and greatest coordinate of a triangle between two queries, with a margin."""
     low = min(min(local[axis, a], local[axis, b], local[axis, c]), min(last[axis, a], last[axis, b], last[axis, c]))
@@ -137,7 +138,7 @@ def gather_corners(
     """
     local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
     plane_normals = tool.plane_normals
-    normal, last_normal = np.empty(3), np.empty(3)
+    normal, last_normal, moving = np.empty(3), np.empty(3), np.empty((3, 3))
     heights[:] = np.inf
     behind[:] = False
     for k in range(found):
@@ -169,7 +170,7 @@ def gather_corners(
             # So that a triangle without area, whose heights are no numbers, is left out, too.
             if not (height <= MARGIN and last_height >= -SLACK) or count == room:
                 continue
-            wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height)
+            wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height, moving)
             if min(wa, wb, wc) < -OUTSIDE_TRIANGLE:
                 continue
             heights[corner] = min(heights[corner], height)
@@ -193,7 +194,7 @@ def gather_corners(
     return count
 
 
-@inline_kernel
+@array_kernel
 def closest_weights(
     local: np.ndarray, a: int, b: int, c: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
@@ -266,7 +267,7 @@ def list_near(extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reac
     return found
 
 
-@inline_kernel
+@array_kernel
 def list_around(triangles: np.ndarray, t: int, around: np.ndarray) -> int:
     """List a triangle and those that have a vertex in common with it, in around (T,). Returns how many there are."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -282,7 +283,7 @@ def list_around(triangles: np.ndarray, t: int, around: np.ndarray) -> int:
     return found
 
 
-@inline_kernel
+@array_kernel
 def find_nearest(
     local: np.ndarray,
     triangles: np.ndarray,

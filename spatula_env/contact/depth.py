@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.corners import SUNK, encloses, find_nearest, list_near
 
 PRECISION = 1e-5
 """To which a depth is found [u]."""
 
 
-@inline_kernel
+@array_kernel
 def fill_under(
     plane_normals: np.ndarray, plane_offsets: np.ndarray, local: np.ndarray, a: int, b: int, c: int, enough: float,
     under: np.ndarray,
@@ -48,21 +48,20 @@ def fill_under(
     return most
 
 
-@inline_kernel
-def clip_triangle(
-    under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray
-) -> tuple[int, np.ndarray, np.ndarray]:
+@array_kernel
+def clip_triangle(under: np.ndarray, depth: float, first: np.ndarray, second: np.ndarray) -> tuple[int, bool]:
     """The part of a triangle that is this deep, or deeper, under all faces of a tool: a convex polygon.
 
     Args:
         under: (P, 3) how deep its corners are under each face [u].
         depth: [u].
-        weights: (P + 4, 3) workspace.
-        clipped: (P + 4, 3) workspace.
+        first: (P + 4, 3) written: the weights of that part's corners,
+        second: (P + 4, 3) or here.
 
     Returns:
-        How many corners that part has, their weights, and the other of the two arrays.
+        How many corners that part has, and whether their weights are in the second array.
     """
+    weights, clipped, is_second = first, second, False
     count = 3
     for i in range(3):
         for k in range(3):
@@ -87,29 +86,30 @@ def clip_triangle(
                 left += 1
             last, before = i, here
         if left == 0:
-            return 0, weights, clipped
+            return 0, is_second
         count = left
-        weights, clipped = clipped, weights
-    return count, weights, clipped
+        weights, clipped, is_second = clipped, weights, not is_second
+    return count, is_second
 
 
-@inline_kernel
-def _reaches(under: np.ndarray, depth: float, weights: np.ndarray, clipped: np.ndarray) -> float:
+@array_kernel
+def _reaches(under: np.ndarray, depth: float, first: np.ndarray, second: np.ndarray) -> float:
     """Whether a part of a triangle is this deep under all faces of a tool, and how deep it is at most.
 
     Args:
         under: (P, 3) how deep its corners are under each face [u].
         depth: [u].
-        weights: (P + 4, 3) workspace.
-        clipped: (P + 4, 3) workspace.
+        first: (P + 4, 3) workspace.
+        second: (P + 4, 3) workspace.
 
     Returns:
         A bound on the depth of that part, from its corners: no point of it is deeper under the face that it is least
         deep under [u]; 0 if there is none.
     """
-    count, weights, _ = clip_triangle(under, depth, weights, clipped)
+    count, is_second = clip_triangle(under, depth, first, second)
     if count == 0:
         return 0.0
+    weights = second if is_second else first
     bound = np.inf
     for p in range(under.shape[0]):
         deepest = 0.0

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.corners import gather_corners, gather_sunk_corners
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_EDGE, ON_GROUND, ON_NODE, ON_VERTEX, append_constraint, constraint_name
@@ -51,7 +51,7 @@ PARALLEL = 1e-6
 """Edges whose directions have a smaller sine than this are parallel."""
 
 
-@inline_kernel
+@array_kernel
 def gather_ground(
     rows: np.ndarray,
     features: np.ndarray,
@@ -140,13 +140,14 @@ def find_candidates(tool: Any, memory: Any, triangles: np.ndarray) -> int:
     return found
 
 
-@inline_kernel
-def pushed_by(known: int, constraints: Any, owner: int, name: int, plane: int) -> int:
+@array_kernel
+def pushed_by(known: int, names: np.ndarray, features: np.ndarray, owner: int, name: int, plane: int) -> int:
     """By which face of a tool a contact pushed in the last pass; `plane` if it is not among those that did.
 
     Args:
         known: How many contacts pushed.
-        constraints: They.
+        names: Theirs, see `structures.Constraints`.
+        features: Theirs, see there.
         owner: The tool.
         name: Of the contact.
         plane: A face.
@@ -155,8 +156,8 @@ def pushed_by(known: int, constraints: Any, owner: int, name: int, plane: int) -
         The face.
     """
     for e in range(known):
-        if constraints.names[e] == name and constraints.features[e, OWNER] == owner:
-            return int(constraints.features[e, PLANE])
+        if names[e] == name and features[e, OWNER] == owner:
+            return int(features[e, PLANE])
     return plane
 
 
@@ -185,6 +186,7 @@ def gather_vertices(
     """
     local, last, codes = memory.local, memory.last_local, memory.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
+    trial_names, trial_features = trial.names, trial.features
     for i in range(local.shape[1]):
         if codes[i] != 0:
             continue
@@ -193,7 +195,7 @@ def gather_vertices(
         if p < 0:
             continue
         name = constraint_name(ON_VERTEX, 0, i + first_vertex, 0)
-        p = pushed_by(tried, trial, owner, name, p)
+        p = pushed_by(tried, trial_names, trial_features, owner, name, p)
         nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
         height = nx * x + ny * y + nz * z - plane_offsets[p]
         count = append_constraint(
@@ -205,7 +207,7 @@ def gather_vertices(
     return count
 
 
-@inline_kernel
+@array_kernel
 def ridge_contact(
     ridges: np.ndarray,
     corners: np.ndarray,
@@ -269,7 +271,7 @@ def ridge_contact(
     return True
 
 
-@inline_kernel
+@array_kernel
 def fill_heights(
     plane_normals: np.ndarray,
     plane_offsets: np.ndarray,
@@ -298,7 +300,7 @@ def fill_heights(
         heights[3, p] = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
 
 
-@inline_kernel
+@array_kernel
 def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]:
     """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
 
@@ -330,7 +332,7 @@ def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]
     return first, end, plane_in, plane_out
 
 
-@inline_kernel
+@array_kernel
 def touched_plane(heights: np.ndarray, which: int, time: float, other: int, within: float = 2.0 * MARGIN) -> int:
     """The face that an end of an edge touches, or is `within` [u] behind, at a time between two queries; -1 if none.
 
@@ -349,7 +351,7 @@ def touched_plane(heights: np.ndarray, which: int, time: float, other: int, with
     return best if best >= 0 else second
 
 
-@inline_kernel
+@array_kernel
 def least_deep_plane(heights: np.ndarray, time: float, first: float, end: float) -> int:
     """The face behind which the part of an edge from `first` to `end` is least deep, at a time between two queries."""
     best, least = -1, np.inf
@@ -362,7 +364,7 @@ def least_deep_plane(heights: np.ndarray, time: float, first: float, end: float)
     return best
 
 
-@inline_kernel
+@array_kernel
 def meeting_time(heights: np.ndarray, samples: int) -> float:
     """When, between two queries, an edge of the organ first touched the tool.
 
@@ -395,7 +397,7 @@ def meeting_time(heights: np.ndarray, samples: int) -> float:
     return high
 
 
-@inline_kernel
+@array_kernel
 def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
     """Whether an edge lies within the faces around one, from one query to the next: it passes over none of its rim.
 
@@ -412,7 +414,7 @@ def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
     return True
 
 
-@inline_kernel
+@array_kernel
 def border_reached(heights: np.ndarray, which: int, time: float, met: int, samples: int, ridges: np.ndarray) -> int:
     """Through which face next to the one it met an edge leaves the tool once its end has swung down past the rim.
 
@@ -442,7 +444,7 @@ def border_reached(heights: np.ndarray, which: int, time: float, met: int, sampl
     return -1
 
 
-@inline_kernel
+@array_kernel
 def edge_misses(extent: np.ndarray, last: np.ndarray, local: np.ndarray, a: int, b: int) -> bool:
     """Whether the box around an edge's way between two queries is apart from the box around the tool."""
     for axis in range(3):

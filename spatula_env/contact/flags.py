@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.path import ON_PLANE, entry_plane
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.rigid import opposes_best, turn
@@ -88,7 +88,7 @@ class Contacts:
         return self._record[:, 7:10]
 
 
-@inline_kernel
+@array_kernel
 def fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) -> None:
     """Write the rotation matrix of a quaternion (xyzw) that `scale` brings to unit length, row by row."""
     x, y, z, w = scale * quaternion[0], scale * quaternion[1], scale * quaternion[2], scale * quaternion[3]
@@ -97,7 +97,7 @@ def fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) ->
     rotation[6], rotation[7], rotation[8] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
 
 
-@inline_kernel
+@array_kernel
 def _fill_triangle_normal(vertices: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> None:
     """Write the unit outward normal of a triangle."""
     a, b, c = corners[0], corners[1], corners[2]
@@ -116,7 +116,7 @@ def _fill_triangle_normal(vertices: np.ndarray, corners: np.ndarray, normal: np.
     normal[0], normal[1], normal[2] = x * scale, y * scale, z * scale
 
 
-@inline_kernel
+@array_kernel
 def fill_local_normal(local: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> None:
     """Write the unit outward normal of a triangle whose vertices are in local (3, V)."""
     a, b, c = corners[0], corners[1], corners[2]
@@ -127,7 +127,7 @@ def fill_local_normal(local: np.ndarray, corners: np.ndarray, normal: np.ndarray
     normal[0], normal[1], normal[2] = x * scale, y * scale, z * scale
 
 
-@inline_kernel
+@array_kernel
 def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray) -> None:
     """Write the barycentric weights of the contact point of one record into its first three entries."""
     normal, point = record[4:7], record[7:10]
@@ -148,7 +148,7 @@ def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray)
     record[2] = 1.0 - record[0] - record[1]
 
 
-@inline_kernel
+@array_kernel
 def fill_local(
     position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray, first_vertex: int, local: np.ndarray
 ) -> None:
@@ -162,7 +162,7 @@ def fill_local(
         local[2, i] = rotation[2] * x + rotation[5] * y + rotation[8] * z
 
 
-@inline_kernel
+@array_kernel
 def triangle_weights(
     local: np.ndarray, a: int, b: int, c: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
@@ -226,7 +226,7 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
         came_through[i] = plane == face[i]
 
 
-@inline_kernel
+@array_kernel
 def remember_flags(states: np.ndarray) -> None:
     """Note the flags before they are decided anew; see `PairMemory`."""
     for i in range(states.shape[1]):

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.structures import GAP, GROUND, INERTIA, NORMAL, ORGANS, OWNER, POINT
 
 
-@inline_kernel
+@array_kernel
 def _root(parents: np.ndarray, tool: int) -> int:
     """The tool that stands for a tool's island."""
     while parents[tool] != tool:
@@ -96,7 +96,7 @@ def find_islands(
     return islands
 
 
-@inline_kernel
+@array_kernel
 def greatest_violation(order: np.ndarray, rows: np.ndarray, features: np.ndarray) -> float:
     """How much some constraints, which have been measured, are violated, at most [u].
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel
 
 ROOT_STEPS = 24
 """Most steps to close in on a root."""
@@ -17,7 +17,7 @@ ROOT_PRECISION = 1e-6
 """To which times of meeting are found, in steps."""
 
 
-@inline_kernel
+@array_kernel
 def fill_volume(before: np.ndarray, now: np.ndarray, volume: np.ndarray) -> None:
     """Write the volume u x v . w as a cubic of time.
 
@@ -41,7 +41,7 @@ def fill_volume(before: np.ndarray, now: np.ndarray, volume: np.ndarray) -> None
     volume[3] = cx * r + cy * s + cz * t
 
 
-@inline_kernel
+@array_kernel
 def has_no_root(volume: np.ndarray) -> bool:
     """Whether a cubic is known to keep its sign."""
     low = min(min(volume[0], volume[1]), min(volume[2], volume[3]))
@@ -49,7 +49,7 @@ def has_no_root(volume: np.ndarray) -> bool:
     return bool(low > 0.0 or high < 0.0)
 
 
-@inline_kernel
+@array_kernel
 def _value(volume: np.ndarray, time: float) -> float:
     """Of a cubic in Bernstein's form."""
     rest = 1.0 - time
@@ -58,29 +58,26 @@ def _value(volume: np.ndarray, time: float) -> float:
     return value
 
 
-@inline_kernel
+@array_kernel
 def find_roots(volume: np.ndarray, roots: np.ndarray) -> int:
     """Write the times from 0 to 1, ascending, at which a cubic changes its sign (3,); returns how many there are."""
     # Between its extrema it goes one way only.
     first, second, third = volume[1] - volume[0], volume[2] - volume[1], volume[3] - volume[2]
     a, b, c = first - 2.0 * second + third, second - first, first
-    borders = np.empty(4)
-    borders[0], count = 0.0, 1
+    one, two, inner = 1.0, 1.0, 0
     square = b * b - a * c
     if square > 0.0:
         # Of a t2 + 2 b t + c, without cancellation.
         q = -b - np.sqrt(square) if b > 0.0 else -b + np.sqrt(square)
-        one, two = q / a if a != 0.0 else -1.0, c / q if q != 0.0 else -1.0
-        if 0.0 < min(one, two) < 1.0:
-            borders[count] = min(one, two)
-            count += 1
-        if 0.0 < max(one, two) < 1.0:
-            borders[count] = max(one, two)
-            count += 1
-    borders[count] = 1.0
+        first, second = q / a if a != 0.0 else -1.0, c / q if q != 0.0 else -1.0
+        if 0.0 < max(first, second) < 1.0:
+            one, inner = max(first, second), 1
+        if 0.0 < min(first, second) < 1.0:
+            one, two, inner = min(first, second), one, inner + 1
     found = 0
-    for k in range(count):
-        low, high = borders[k], borders[k + 1]
+    for k in range(inner + 1):
+        low = 0.0 if k == 0 else (one if k == 1 else two)
+        high = 1.0 if k == inner else (one if k == 0 else two)
         at_low, at_high = _value(volume, low), _value(volume, high)
         if (at_low > 0.0) == (at_high > 0.0):
             continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel, kernel
+from spatula_env._kernels import array_kernel, kernel
 
 NODES_AT_ONCE = 16
 """So many nodes are looked at before it is asked whether that is enough."""
@@ -67,7 +67,7 @@ def tool_passes(
     return below_x and below_y and below_z and above_x and above_y and above_z
 
 
-@inline_kernel
+@array_kernel
 def copy_points(points: np.ndarray, into: np.ndarray) -> None:
     """Copy points (V, 3) into an array of that shape; assigning arrays compiles checks of their shapes, for seconds."""
     for i in range(points.shape[0]):
@@ -75,7 +75,7 @@ def copy_points(points: np.ndarray, into: np.ndarray) -> None:
             into[i, axis] = points[i, axis]
 
 
-@inline_kernel
+@array_kernel
 def turn_between(first: np.ndarray, second: np.ndarray, fraction: float, result: np.ndarray) -> None:
     """Write the orientation at a fraction of the turn from one unit quaternion (4,) to another, the short way."""
     if fraction == 0.0 or fraction == 1.0:
@@ -97,7 +97,7 @@ def turn_between(first: np.ndarray, second: np.ndarray, fraction: float, result:
         result[k] /= np.sqrt(length)
 
 
-@inline_kernel
+@array_kernel
 def turn_by(orientation: np.ndarray, angular_velocity: np.ndarray, dt: float, result: np.ndarray) -> None:
     """Write the orientation after turning at a constant angular velocity; see `transforms.integrate_rotation`."""
     x, y, z = 0.5 * dt * angular_velocity[0], 0.5 * dt * angular_velocity[1], 0.5 * dt * angular_velocity[2]

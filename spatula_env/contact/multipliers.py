@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.motion import copy_points
 from spatula_env.contact.structures import (
     DISPLACEMENT,
@@ -20,6 +20,7 @@ from spatula_env.contact.structures import (
     POINT,
     WEIGHTS,
     copy_constraint,
+    copy_first,
     reserve,
 )
 
@@ -42,61 +43,64 @@ def start_warm(
 
     Both come in the order of their owners, so each is looked for among its owner's.
     """
+    warm_rows, warm_features, warm_names = warm.rows, warm.features, warm.names
     hint, first, end = 0, 0, 0
     for c in range(count):
         owner = features[c, OWNER]
         if c == 0 or owner != features[c - 1, OWNER]:
             first = end
-            while first < known and warm.features[first, OWNER] < owner:
+            while first < known and warm_features[first, OWNER] < owner:
                 first += 1
             end = first
-            while end < known and warm.features[end, OWNER] == owner:
+            while end < known and warm_features[end, OWNER] == owner:
                 end += 1
             hint = first
         for k in range(end - first):
             e = hint + k if hint + k < end else hint + k - (end - first)
-            if names[c] == warm.names[e]:
+            if names[c] == warm_names[e]:
                 for axis in range(3):
-                    rows[c, column + axis] = scale * warm.rows[e, DISPLACEMENT + axis]
+                    rows[c, column + axis] = scale * warm_rows[e, DISPLACEMENT + axis]
                 hint = e + 1 if e + 1 < end else first
                 break
 
 
-@inline_kernel
-def _push_part(warm: Any, e: int, part: float, inverse_mass: np.ndarray, vertices: np.ndarray) -> None:
+@array_kernel
+def _push_part(
+    rows: np.ndarray, features: np.ndarray, e: int, part: float, inverse_mass: np.ndarray, vertices: np.ndarray
+) -> None:
     """Apply `part` of a kept displacement to the vertices (V, 3) that it moved [u]."""
     summed = 0.0
     for corner in range(3):
-        vertex = warm.features[e, corner]
-        summed += warm.rows[e, WEIGHTS + corner]
-        moved = part * warm.rows[e, WEIGHTS + corner] * inverse_mass[vertex]
+        vertex = features[e, corner]
+        summed += rows[e, WEIGHTS + corner]
+        moved = part * rows[e, WEIGHTS + corner] * inverse_mass[vertex]
         for axis in range(3):
-            vertices[vertex, axis] += moved * warm.rows[e, DISPLACEMENT + axis]
-    fourth = warm.features[e, FOURTH]
+            vertices[vertex, axis] += moved * rows[e, DISPLACEMENT + axis]
+    fourth = features[e, FOURTH]
     if fourth >= 0:
         for axis in range(3):
-            vertices[fourth, axis] -= part * summed * inverse_mass[fourth] * warm.rows[e, DISPLACEMENT + axis]
+            vertices[fourth, axis] -= part * summed * inverse_mass[fourth] * rows[e, DISPLACEMENT + axis]
 
 
-@inline_kernel
-def _height_over(warm: Any, e: int, vertices: np.ndarray) -> float:
+@array_kernel
+def _height_over(rows: np.ndarray, features: np.ndarray, e: int, vertices: np.ndarray) -> float:
     """Of a kept constraint's point over its plane, with vertices (V, 3) [u]."""
-    height, fourth = 0.0, warm.features[e, FOURTH]
-    summed = warm.rows[e, WEIGHTS] + warm.rows[e, WEIGHTS + 1] + warm.rows[e, WEIGHTS + 2]
+    height, fourth = 0.0, features[e, FOURTH]
+    summed = rows[e, WEIGHTS] + rows[e, WEIGHTS + 1] + rows[e, WEIGHTS + 2]
     for axis in range(3):
         s = -summed * vertices[fourth, axis] if fourth >= 0 else 0.0
         for corner in range(3):
-            s += warm.rows[e, WEIGHTS + corner] * vertices[warm.features[e, corner], axis]
-        height += (s - warm.rows[e, POINT + axis]) * warm.rows[e, NORMAL + axis]
+            s += rows[e, WEIGHTS + corner] * vertices[features[e, corner], axis]
+        height += (s - rows[e, POINT + axis]) * rows[e, NORMAL + axis]
     return height
 
 
 @inline_kernel
 def greatest_kept_depth(known: int, warm: Any, vertices: np.ndarray) -> float:
     """How deep behind their planes the kept constraints have left the surface of vertices (V, 3), at most [u]."""
-    deepest = 0.0
+    rows, features, deepest = warm.rows, warm.features, 0.0
     for e in range(known):
-        deepest = max(deepest, -_height_over(warm, e, vertices))
+        deepest = max(deepest, -_height_over(rows, features, e, vertices))
     return deepest
 
 
@@ -131,18 +135,19 @@ def expect_vertices(
         thrown: (V, 3) where the vertices come without contact [u].
         expected: (V, 3) written [u].
     """
+    rows, features = warm.rows, warm.features
     copy_points(thrown, expected)
     for e in range(known):
-        _push_part(warm, e, 1.0, inverse_mass, expected)
+        _push_part(rows, features, e, 1.0, inverse_mass, expected)
     for e in range(known):
-        owner, row = warm.features[e, OWNER], warm.rows[e]
+        owner, row = features[e, OWNER], rows[e]
         if owner >= 0:
             v, w, origin = linear_velocities[owner], angular_velocities[owner], start_positions[owner]
             x, y, z = row[POINT] - origin[0], row[POINT + 1] - origin[1], row[POINT + 2] - origin[2]
             row[POINT] += dt * (v[0] + w[1] * z - w[2] * y)
             row[POINT + 1] += dt * (v[1] + w[2] * x - w[0] * z)
             row[POINT + 2] += dt * (v[2] + w[0] * y - w[1] * x)
-        before, after = _height_over(warm, e, thrown), _height_over(warm, e, expected)
+        before, after = _height_over(rows, features, e, thrown), _height_over(rows, features, e, expected)
         share = part
         if before >= 0.0:
             share = 0.0
@@ -151,17 +156,18 @@ def expect_vertices(
         row[GAP] = share
     copy_points(thrown, expected)
     for e in range(known):
-        _push_part(warm, e, warm.rows[e, GAP], inverse_mass, expected)
+        _push_part(rows, features, e, rows[e, GAP], inverse_mass, expected)
 
 
 @inline_kernel
 def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, warm: Any) -> int:
     """Keep the displacements of a solve, for the velocity solve and for the next step; returns how many."""
     reserve(warm, 0, count)
+    warm_rows, warm_features, warm_names = warm.rows, warm.features, warm.names
     kept = 0
     for c in range(count):
         if rows[c, DISPLACEMENT] != 0.0 or rows[c, DISPLACEMENT + 1] != 0.0 or rows[c, DISPLACEMENT + 2] != 0.0:
-            copy_constraint(rows, features, names, c, warm, kept)
+            copy_constraint(rows, features, names, c, warm_rows, warm_features, warm_names, kept)
             kept += 1
     return kept
 
@@ -179,15 +185,16 @@ def add_passed(
     Their planes have moved on with the tools, to positions (N, 3). Returns the new count.
     """
     rows, features, names = constraints.rows, constraints.features, constraints.names
+    earlier_rows, earlier_features, earlier_names = earlier.rows, earlier.features, earlier.names
     current = count
     for e in range(passed):
         known = False
         for c in range(current):
-            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
+            if names[c] == earlier_names[e] and features[c, OWNER] == earlier_features[e, OWNER]:
                 known = True
                 break
         if not known:
-            copy_constraint(earlier.rows, earlier.features, earlier.names, e, constraints, count)
+            copy_constraint(earlier_rows, earlier_features, earlier_names, e, rows, features, names, count)
             rows[count, FRICTION] = 0.0
             for axis in range(3):
                 rows[count, IMPULSE + axis] = 0.0
@@ -203,6 +210,7 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
     Returns how many are kept. Their origin becomes the tool's position (N, 3) at this query.
     """
     rows, features, names = constraints.rows, constraints.features, constraints.names
+    earlier_rows, earlier_features, earlier_names = earlier.rows, earlier.features, earlier.names
     for c in range(count):
         pushed = 0.0
         for axis in range(3):
@@ -211,18 +219,18 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
             continue
         place = passed
         for e in range(passed):
-            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
+            if names[c] == earlier_names[e] and features[c, OWNER] == earlier_features[e, OWNER]:
                 place = e
                 break
         if place == MOST_PASSED:
             continue
         x, y, z = 0.0, 0.0, 0.0
         if place < passed:
-            x, y, z = earlier.rows[place, IMPULSE], earlier.rows[place, IMPULSE + 1], earlier.rows[place, IMPULSE + 2]
-        copy_constraint(rows, features, names, c, earlier, place)
-        earlier.rows[place, IMPULSE], earlier.rows[place, IMPULSE + 1], earlier.rows[place, IMPULSE + 2] = x, y, z
+            x, y, z = earlier_rows[place, IMPULSE], earlier_rows[place, IMPULSE + 1], earlier_rows[place, IMPULSE + 2]
+        copy_constraint(rows, features, names, c, earlier_rows, earlier_features, earlier_names, place)
+        earlier_rows[place, IMPULSE], earlier_rows[place, IMPULSE + 1], earlier_rows[place, IMPULSE + 2] = x, y, z
         for axis in range(3):
-            earlier.rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
+            earlier_rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
         passed = max(passed, place + 1)
     return passed
 
@@ -230,10 +238,11 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
 @inline_kernel
 def sum_passed(passed: int, earlier: Any) -> None:
     """Add up, in the columns of the impulse, what contacts have moved by in the queries so far; called after each."""
+    earlier_rows = earlier.rows
     for e in range(passed):
         for axis in range(3):
-            earlier.rows[e, IMPULSE + axis] += earlier.rows[e, DISPLACEMENT + axis]
-            earlier.rows[e, DISPLACEMENT + axis] = 0.0
+            earlier_rows[e, IMPULSE + axis] += earlier_rows[e, DISPLACEMENT + axis]
+            earlier_rows[e, DISPLACEMENT + axis] = 0.0
 
 
 @inline_kernel
@@ -248,10 +257,12 @@ def keep_for_next(count: int, trial: Any, passed: int, earlier: Any, warm: Any) 
         warm: Written.
     """
     reserve(warm, 0, count)
+    rows, features, names = warm.rows, warm.features, warm.names
+    copy_first(count, trial.rows, trial.features, trial.names, rows, features, names)
+    earlier_rows, earlier_features, earlier_names = earlier.rows, earlier.features, earlier.names
     for c in range(count):
-        copy_constraint(trial.rows, trial.features, trial.names, c, warm, c)
         for e in range(passed):
-            if trial.names[c] == earlier.names[e] and trial.features[c, OWNER] == earlier.features[e, OWNER]:
+            if names[c] == earlier_names[e] and features[c, OWNER] == earlier_features[e, OWNER]:
                 for axis in range(3):
-                    warm.rows[c, DISPLACEMENT + axis] += earlier.rows[e, IMPULSE + axis]
+                    rows[c, DISPLACEMENT + axis] += earlier_rows[e, IMPULSE + axis]
                 break

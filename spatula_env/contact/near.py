@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.corners import closest_weights
 from spatula_env.contact.rigid_fit import fit_motion, move_back, move_points
 from spatula_env.contact.skin import (
@@ -48,7 +48,7 @@ FLAT = math.radians(60.0)
 """Neighbouring patches whose normals are within a cone of half this opening are flat [rad]."""
 
 
-@inline_kernel
+@array_kernel
 def closest_on_edges(
     ux: float, uy: float, uz: float, vx: float, vy: float, vz: float, wx: float, wy: float, wz: float
 ) -> tuple[float, float]:
@@ -147,20 +147,17 @@ def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int
     return more, longer
 
 
-@inline_kernel
-def _with_pair(
-    pairs: np.ndarray, distances: np.ndarray, count: int, first: int, second: int, distance: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs and their distances with one more after `count`, in longer arrays if there is no room."""
-    pairs, distances = _with_room(pairs, distances, count, count + 1)
+@array_kernel
+def _write_pair(pairs: np.ndarray, distances: np.ndarray, count: int, first: int, second: int, distance: float) -> int:
+    """Write one more pair after `count`, where there is room. Returns the new count."""
     for column in range(pairs.shape[1]):
         pairs[count, column] = 0
     pairs[count, 0], pairs[count, 1] = first, second
     distances[count] = distance
-    return pairs, distances
+    return count + 1
 
 
-@inline_kernel
+@array_kernel
 def _apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
     """Whether two boxes (., 6), least and greatest coordinates, have no point in common."""
     apart: bool = (
@@ -171,7 +168,7 @@ def _apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
     return apart
 
 
-@inline_kernel
+@array_kernel
 def _fill_feature_boxes(
     points: np.ndarray, reach: np.ndarray, features: np.ndarray, order: np.ndarray, first: int, end: int,
     boxes: np.ndarray,
@@ -240,7 +237,7 @@ def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: 
     cones[p, 0], cones[p, 1], cones[p, 2], cones[p, 3] = x, y, z, np.arccos(max(least, -1.0))
 
 
-@inline_kernel
+@array_kernel
 def _is_flat(cones: np.ndarray, p: int, q: int) -> bool:
     """Whether the normals of two patches' triangles are in a cone."""
     if max(cones[p, 3], cones[q, 3]) > FLAT:
@@ -249,7 +246,7 @@ def _is_flat(cones: np.ndarray, p: int, q: int) -> bool:
     return bool(np.arccos(min(max(along, -1.0), 1.0)) + cones[p, 3] + cones[q, 3] <= 2.0 * FLAT)
 
 
-@inline_kernel
+@array_kernel
 def _sort_along_x(order: np.ndarray, boxes: np.ndarray) -> None:
     """Sort patches by where their boxes begin; they are nearly in order from the last time."""
     for place in range(1, order.shape[0]):
@@ -311,7 +308,7 @@ def _merged(kept: np.ndarray, moved: np.ndarray, found: np.ndarray) -> np.ndarra
     return pairs[:count].copy()
 
 
-@inline_kernel
+@array_kernel
 def _listed(
     order: np.ndarray, first: int, end: int, boxes: np.ndarray, patch_boxes: np.ndarray, patch: int, listed: np.ndarray
 ) -> int:
@@ -329,13 +326,17 @@ def _pair_vertices(near: Any, skin: Any, of_vertices: int, of_triangles: int, tr
     """Add the vertices of one patch that are near triangles of another."""
     triangles, reach, points, patch_boxes = skin.triangles, near.reach, near.found_at, near.boxes
     pairs, count, distances = near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances
+    vertex_order = skin.vertex_order
     first, end = skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
     box, listed = np.empty((1, 6)), np.empty(end - first, np.int32)
     close = _listed(skin.triangle_order, first, end, triangle_boxes, patch_boxes, of_vertices, listed)
     if close == 0:
         return
-    for m in range(skin.vertex_starts[of_vertices], skin.vertex_starts[of_vertices + 1]):
-        v = skin.vertex_order[m]
+    begin, stop = skin.vertex_starts[of_vertices], skin.vertex_starts[of_vertices + 1]
+    # At once for all: an array that may change in a loop has its references counted there.
+    pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
+    for m in range(begin, stop):
+        v = vertex_order[m]
         x, y, z = points[0, v], points[1, v], points[2, v]
         for axis in range(3):
             box[0, axis], box[0, 3 + axis] = points[axis, v] - reach[v], points[axis, v] + reach[v]
@@ -354,8 +355,7 @@ def _pair_vertices(near: Any, skin: Any, of_vertices: int, of_triangles: int, tr
             squared = dx * dx + dy * dy + dz * dz
             if squared > limit * limit:
                 continue
-            pairs, distances = _with_pair(pairs, distances, count, v, t, np.sqrt(squared))
-            count += 1
+            count = _write_pair(pairs, distances, count, v, t, np.sqrt(squared))
     near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances = pairs, count, distances
 
 
@@ -369,7 +369,9 @@ def _pair_edges(near: Any, skin: Any, p: int, q: int, edge_boxes: np.ndarray) ->
     close = _listed(order, first, end, edge_boxes, patch_boxes, p, others)
     if close == 0:
         return
-    for m in range(skin.edge_starts[p], skin.edge_starts[p + 1]):
+    begin, stop = skin.edge_starts[p], skin.edge_starts[p + 1]
+    pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
+    for m in range(begin, stop):
         e = order[m]
         if _apart(edge_boxes, e, patch_boxes, q):
             continue
@@ -390,12 +392,11 @@ def _pair_edges(near: Any, skin: Any, p: int, q: int, edge_boxes: np.ndarray) ->
             squared = dx * dx + dy * dy + dz * dz
             if squared > limit * limit:
                 continue
-            pairs, distances = _with_pair(pairs, distances, count, e, f, np.sqrt(squared))
-            count += 1
+            count = _write_pair(pairs, distances, count, e, f, np.sqrt(squared))
     near.edge_pairs, near.counts[EDGE_PAIRS], near.edge_distances = pairs, count, distances
 
 
-@inline_kernel
+@array_kernel
 def _distance_to_edge(points: np.ndarray, corners: tuple[int, int, int], first: int, second: int) -> float:
     """How far an edge is from a triangle at least: along its normal or across one of its sides [u]."""
     a, b, c = corners
@@ -436,13 +437,16 @@ def _pair_crossings(
     """Add the edges of one patch that may cross triangles of another."""
     edges, triangles, reach, points, patch_boxes = skin.edges, skin.triangles, near.reach, near.found_at, near.boxes
     pairs, count, distances = near.cross_pairs, near.counts[CROSS_PAIRS], near.cross_distances
+    edge_order = skin.edge_order
     first_triangle, end = skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
     listed = np.empty(end - first_triangle, np.int32)
     close = _listed(skin.triangle_order, first_triangle, end, triangle_boxes, patch_boxes, of_edges, listed)
     if close == 0:
         return
-    for m in range(skin.edge_starts[of_edges], skin.edge_starts[of_edges + 1]):
-        e = skin.edge_order[m]
+    begin, stop = skin.edge_starts[of_edges], skin.edge_starts[of_edges + 1]
+    pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
+    for m in range(begin, stop):
+        e = edge_order[m]
         if _apart(edge_boxes, e, patch_boxes, of_triangles):
             continue
         a, b = edges[e, 0], edges[e, 1]
@@ -456,8 +460,7 @@ def _pair_crossings(
             distance = _distance_to_edge(points, (first, second, third), a, b)
             if distance > max(reach[a], reach[b]) + max(reach[first], reach[second], reach[third]):
                 continue
-            pairs, distances = _with_pair(pairs, distances, count, e, t, distance)
-            count += 1
+            count = _write_pair(pairs, distances, count, e, t, distance)
     near.cross_pairs, near.counts[CROSS_PAIRS], near.cross_distances = pairs, count, distances
 
 
@@ -465,9 +468,7 @@ def _pair_crossings(
 def _fill_features(
     skin: Any, near: Any, p: int, filled: np.ndarray, edge_boxes: np.ndarray, triangle_boxes: np.ndarray
 ) -> None:
-    """Write the boxes around what the edges and triangles of a patch can reach, if they are not filled (P,) yet."""
-    if filled[p]:
-        return
+    """Write the boxes around what the edges and triangles of a patch can reach, and that they are filled (P,)."""
     filled[p] = True
     _fill_feature_boxes(
         near.found_at, near.reach, skin.edges, skin.edge_order, skin.edge_starts[p], skin.edge_starts[p + 1],
@@ -512,8 +513,10 @@ def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndar
     for k in range(total):
         p, q = patch_pairs[k] // patch_count, patch_pairs[k] % patch_count
         if moved[p] or moved[q]:
-            _fill_features(skin, near, p, filled, edge_boxes, triangle_boxes)
-            _fill_features(skin, near, q, filled, edge_boxes, triangle_boxes)
+            if not filled[p]:
+                _fill_features(skin, near, p, filled, edge_boxes, triangle_boxes)
+            if not filled[q]:
+                _fill_features(skin, near, q, filled, edge_boxes, triangle_boxes)
             for way in range(1 if p == q else 2):
                 one, other = (p, q) if way == 0 else (q, p)
                 _pair_vertices(near, skin, one, other, triangle_boxes)
@@ -570,8 +573,10 @@ def find_cross_pairs(skin: Any, near: Any) -> None:
     patch_pairs = near.patch_pairs
     for k in range(near.counts[PATCH_PAIRS]):
         p, q = patch_pairs[k] // patch_count, patch_pairs[k] % patch_count
-        _fill_features(skin, near, p, filled, edge_boxes, triangle_boxes)
-        _fill_features(skin, near, q, filled, edge_boxes, triangle_boxes)
+        if not filled[p]:
+            _fill_features(skin, near, p, filled, edge_boxes, triangle_boxes)
+        if not filled[q]:
+            _fill_features(skin, near, q, filled, edge_boxes, triangle_boxes)
         _pair_crossings(near, skin, p, q, edge_boxes, triangle_boxes)
         if p != q:
             _pair_crossings(near, skin, q, p, edge_boxes, triangle_boxes)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel
 
 MARGIN = 1e-4
 """What is no farther from a plane than this touches it [u]."""
@@ -25,7 +25,7 @@ ON_PLANE = 1e-9
 """A point that ends no deeper than this behind a plane ends on it [u]."""
 
 
-@inline_kernel
+@array_kernel
 def entry_plane(
     ax: float,
     ay: float,

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, kernel
 from spatula_env.contact.flags import fill_rotation
 from spatula_env.contact.step import DT, MEAN_EDGE
 from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, POINT, WORLD_CONTACTS
@@ -40,7 +40,7 @@ def contact_table(constraints: Any, count: int) -> np.ndarray:
     return table
 
 
-@inline_kernel
+@array_kernel
 def into_tool_frame(place: np.ndarray, position: np.ndarray, rotation: np.ndarray, point: np.ndarray) -> None:
     """Write a point (3,) of the world in the frame of a tool at a position (3,), turned by a rotation matrix (9,)."""
     x, y, z = place[0] - position[0], place[1] - position[1], place[2] - position[2]
@@ -48,7 +48,7 @@ def into_tool_frame(place: np.ndarray, position: np.ndarray, rotation: np.ndarra
         point[axis] = rotation[axis] * x + rotation[3 + axis] * y + rotation[6 + axis] * z
 
 
-@inline_kernel
+@array_kernel
 def share_push(
     point: np.ndarray,
     plane: int,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, kernel
 from spatula_env.contact.structures import MEMORY, NO_HIT, TOOL
 
 F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
@@ -32,7 +32,7 @@ TIE_TOLERANCE = 1e-12
 """Hits whose distances differ by less than this, relative to the coordinates' size, are one event."""
 
 
-@inline_kernel
+@array_kernel
 def intersect_triangle(
     ox: float,
     oy: float,
@@ -112,7 +112,7 @@ def cast_ray(
     return best, best_t, best_v, best_w, facing
 
 
-@inline_kernel
+@array_kernel
 def _two_product(a: float, b: float) -> tuple[float, float]:
     """The product and its rounding error, a b = p + e exactly (Dekker, Numerische Mathematik 18, 1971)."""
     p = a * b
@@ -125,7 +125,7 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
     return p, ((high_a * high_b - p) + high_a * low_b + low_a * high_b) + low_a * low_b
 
 
-@inline_kernel
+@array_kernel
 def edge_function(au: float, av: float, bu: float, bv: float) -> tuple[float, int]:
     """On which side of the directed edge a -> b the origin lies, in the plane.
 
@@ -160,7 +160,7 @@ def edge_function(au: float, av: float, bu: float, bv: float) -> tuple[float, in
     return 0.0, 0
 
 
-@inline_kernel
+@array_kernel
 def line_meets_triangle(
     pu: float,
     pv: float,
@@ -189,7 +189,7 @@ def line_meets_triangle(
     return side_c, area_a * scale, area_b * scale, area_c * scale
 
 
-@inline_kernel
+@array_kernel
 def _record_hit(
     hits: np.ndarray,
     distances: np.ndarray,
@@ -216,7 +216,7 @@ def _record_hit(
             hits[node, side, 0] = triangle
 
 
-@inline_kernel
+@array_kernel
 def _cast_past_grazes(
     node: int,
     side: int,

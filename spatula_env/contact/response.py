@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.structures import (
     DISPLACEMENT,
     FOURTH,
@@ -57,7 +57,7 @@ ENERGY_TOLERANCE = 0.002
 """Part of the greatest work so far that an organ may have more than was put in: rounding and friction of a solve."""
 
 
-@inline_kernel
+@array_kernel
 def _project_onto_cone(
     x: float, y: float, z: float, nx: float, ny: float, nz: float, normal_part: float, friction: float
 ) -> tuple[float, float, float]:
@@ -70,7 +70,7 @@ def _project_onto_cone(
     return normal_part * nx + scale * tx, normal_part * ny + scale * ty, normal_part * nz + scale * tz
 
 
-@inline_kernel
+@array_kernel
 def _push(
     row: np.ndarray,
     i: int,
@@ -105,7 +105,7 @@ def _push(
         of[fourth, 2] += wl * dz
 
 
-@inline_kernel
+@array_kernel
 def measure_gaps(
     count: int,
     rows: np.ndarray,
@@ -146,7 +146,7 @@ def measure_gaps(
     return worst
 
 
-@inline_kernel
+@array_kernel
 def start_pushed(
     count: int, rows: np.ndarray, features: np.ndarray, inverse_mass: np.ndarray, column: int, of: np.ndarray
 ) -> None:
@@ -166,7 +166,7 @@ def start_pushed(
         _push(row, features[c, 0], features[c, 1], features[c, 2], features[c, FOURTH], inverse_mass, x, y, z, of)
 
 
-@inline_kernel
+@array_kernel
 def solve_positions(
     order: np.ndarray,
     rows: np.ndarray,
@@ -253,7 +253,7 @@ def solve_positions(
     return done
 
 
-@inline_kernel
+@array_kernel
 def solve_velocities(
     order: np.ndarray,
     rows: np.ndarray,
@@ -323,7 +323,7 @@ def solve_velocities(
     return sweeps
 
 
-@inline_kernel
+@array_kernel
 def passive_share(
     first: int,
     end: int,
@@ -388,7 +388,7 @@ def passive_share(
     return 1.0 - min(taken, 1.0)
 
 
-@inline_kernel
+@array_kernel
 def scale_impulses(count: int, rows: np.ndarray, features: np.ndarray, first: int, end: int, share: float) -> None:
     """Leave a share of what the tools' constraints with one organ's vertices, from first to end, have given it."""
     for c in range(count):
@@ -397,7 +397,7 @@ def scale_impulses(count: int, rows: np.ndarray, features: np.ndarray, first: in
                 rows[c, IMPULSE + axis] *= share
 
 
-@inline_kernel
+@array_kernel
 def limit_energy(
     first: int,
     end: int,
@@ -462,7 +462,7 @@ def limit_energy(
     return dissipated
 
 
-@inline_kernel
+@array_kernel
 def energy_of(
     first: int,
     end: int,
@@ -482,7 +482,7 @@ def energy_of(
     return 0.5 * squares + gravity * height
 
 
-@inline_kernel
+@array_kernel
 def sum_heights(first: int, end: int, inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
     """Sum of mass times height of an organ's free nodes [kg u]."""
     total = 0.0
@@ -492,7 +492,7 @@ def sum_heights(first: int, end: int, inverse_mass: np.ndarray, vertices: np.nda
     return total
 
 
-@inline_kernel
+@array_kernel
 def pass_on_work(
     features: np.ndarray,
     row: np.ndarray,
@@ -529,7 +529,7 @@ def pass_on_work(
             ledger[o, WORK] += weight * row[IMPULSE + axis] * mean
 
 
-@inline_kernel
+@array_kernel
 def keep_ledger(
     count: int,
     rows: np.ndarray,
@@ -588,7 +588,7 @@ def keep_ledger(
         ledger[o, GREATEST_WORK] = max(ledger[o, GREATEST_WORK], ledger[o, WORK])
 
 
-@inline_kernel
+@array_kernel
 def sum_impulses(
     count: int,
     rows: np.ndarray,

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel
 
 BEST_FACE_MARGIN = 0.1
 """A face opposes a triangle clearly better than another if the cosines differ by more than this."""
 
 
-@inline_kernel
+@array_kernel
 def dot(a: np.ndarray, b: np.ndarray) -> float:
     """Scalar product of two vectors (3,)."""
     product: float = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
 
-@inline_kernel
+@array_kernel
 def turn(rotation: np.ndarray, vector: np.ndarray) -> tuple[float, float, float]:
     """Rotation matrix (9,), row by row, times vector (3,)."""
     x, y, z = vector[0], vector[1], vector[2]
@@ -28,7 +28,7 @@ def turn(rotation: np.ndarray, vector: np.ndarray) -> tuple[float, float, float]
     )
 
 
-@inline_kernel
+@array_kernel
 def opposes_best(normal: np.ndarray, face_normal: np.ndarray, face_normals: np.ndarray) -> bool:
     """Whether no face of a tool opposes a triangle clearly better than this one.
 

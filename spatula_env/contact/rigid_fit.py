@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 
 ITERATIONS = 12
 """Most steps of Newton's method for the rotation; a few do."""
@@ -89,7 +89,7 @@ def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift:
         )
 
 
-@inline_kernel
+@array_kernel
 def move_points(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, moved: np.ndarray) -> None:
     """Write where a rigid motion takes points (3, V) [u] into an array of that shape."""
     for axis in range(3):
@@ -98,7 +98,7 @@ def move_points(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, mov
             moved[axis, i] = a * points[0, i] + b * points[1, i] + c * points[2, i] + d
 
 
-@inline_kernel
+@array_kernel
 def move_back(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, moved: np.ndarray) -> None:
     """Write from where a rigid motion takes points to (V, 3) [u], into an array of that shape."""
     for i in range(points.shape[0]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.structures import (
     DISPLACEMENT,
     FOURTH,
@@ -24,14 +24,14 @@ ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND, ON_TRIANGLE, ON_EDGES, ON_SUR
 """Kinds of constraints, in their names."""
 
 
-@inline_kernel
+@array_kernel
 def constraint_name(kind: int, of_tool: int, first: int, second: int) -> int:
     """A number that tells features apart: of the tool (up to 2**20), and two vertices of the organ (up to 2**20)."""
     name: int = (kind << 60) | (of_tool << 40) | (first << 20) | second
     return name
 
 
-@inline_kernel
+@array_kernel
 def append_constraint(
     rows: np.ndarray,
     features: np.ndarray,

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.corners import closest_weights
 from spatula_env.contact.meeting import fill_volume, find_roots, has_no_root
 from spatula_env.contact.near import (
@@ -67,11 +67,14 @@ DEEPEST = 0.5
 """A pair that is farther on its wrong side than this, in mean edges, is not pushed back: it has come there round
 something else."""
 
+SPREAD = 0x1E3779B97F4A7C15
+"""What names are multiplied by where they are looked up: odd, with bits everywhere; the golden section's, halved."""
+
 SIDE_BIT = 1 << 40
 """Added to a pair's name if the second feature, or the vertex, is on the inner side."""
 
 
-@inline_kernel
+@array_kernel
 def _fill_sides(points: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool, sides: np.ndarray) -> None:
     """Write u, v, w (9,): of a triangle a, b, c two sides and the way to a vertex d; or of edges a, b and c, d."""
     for axis in range(3):
@@ -85,7 +88,7 @@ def _fill_sides(points: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bo
             sides[6 + axis] = points[d, axis] - start
 
 
-@inline_kernel
+@array_kernel
 def _gap(sides: np.ndarray, is_edges: bool, corners: np.ndarray) -> float:
     """How far apart two features are [u].
 
@@ -108,7 +111,7 @@ def _gap(sides: np.ndarray, is_edges: bool, corners: np.ndarray) -> float:
     return gap
 
 
-@inline_kernel
+@array_kernel
 def _fill_place(sides: np.ndarray, is_edges: bool, place: np.ndarray) -> None:
     """Write where two features are closest: of a triangle the weights of b and c; of edges the fractions along both.
 
@@ -130,7 +133,7 @@ def _fill_place(sides: np.ndarray, is_edges: bool, place: np.ndarray) -> None:
         place[0], place[1], place[2] = b, c, -min(b, c, 1.0 - b - c)
 
 
-@inline_kernel
+@array_kernel
 def _fill_normal(sides: np.ndarray, normal: np.ndarray) -> float:
     """Write the direction of u x v (3,), and return how far w goes along it; a normal of zeros if there is none."""
     ux, uy, uz, vx, vy, vz = sides[0], sides[1], sides[2], sides[3], sides[4], sides[5]
@@ -142,7 +145,7 @@ def _fill_normal(sides: np.ndarray, normal: np.ndarray) -> float:
     return distance
 
 
-@inline_kernel
+@array_kernel
 def _side_held(
     before: np.ndarray,
     now: np.ndarray,
@@ -152,6 +155,7 @@ def _side_held(
     deepest: float,
     normal: np.ndarray,
     place: np.ndarray,
+    room: np.ndarray,
 ) -> int:
     """On which side of each other two features are to be held, if they have met or are close.
 
@@ -164,6 +168,7 @@ def _side_held(
         deepest: How far on the wrong side they are at most, where they have not been seen to meet [u].
         normal: (3,) written: direction of u x v now.
         place: (3,) written: where on the features, see `_fill_place`.
+        room: (3, 9) workspace.
 
     Returns:
         1 if w is to go along the normal, -1 if against it, 0 if they are left alone.
@@ -176,10 +181,9 @@ def _side_held(
         _fill_place(before, is_edges, place)
         if not place[2] <= OUTSIDE:
             known = 0
-    volume = np.empty(4)
+    volume, roots, between = room[0], room[1], room[2]
     fill_volume(before, now, volume)
     if not has_no_root(volume):
-        roots, between = np.empty(3), np.empty(9)
         for k in range(find_roots(volume, roots)):
             for entry in range(9):
                 between[entry] = before[entry] + roots[k] * (now[entry] - before[entry])
@@ -200,7 +204,7 @@ def _side_held(
     return side if place[2] <= OUTSIDE else 0
 
 
-@inline_kernel
+@array_kernel
 def append_pair(
     rows: np.ndarray,
     features: np.ndarray,
@@ -236,38 +240,79 @@ def append_pair(
     return count + 1
 
 
-@inline_kernel
+@array_kernel
 def _is_left_out(left_out: np.ndarray, name: int) -> bool:
     """Whether a name without a side is among those (., ), which are sorted."""
-    if left_out.shape[0] == 0:
-        return False
-    place = np.searchsorted(left_out, name)
-    return bool(place < left_out.shape[0] and left_out[place] == name)
+    low, high = 0, left_out.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if left_out[middle] < name:
+            low = middle + 1
+        else:
+            high = middle
+    return bool(low < left_out.shape[0] and left_out[low] == name)
 
 
-@inline_kernel
-def _gather_pairs(
-    constraints: Any,
-    count: int,
-    skin: Any,
-    near: Any,
+@array_kernel
+def _append_pairs(
     is_edges: bool,
+    first_pair: int,
+    end: int,
+    pairs: np.ndarray,
+    edges: np.ndarray,
+    triangles: np.ndarray,
+    left_out: np.ndarray,
+    distances: np.ndarray,
+    shift: np.ndarray,
+    gaps: np.ndarray,
+    moved: np.ndarray,
+    tangled: np.ndarray,
+    is_tangled: bool,
     held: np.ndarray,
     vertices: np.ndarray,
     reference: np.ndarray,
     mean_edge: float,
     friction: float,
-) -> int:
-    """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
-    pairs = near.edge_pairs if is_edges else near.vertex_pairs
-    distances, shift = near.edge_distances if is_edges else near.vertex_distances, near.shift
-    gaps, moved, corners = near.edge_gaps if is_edges else near.vertex_gaps, near.moved, np.zeros((3, 3))
-    triangles, edges, left_out = skin.triangles, skin.edges, skin.left_out
+    room: np.ndarray,
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    count: int,
+) -> tuple[int, int]:
+    """Append constraints of some pairs of features while there is room for them, and measure what is not known.
+
+    Args:
+        is_edges: Whether they are pairs of edges, or of a vertex and a triangle.
+        first_pair: Index of the first pair.
+        end: Index after the last one.
+        pairs: (., 3) see `skin.Near`, as `distances` to `tangled`.
+        edges: (., 2) see `skin.Skin`, as the next two.
+        triangles: (., 3).
+        left_out: (.,).
+        distances: (.,) [u].
+        shift: (V,) [u].
+        gaps: (.,) measured where they are negative [u].
+        moved: (V,) [u].
+        tangled: (V,).
+        is_tangled: Whether organs cross.
+        held: As in `gather_organs`, as the next five.
+        vertices: See there.
+        reference: See there.
+        mean_edge: See there.
+        friction: See there.
+        room: (10, 9) workspace.
+        rows: See `structures.Constraints`, as the next two.
+        features: See there.
+        names: See there.
+        count: How many constraints there are.
+
+    Returns:
+        How many there are then, and the index of the first pair that was not looked at, for want of room.
+    """
+    before, now, normal, place, corners = room[0], room[1], room[2], room[3], room[4:7, :3]
     separation, deepest = SEPARATION * mean_edge, DEEPEST * mean_edge
     touching = TOUCHING * separation
-    before, now, normal, place = np.empty(9), np.empty(9), np.empty(3), np.empty(3)
-    tangled, is_tangled = near.tangled, near.crossing[CROSSINGS] > 0
-    for m in range(near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]):
+    for m in range(first_pair, end):
         first, second = pairs[m, 0], pairs[m, 1]
         # What was farther apart than it has moved since does not touch.
         if is_edges:
@@ -291,12 +336,14 @@ def _gather_pairs(
             if way < gaps[m] - touching:
                 continue
         _fill_sides(vertices, a, b, c, d, is_edges, now)
-        side = _side_held(before, now, is_edges, pairs[m, 2], touching, deepest, normal, place)
+        side = _side_held(before, now, is_edges, pairs[m, 2], touching, deepest, normal, place, room[7:10])
         if side == 0:
             continue
         name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, first, second)
         if _is_left_out(left_out, name):
             continue
+        if count == names.shape[0]:
+            return count, m
         # The fourth vertex is one of the first edge, or what has come to the triangle.
         if is_edges:
             s, t = min(max(place[0], 0.0), 1.0), min(max(place[1], 0.0), 1.0)
@@ -304,11 +351,37 @@ def _gather_pairs(
             weights = (1.0 - t, t, s - 1.0)
         else:
             weights = (place[0] + place[1] - 1.0, -place[0], -place[1])
-        reserve(constraints, count, count + 1)
         count = append_pair(
-            constraints.rows, constraints.features, constraints.names, count, (a, b, c, d), weights,
-            (side * normal[0], side * normal[1], side * normal[2]), separation, reference, friction,
-            name | SIDE_BIT if side < 0 else name,
+            rows, features, names, count, (a, b, c, d), weights, (side * normal[0], side * normal[1], side * normal[2]),
+            separation, reference, friction, name | SIDE_BIT if side < 0 else name,
+        )  # fmt: skip
+    return count, end
+
+
+@inline_kernel
+def _gather_pairs(
+    constraints: Any,
+    count: int,
+    skin: Any,
+    near: Any,
+    is_edges: bool,
+    held: np.ndarray,
+    vertices: np.ndarray,
+    reference: np.ndarray,
+    mean_edge: float,
+    friction: float,
+) -> int:
+    """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
+    pairs = near.edge_pairs if is_edges else near.vertex_pairs
+    distances = near.edge_distances if is_edges else near.vertex_distances
+    gaps = near.edge_gaps if is_edges else near.vertex_gaps
+    room, done, end = np.zeros((10, 9)), 0, near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]
+    while done < end:
+        reserve(constraints, count, count + 1)
+        count, done = _append_pairs(
+            is_edges, done, end, pairs, skin.edges, skin.triangles, skin.left_out, distances, near.shift, gaps,
+            near.moved, near.tangled, near.crossing[CROSSINGS] > 0, held, vertices, reference, mean_edge, friction,
+            room, constraints.rows, constraints.features, constraints.names, count,
         )  # fmt: skip
     return count
 
@@ -471,22 +544,37 @@ def _known_sides(near: Any) -> tuple[np.ndarray, np.ndarray]:
     return names[:known], sides[:known]
 
 
+@array_kernel
+def _place_of(name: int, size: int) -> int:
+    """In a table of a power of two: names that differ a little are far apart (Knuth, vol. 3, section 6.4)."""
+    return ((name * SPREAD) >> 40) & (size - 1)
+
+
 @inline_kernel
 def _tell_sides(near: Any, names: np.ndarray, sides: np.ndarray, known: int) -> None:
-    """Give pairs the sides that are known by name; both come in the same order."""
+    """Give pairs the sides that are known by name."""
     if known == 0:
         return
-    hint = 0
+    # There are many pairs, and few that are known: a table with at least as many empty places tells most apart at once.
+    size = 2
+    while size < 2 * known:
+        size *= 2
+    table = np.full(size, -1)
+    for k in range(known):
+        place = _place_of(names[k], size)
+        while table[place] >= 0:
+            place = (place + 1) & (size - 1)
+        table[place] = k
     for kind in range(2):
         pairs = near.vertex_pairs if kind == 0 else near.edge_pairs
         for m in range(near.counts[VERTEX_PAIRS if kind == 0 else EDGE_PAIRS]):
             name = constraint_name(ON_TRIANGLE if kind == 0 else ON_EDGES, 0, pairs[m, 0], pairs[m, 1])
-            for k in range(known):
-                place = hint + k if hint + k < known else hint + k - known
-                if names[place] == name:
-                    pairs[m, 2] = sides[place]
-                    hint = place + 1 if place + 1 < known else 0
+            place = _place_of(name, size)
+            while table[place] >= 0:
+                if names[table[place]] == name:
+                    pairs[m, 2] = sides[table[place]]
                     break
+                place = (place + 1) & (size - 1)
 
 
 @inline_kernel

@@ -13,7 +13,7 @@ from numba import types
 from numba.experimental import structref
 from numba.typed import List
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, kernel
 from spatula_env.contact.columns import RayColumns
 from spatula_env.contact.skin import NEAR, SKIN
 
@@ -239,18 +239,39 @@ def make_constraints(capacity: int) -> Any:
     )
 
 
-@inline_kernel
+@array_kernel
 def copy_constraint(
-    rows: np.ndarray, features: np.ndarray, names: np.ndarray, index: int, into: Any, place: int
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    index: int,
+    into_rows: np.ndarray,
+    into_features: np.ndarray,
+    into_names: np.ndarray,
+    place: int,
 ) -> None:
-    """Copy one constraint of some to a place among others, a `Constraints`."""
+    """Copy one constraint of some to a place among others."""
     # Element by element: an assignment of array to array compiles checks of their shapes, for seconds.
-    into_rows, into_features = into.rows, into.features
     for column in range(ROW_LENGTH):
         into_rows[place, column] = rows[index, column]
     for column in range(FEATURE_LENGTH):
         into_features[place, column] = features[index, column]
-    into.names[place] = names[index]
+    into_names[place] = names[index]
+
+
+@array_kernel
+def copy_first(
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    names: np.ndarray,
+    into_rows: np.ndarray,
+    into_features: np.ndarray,
+    into_names: np.ndarray,
+) -> None:
+    """Copy the first `count` constraints of some to the first places among others."""
+    for c in range(count):
+        copy_constraint(rows, features, names, c, into_rows, into_features, into_names, c)
 
 
 @kernel(types.void(CONSTRAINTS, types.int64, types.int64))
@@ -259,26 +280,25 @@ def reserve(constraints: Any, count: int, capacity: int) -> None:
     if capacity <= constraints.names.shape[0]:
         return
     more = make_constraints(max(capacity, 2 * constraints.names.shape[0]))
-    for c in range(count):
-        copy_constraint(constraints.rows, constraints.features, constraints.names, c, more, c)
-    constraints.rows, constraints.features, constraints.names = more.rows, more.features, more.names
+    rows, features, names = more.rows, more.features, more.names
+    copy_first(count, constraints.rows, constraints.features, constraints.names, rows, features, names)
+    constraints.rows, constraints.features, constraints.names = rows, features, names
 
 
 @kernel(types.Tuple((ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))(CONSTRAINTS, types.int64))
 def copy_constraints(constraints: Any, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Names, features and rows of the first `count` constraints, copied."""
     copied = make_constraints(count)
-    for c in range(count):
-        copy_constraint(constraints.rows, constraints.features, constraints.names, c, copied, c)
-    return copied.names, copied.features, copied.rows
+    rows, features, names = copied.rows, copied.features, copied.names
+    copy_first(count, constraints.rows, constraints.features, constraints.names, rows, features, names)
+    return names, features, rows
 
 
 @kernel(types.void(CONSTRAINTS, ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))
 def restore_constraints(constraints: Any, names: np.ndarray, features: np.ndarray, rows: np.ndarray) -> None:
     """Write constraints that were copied."""
     reserve(constraints, 0, names.shape[0])
-    for c in range(names.shape[0]):
-        copy_constraint(rows, features, names, c, constraints, c)
+    copy_first(names.shape[0], rows, features, names, constraints.rows, constraints.features, constraints.names)
 
 
 @kernel(TOOLS())

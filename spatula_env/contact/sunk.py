@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.depth import clip_triangle, fill_under
 from spatula_env.contact.features import pushed_by
 from spatula_env.contact.flags import fill_local_normal
@@ -30,7 +30,7 @@ TURNED = 0.7
 """turned less than this, as a cosine, the way that the triangle is: at a rim that is so."""
 
 
-@inline_kernel
+@array_kernel
 def _way_out(under: np.ndarray, facing: np.ndarray, weights: np.ndarray, count: int, shallow: float) -> int:
     """The face, of those that may push a triangle, behind which a part of it is least deep; -1 if there is none."""
     best, least = -1, np.inf
@@ -67,7 +67,7 @@ def gather_sunk_triangles(
     """
     local, last, extent, codes = memory.local, memory.last_local, tool.extent, memory.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
-    planes = plane_offsets.shape[0]
+    trial_names, trial_features, planes = trial.names, trial.features, plane_offsets.shape[0]
     under, facing, normal = np.empty((planes, 3)), np.empty(planes), np.empty(3)
     first, second = np.empty((planes + 4, 3)), np.empty((planes + 4, 3))
     for t in range(triangles.shape[0]):
@@ -76,9 +76,10 @@ def gather_sunk_triangles(
             continue
         if fill_under(plane_normals, plane_offsets, local, a, b, c, MARGIN, under) <= MARGIN:
             continue
-        corners, weights, _ = clip_triangle(under, MARGIN, first, second)
+        corners, is_second = clip_triangle(under, MARGIN, first, second)
         if corners == 0:
             continue
+        weights = second if is_second else first
         fill_local_normal(local, triangles[t], normal)
         if not np.isfinite(normal[0] + normal[1] + normal[2]):
             # A triangle without area has no outside.
@@ -88,7 +89,10 @@ def gather_sunk_triangles(
             for axis in range(3):
                 facing[p] += plane_normals[p, axis] * normal[axis]
         name = constraint_name(ON_SURFACE, 0, t, first_vertex)
-        p = pushed_by(tried, trial, owner, name, _way_out(under, facing, weights, corners, SHALLOW * extent[7]))
+        p = pushed_by(
+            tried, trial_names, trial_features, owner, name,
+            _way_out(under, facing, weights, corners, SHALLOW * extent[7]),
+        )  # fmt: skip
         if p < 0:
             continue
         deepest, place = 0.0, 0

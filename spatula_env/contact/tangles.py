@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.motion import copy_points
 from spatula_env.contact.near import find_cross_pairs, follow_motion, measure_shifts, within_reach
 from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
@@ -16,7 +16,7 @@ MOST_ATTEMPTS = 12
 """So often zones are let grow before all vertices stay where they were."""
 
 
-@inline_kernel
+@array_kernel
 def crosses(points: np.ndarray, p: int, q: int, a: int, b: int, c: int) -> float:
     """Where an edge p, q goes through a triangle, as a fraction of its way; negative if it does not."""
     ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
@@ -39,7 +39,7 @@ def crosses(points: np.ndarray, p: int, q: int, a: int, b: int, c: int) -> float
     return float(fraction)
 
 
-@inline_kernel
+@array_kernel
 def _root(parents: np.ndarray, vertex: int) -> int:
     """The vertex that stands for a vertex's zone."""
     while parents[vertex] != vertex:

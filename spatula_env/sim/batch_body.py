@@ -33,7 +33,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from spatula_env._kernels import inline_kernel, kernel
+from spatula_env._kernels import array_kernel, kernel
 from spatula_env.geometry.checks import check_positive
 from spatula_env.sim.threads import share_out
 
@@ -175,7 +175,7 @@ _correct_narrow = _link_kernel(NARROW)
 _correct_single = _single_link_kernel()
 
 
-@inline_kernel
+@array_kernel
 def predict_block(
     positions: np.ndarray,
     velocities: np.ndarray,
@@ -201,7 +201,7 @@ def predict_block(
         p[k] = x[k]
 
 
-@inline_kernel
+@array_kernel
 def sweep_block(
     positions: np.ndarray, links: np.ndarray, factors: np.ndarray, stiffness: np.ndarray, sweeps: int
 ) -> None:
@@ -225,7 +225,7 @@ def sweep_block(
                 )
 
 
-@inline_kernel
+@array_kernel
 def finish_block(
     positions: np.ndarray, velocities: np.ndarray, predicted: np.ndarray, inverse_dt: float, finite: np.ndarray
 ) -> None:
@@ -249,7 +249,7 @@ def finish_block(
                 finite[k] += velocities[i, axis, k] - velocities[i, axis, k]
 
 
-@inline_kernel
+@array_kernel
 def advance_block(
     positions: np.ndarray,
     velocities: np.ndarray,
@@ -283,7 +283,7 @@ def advance_block(
     finish_block(positions, velocities, predicted, inverse_dt, finite)
 
 
-@inline_kernel
+@array_kernel
 def read_world(block: np.ndarray, lane: int, values: np.ndarray) -> None:
     """Copy one world's values (V, 3) out of a block's (V, C, lanes)."""
     for i in range(values.shape[0]):
@@ -291,7 +291,7 @@ def read_world(block: np.ndarray, lane: int, values: np.ndarray) -> None:
             values[i, axis] = block[i, axis, lane]
 
 
-@inline_kernel
+@array_kernel
 def write_world(block: np.ndarray, lane: int, values: np.ndarray) -> None:
     """Copy one world's values (V, 3) into a block's (V, C, lanes)."""
     for i in range(values.shape[0]):
@@ -299,7 +299,7 @@ def write_world(block: np.ndarray, lane: int, values: np.ndarray) -> None:
             block[i, axis, lane] = values[i, axis]
 
 
-@inline_kernel
+@array_kernel
 def read_block(block: np.ndarray, values: np.ndarray) -> None:
     """Copy the values (n, V, 3) of a block's first n worlds out of it (V, C, lanes)."""
     for i in range(values.shape[1]):
@@ -308,7 +308,7 @@ def read_block(block: np.ndarray, values: np.ndarray) -> None:
                 values[lane, i, axis] = block[i, axis, lane]
 
 
-@inline_kernel
+@array_kernel
 def write_block(block: np.ndarray, values: np.ndarray) -> None:
     """Copy the values (n, V, 3) of a block's first n worlds into it (V, C, lanes)."""
     for i in range(values.shape[1]):

@@ -6,20 +6,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spatula_env._kernels import inline_kernel, kernel
+from spatula_env._kernels import array_kernel, kernel
 from spatula_env.contact.raycast import line_meets_triangle
 
 if TYPE_CHECKING:
     pass
 
 
-@inline_kernel
+@array_kernel
 def turn_of(au: float, av: float, bu: float, bv: float, cu: float, cv: float) -> float:
     """Twice the area of the triangle (a, b, c) in the plane: positive where it turns to the left."""
     return (bu - au) * (cv - av) - (bv - av) * (cu - au)
 
 
-@inline_kernel
+@array_kernel
 def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
     """The convex hull of points in the plane, counter-clockwise.
 

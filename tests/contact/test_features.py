@@ -77,7 +77,9 @@ def meeting(before, after, point):
     for corners in (before, after):
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
         heights.append(normal @ (point - corners[0]) / np.linalg.norm(normal))
-    return heights, np.array(meeting_weights(columns(before), columns(after), 0, 1, 2, *point, *heights))
+    return heights, np.array(
+        meeting_weights(columns(before), columns(after), 0, 1, 2, *point, *heights, np.empty((3, 3)))
+    )
 
 
 @given(seeds)
