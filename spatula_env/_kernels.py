@@ -46,6 +46,7 @@ class Kernel:
 
     Attributes:
         py_func: The function as it is written; Numba's own have it by the same name.
+        counts: Whether references to arrays are counted, as must be where arrays are made.
     """
 
     def __init__(
@@ -62,12 +63,12 @@ class Kernel:
         functools.update_wrapper(self, function)
         self.py_func = function
         self._signatures = list(signatures)
-        self._nogil, self._counts = nogil, counts
+        self._nogil, self.counts = nogil, counts
 
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Numba's function, compiled for the signatures."""
-        made: Any = numba.njit(error_model="numpy", nogil=self._nogil, _nrt=self._counts)(self.py_func)
+        made: Any = numba.njit(error_model="numpy", nogil=self._nogil, _nrt=self.counts)(self.py_func)
         if CACHE.kept:
             made._cache = KernelCache(self.py_func)
         for signature in self._signatures:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
 import threading
 from pathlib import Path
 
+import gymnasium
 import numba
 import numpy as np
 import pytest
 from numba.core import event
+from numba.core.runtime import _nrt_python, rtsys
 
 import spatula_env
 from spatula_env import _compilation, scenes
 from spatula_env._compilation import COMPILE, Announcer, Cache, find_cache
+from spatula_env._kernels import Kernel
 from spatula_env.cli import main
 from spatula_env.cli.compile import STEPS
 from spatula_env.sim.batch import BatchSimulation
@@ -364,3 +369,55 @@ assert not [kernel.__name__ for kernel in kernels if "dispatcher" in vars(kernel
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def array_kernels():
+    """All helpers that count no references, of all modules."""
+    names = ("contact", "sim", "tasks")
+    modules = [
+        importlib.import_module(module.name)
+        for name in names
+        for module in pkgutil.iter_modules([str(Path(spatula_env.__file__).parent / name)], f"spatula_env.{name}.")
+    ]
+    found = {id(each): each for module in modules for each in vars(module).values() if isinstance(each, Kernel)}
+    return [each for each in found.values() if not each.counts]
+
+
+def test_helpers_that_count_no_references_give_and_are_given_none():
+    # One that returned an array, or was returned one, would free it too early, or never.
+    helpers = array_kernels()
+    assert len(helpers) > 50
+    for helper in helpers:
+        called = [helper.py_func.__globals__.get(name) for name in helper.py_func.__code__.co_names]
+        assert not [each for each in called if isinstance(each, Kernel) and each.counts], helper.py_func.__name__
+        assert "ndarray" not in str(helper.py_func.__annotations__.get("return")), helper.py_func.__name__
+
+
+@pytest.fixture
+def counted_arrays():
+    """Numba counts the arrays that it makes and frees, which it does not by default."""
+    _nrt_python.memsys_enable_stats()
+    yield
+    _nrt_python.memsys_disable_stats()
+
+
+@pytest.mark.parametrize("task", ["Press", "Retract"])
+@pytest.mark.usefixtures("counted_arrays")
+def test_steps_leave_no_array_behind(task):
+    envs = gymnasium.make_vec(f"Spatula/{task}-v0", num_envs=2)
+    envs.reset(seed=5)
+    down = np.tile(np.eye(6)[2] * -1.0, (2, 1))[:, : envs.single_action_space.shape[0]].astype(np.float32)
+
+    def kept():
+        """How many arrays more have been made than freed."""
+        made = rtsys.get_allocation_stats()
+        return made.mi_alloc - made.mi_free
+
+    for _ in range(10):
+        envs.step(down)
+    before = kept()
+    for _ in range(20):
+        envs.step(down)
+    # Workspaces grow, but are few.
+    assert abs(kept() - before) < 8
+    envs.close()

@@ -81,6 +81,24 @@ def intersect_triangle(
     return True, t, v, w
 
 
+@array_kernel
+def _first_met(
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, vertices: np.ndarray, triangles: np.ndarray
+) -> tuple[int, float, float, float, float]:
+    """See `cast_ray`."""
+    best, best_t, best_v, best_w, facing = NO_HIT, np.inf, 0.0, 0.0, 0.0
+    for k in range(triangles.shape[0]):
+        a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
+        hit, t, v, w = intersect_triangle(ox, oy, oz, dx, dy, dz, a, b, c)
+        if hit and 0.0 <= t < best_t:
+            nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
+            ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
+            nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+            best, best_t, best_v, best_w = k, t, v, w
+            facing = 1.0 if nx * dx + ny * dy + nz * dz > 0.0 else -1.0
+    return best, best_t, best_v, best_w, facing
+
+
 @kernel("Tuple((i8, f8, f8, f8, f8))(f8[::1], f8[::1], f8[:,::1], i4[:,::1])")
 def cast_ray(
     origin: np.ndarray, direction: np.ndarray, vertices: np.ndarray, triangles: np.ndarray
@@ -97,19 +115,9 @@ def cast_ray(
         (triangle, t, v, w, facing): index or -1; distance; weights of the second and third corner; and the sign of
         the triangle's normal along the direction: positive where the ray leaves the body, negative where it enters.
     """
-    best, best_t, best_v, best_w, facing = NO_HIT, np.inf, 0.0, 0.0, 0.0
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
-    for k in range(triangles.shape[0]):
-        a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
-        hit, t, v, w = intersect_triangle(ox, oy, oz, dx, dy, dz, a, b, c)
-        if hit and 0.0 <= t < best_t:
-            nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-            ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-            nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-            best, best_t, best_v, best_w = k, t, v, w
-            facing = 1.0 if nx * dx + ny * dy + nz * dz > 0.0 else -1.0
-    return best, best_t, best_v, best_w, facing
+    return _first_met(ox, oy, oz, dx, dy, dz, vertices, triangles)
 
 
 @array_kernel

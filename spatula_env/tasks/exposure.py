@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from spatula_env._kernels import array_kernel, kernel
 from spatula_env.contact.raycast import line_meets_triangle
-
-if TYPE_CHECKING:
-    pass
 
 
 @array_kernel
