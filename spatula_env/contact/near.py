@@ -3,7 +3,8 @@
 They are found once and stay valid while no vertex gets farther than its reach from where it was then. How far a vertex
 reaches is how far the step throws it, and a margin. Boxes around patches of triangles tell what is far apart. Patches
 that share a vertex overlap always; they are looked at only where the surface is folded: a surface whose normals all are
-within a cone does not meet itself (Volino and Magnenat-Thalmann, Computer Graphics Forum 13(3), 1994).
+within a cone does not meet itself (Volino and Magnenat-Thalmann, Computer Graphics Forum 13(3), 1994). They stay valid
+only while no such surface is folded, which a vertex can do within its reach.
 """
 
 from __future__ import annotations
@@ -46,6 +47,14 @@ MOST_PAIRS = 64
 
 FLAT = math.radians(60.0)
 """Neighbouring patches whose normals are within a cone of half this opening are flat [rad]."""
+
+
+TURNED = math.radians(30.0)
+"""Flat patches are looked at again where a triangle has turned out of the cone of its patch by more than this: then two
+of them still are flat [rad]."""
+
+CALM = 0.2
+"""Vertices that move by less than this part of a triangle's least height turn it by less than that."""
 
 
 @array_kernel
@@ -158,6 +167,18 @@ def _write_pair(pairs: np.ndarray, distances: np.ndarray, count: int, first: int
 
 
 @array_kernel
+def _least_height(points: np.ndarray, a: int, b: int, c: int) -> float:
+    """Of a triangle, vertices in points (3, V), over its longest side [u]."""
+    ux, uy, uz = points[0, b] - points[0, a], points[1, b] - points[1, a], points[2, b] - points[2, a]
+    vx, vy, vz = points[0, c] - points[0, a], points[1, c] - points[1, a], points[2, c] - points[2, a]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    wx, wy, wz = vx - ux, vy - uy, vz - uz
+    longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
+    height: float = np.sqrt((nx * nx + ny * ny + nz * nz) / longest) if longest > 0.0 else 0.0
+    return height
+
+
+@array_kernel
 def _apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
     """Whether two boxes (., 6), least and greatest coordinates, have no point in common."""
     apart: bool = (
@@ -200,6 +221,17 @@ def _fill_box(skin: Any, near: Any, p: int, boxes: np.ndarray) -> None:
 
 
 @inline_kernel
+def _fill_calm(skin: Any, near: Any, p: int) -> None:
+    """Write how far the vertices of a patch may get before its triangles may have turned much [u]."""
+    points, triangles, order = near.found_at, skin.triangles, skin.triangle_order
+    least = np.inf
+    for m in range(skin.triangle_starts[p], skin.triangle_starts[p + 1]):
+        a, b, c = triangles[order[m], 0], triangles[order[m], 1], triangles[order[m], 2]
+        least = min(least, _least_height(points, a, b, c))
+    near.calm[p] = CALM * least
+
+
+@inline_kernel
 def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: np.ndarray) -> None:
     """Write a cone around the normals of a patch's triangles: its axis, and half its opening, in cones (P, 4) [rad].
 
@@ -235,6 +267,77 @@ def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: 
             for m in range(end - first):
                 least = min(least, normals[time, m, 0] * x + normals[time, m, 1] * y + normals[time, m, 2] * z)
     cones[p, 0], cones[p, 1], cones[p, 2], cones[p, 3] = x, y, z, np.arccos(max(least, -1.0))
+
+
+@array_kernel
+def _first_turned(
+    first: int,
+    triangles: np.ndarray,
+    order: np.ndarray,
+    starts: np.ndarray,
+    cones: np.ndarray,
+    calm: np.ndarray,
+    rotation: np.ndarray,
+    shift: np.ndarray,
+    points: np.ndarray,
+) -> int:
+    """The first patch from one on of which a triangle has turned far out of its cone; how many there are if none has.
+
+    Args:
+        first: The patch to begin with.
+        triangles: See `skin.Skin`, as `order` and `starts`, of the triangles.
+        order: See there.
+        starts: See there.
+        cones: See `skin.Near`, as the next three.
+        calm: See there.
+        rotation: See there.
+        shift: See there.
+        points: (V, 3) where the vertices are [u].
+    """
+    for p in range(first, calm.shape[0]):
+        # What is in no such cone is looked at anyway.
+        if cones[p, 3] > FLAT:
+            continue
+        x, y, z = cones[p, 0], cones[p, 1], cones[p, 2]
+        along_x = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
+        along_y = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
+        along_z = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
+        for m in range(starts[p], starts[p + 1]):
+            a, b, c = triangles[order[m], 0], triangles[order[m], 1], triangles[order[m], 2]
+            if max(shift[a], shift[b], shift[c]) <= calm[p]:
+                continue
+            ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+            vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if nx * along_x + ny * along_y + nz * along_z < length * np.cos(cones[p, 3] + TURNED):
+                return p
+    return calm.shape[0]
+
+
+@inline_kernel
+def has_turned(skin: Any, near: Any, points: np.ndarray) -> bool:
+    """Whether a triangle has turned so far that its patch may be folded, where vertices (V, 3) are, shifts measured."""
+    patch = _first_turned(
+        0, skin.triangles, skin.triangle_order, skin.triangle_starts, near.cones, near.calm, near.rotation, near.shift,
+        points,
+    )  # fmt: skip
+    return bool(patch < near.calm.shape[0])
+
+
+@inline_kernel
+def mark_turned(skin: Any, near: Any, points: np.ndarray, beyond: np.ndarray) -> None:
+    """Mark the vertices (V,) of patches that may be folded, see `has_turned`."""
+    triangles, order, starts, patches = skin.triangles, skin.triangle_order, skin.triangle_starts, near.calm.shape[0]
+    patch = -1
+    while patch < patches:
+        patch = _first_turned(
+            patch + 1, triangles, order, starts, near.cones, near.calm, near.rotation, near.shift, points
+        )
+        if patch < patches:
+            for m in range(starts[patch], starts[patch + 1]):
+                for corner in range(3):
+                    beyond[triangles[order[m], corner]] = True
 
 
 @array_kernel
@@ -324,14 +427,13 @@ def _listed(
 @inline_kernel
 def _pair_vertices(near: Any, skin: Any, of_vertices: int, of_triangles: int, triangle_boxes: np.ndarray) -> None:
     """Add the vertices of one patch that are near triangles of another."""
-    triangles, reach, points, patch_boxes = skin.triangles, near.reach, near.found_at, near.boxes
-    pairs, count, distances = near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances
-    vertex_order = skin.vertex_order
-    first, end = skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
-    box, listed = np.empty((1, 6)), np.empty(end - first, np.int32)
+    patch_boxes, first, end = near.boxes, skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
+    listed = np.empty(end - first, np.int32)
     close = _listed(skin.triangle_order, first, end, triangle_boxes, patch_boxes, of_vertices, listed)
     if close == 0:
         return
+    triangles, vertex_order, reach, points = skin.triangles, skin.vertex_order, near.reach, near.found_at
+    pairs, count, distances, box = near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances, np.empty((1, 6))
     begin, stop = skin.vertex_starts[of_vertices], skin.vertex_starts[of_vertices + 1]
     # At once for all: an array that may change in a loop has its references counted there.
     pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
@@ -362,13 +464,13 @@ def _pair_vertices(near: Any, skin: Any, of_vertices: int, of_triangles: int, tr
 @inline_kernel
 def _pair_edges(near: Any, skin: Any, p: int, q: int, edge_boxes: np.ndarray) -> None:
     """Add the edges of one patch that are near edges of another, or of the same one."""
-    edges, reach, order, points, patch_boxes = skin.edges, near.reach, skin.edge_order, near.found_at, near.boxes
-    pairs, count, distances = near.edge_pairs, near.counts[EDGE_PAIRS], near.edge_distances
-    first, end = skin.edge_starts[q], skin.edge_starts[q + 1]
+    order, patch_boxes, first, end = skin.edge_order, near.boxes, skin.edge_starts[q], skin.edge_starts[q + 1]
     others = np.empty(end - first, np.int32)
     close = _listed(order, first, end, edge_boxes, patch_boxes, p, others)
     if close == 0:
         return
+    edges, reach, points = skin.edges, near.reach, near.found_at
+    pairs, count, distances = near.edge_pairs, near.counts[EDGE_PAIRS], near.edge_distances
     begin, stop = skin.edge_starts[p], skin.edge_starts[p + 1]
     pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
     for m in range(begin, stop):
@@ -435,14 +537,15 @@ def _pair_crossings(
     near: Any, skin: Any, of_edges: int, of_triangles: int, edge_boxes: np.ndarray, triangle_boxes: np.ndarray
 ) -> None:
     """Add the edges of one patch that may cross triangles of another."""
-    edges, triangles, reach, points, patch_boxes = skin.edges, skin.triangles, near.reach, near.found_at, near.boxes
-    pairs, count, distances = near.cross_pairs, near.counts[CROSS_PAIRS], near.cross_distances
-    edge_order = skin.edge_order
-    first_triangle, end = skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
-    listed = np.empty(end - first_triangle, np.int32)
-    close = _listed(skin.triangle_order, first_triangle, end, triangle_boxes, patch_boxes, of_edges, listed)
+    patch_boxes, first, end = near.boxes, skin.triangle_starts[of_triangles], skin.triangle_starts[of_triangles + 1]
+    listed = np.empty(end - first, np.int32)
+    close = _listed(skin.triangle_order, first, end, triangle_boxes, patch_boxes, of_edges, listed)
     if close == 0:
         return
+    edges, edge_order, triangles, reach, points = (
+        skin.edges, skin.edge_order, skin.triangles, near.reach, near.found_at,
+    )  # fmt: skip
+    pairs, count, distances = near.cross_pairs, near.counts[CROSS_PAIRS], near.cross_distances
     begin, stop = skin.edge_starts[of_edges], skin.edge_starts[of_edges + 1]
     pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
     for m in range(begin, stop):
@@ -624,6 +727,7 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
             moved[p] = True
             _fill_cone(skin, p, unmoved, ahead, near.cones)
             _fill_box(skin, near, p, near.boxes)
+            _fill_calm(skin, near, p)
     known = near.patch_pairs[: 0 if whole else near.counts[PATCH_PAIRS]]
     pairs = _merged(known, moved, _close_patches(skin, near, moved))
     _pair_features(skin, near, pairs, moved, not whole and near.counts[CROSS_IS_KNOWN] == 1)
@@ -652,4 +756,5 @@ def find_as_before(
     patches = near.order.shape[0]
     for p in range(patches):
         _fill_box(skin, near, p, near.boxes)
+        _fill_calm(skin, near, p)
     _pair_features(skin, near, patch_pairs.copy(), np.ones(patches, np.bool_), False)

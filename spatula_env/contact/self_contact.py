@@ -26,7 +26,9 @@ from spatula_env.contact.near import (
     find_near,
     follow_motion,
     forget_gaps,
+    has_turned,
     mark_beyond,
+    mark_turned,
     measure_shifts,
     within_reach,
 )
@@ -423,11 +425,7 @@ def gather_organs(
     Returns:
         The new count.
     """
-    if not within_reach(near, vertices) or not within_reach(near, held):
-        find_again(skin, near, held, vertices, thrown, mean_edge)
-        if near.counts[IS_KNOWN] == TOO_MANY:
-            # It is thrown far; where solves put it is nearer.
-            find_again(skin, near, held, vertices, vertices, mean_edge)
+    see_near(skin, near, held, vertices, thrown, mean_edge)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # Nothing keeps it from crossing, so it is told that it does.
         near.crossing[CROSSINGS] = 1.0
@@ -436,7 +434,6 @@ def gather_organs(
         return count
     if afresh:
         forget_gaps(near)
-    measure_shifts(near, held, vertices)
     for kind in range(2):
         count = _gather_pairs(constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction)
     return count
@@ -469,6 +466,22 @@ def prepare_pairs(
 
 
 @inline_kernel
+def see_near(
+    skin: Any, near: Any, held: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
+) -> None:
+    """See to it that what is near is known where vertices come from and where they are, and measure their shifts."""
+    if within_reach(near, vertices) and within_reach(near, held):
+        measure_shifts(near, held, vertices)
+        if not has_turned(skin, near, vertices):
+            return
+    find_again(skin, near, held, vertices, thrown, mean_edge)
+    if near.counts[IS_KNOWN] == TOO_MANY:
+        # It is thrown far; where solves put it is nearer.
+        find_again(skin, near, held, vertices, vertices, mean_edge)
+    measure_shifts(near, held, vertices)
+
+
+@inline_kernel
 def find_again(
     skin: Any, near: Any, reference: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
 ) -> None:
@@ -476,6 +489,8 @@ def find_again(
     names, sides = _known_sides(near)
     farthest, beyond = vertices.copy(), np.empty(vertices.shape[0], np.bool_)
     mark_beyond(near, reference, vertices, beyond)
+    measure_shifts(near, reference, vertices)
+    mark_turned(skin, near, vertices, beyond)
     for i in range(vertices.shape[0]):
         here, there = 0.0, 0.0
         for axis in range(3):
@@ -514,13 +529,11 @@ def keep_uncrossed(
     Returns:
         Whether any has been held back.
     """
-    if not within_reach(near, vertices) or not within_reach(near, held):
-        find_again(skin, near, held, vertices, vertices, mean_edge)
+    see_near(skin, near, held, vertices, vertices, mean_edge)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # Nothing keeps it from crossing, so it is told that it does.
         near.crossing[CROSSINGS] = 1.0
         return False
-    measure_shifts(near, held, vertices)
     pushed = np.zeros(vertices.shape[0], np.bool_)
     for c in range(known):
         if solved.features[c, OWNER] >= 0:

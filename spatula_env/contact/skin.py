@@ -62,6 +62,8 @@ class Near(structref.StructRefProxy):
         patch_pairs (.,): pairs of patches that may meet, as first x P + second, ascending.
         ends (., 3): of each pair of patches, the place after its last vertex pair, edge pair and cross pair.
         cones (P, 4): around the normals of each patch: axis, and half the opening [rad].
+        calm (P,): where vertices have got no farther than this since they were found, no triangle of a patch has turned
+            much [u].
         boxes (P, 6): around what each patch can reach: lower and upper corner [u].
         counts (6,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known; how many
             pairs of patches.
@@ -103,6 +105,7 @@ NEAR_FIELDS = [
     ("patch_pairs", ARRAYS["i8"]),
     ("ends", ARRAYS["i8_2"]),
     ("cones", ARRAYS["f8_2"]),
+    ("calm", ARRAYS["f8"]),
     ("boxes", ARRAYS["f8_2"]),
     ("counts", ARRAYS["i8"]),
     ("found_at", ARRAYS["f8_2"]),
@@ -151,9 +154,9 @@ def make_near(skin: Any) -> Any:
     vertices, patches = skin.organs.shape[0], skin.neighbour_starts.shape[0] - 1
     return Near(
         np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0),
-        np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((patches, 4)), np.zeros((patches, 6)),
-        np.zeros(6, np.int64), np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3),
-        np.zeros(vertices), np.zeros(vertices), np.zeros(vertices), np.zeros(0), np.zeros(0),
+        np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((patches, 4)), np.zeros(patches),
+        np.zeros((patches, 6)), np.zeros(6, np.int64), np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3),
+        np.zeros(3), np.zeros(vertices), np.zeros(vertices), np.zeros(vertices), np.zeros(0), np.zeros(0),
         np.arange(patches).astype(np.int32), np.zeros(2), np.zeros(vertices, np.bool_),
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.motion import copy_points
-from spatula_env.contact.near import find_cross_pairs, follow_motion, measure_shifts, within_reach
+from spatula_env.contact.near import find_cross_pairs, follow_motion, has_turned, measure_shifts, within_reach
 from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
 
 MOST_ATTEMPTS = 12
@@ -131,13 +131,16 @@ def place(skin: Any, near: Any, points: np.ndarray, is_free: bool) -> bool:
     """Put vertices (V, 3) somewhere [u], of organs of which none is held if they are free, and find what crosses there.
 
     Returns:
-        Whether that is within reach of where they were when what is near was found; otherwise nothing is done.
+        Whether that is within reach of where they were when what is near was found, and nothing has folded since;
+        otherwise nothing is done.
     """
     if is_free:
         follow_motion(near, points)
     if not within_reach(near, points):
         return False
     measure_shifts(near, points, points)
+    if has_turned(skin, near, points):
+        return False
     find_crossings(skin, near, points)
     return True
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skin_helpers import edges_of, pairs_of, patches_of, skin_of, triangles_of
+from skin_helpers import edges_of, gathered, pairs_of, patches_of, skin_of, triangles_of
 
 from spatula_env.contact.near import find_as_before, find_cross_pairs, find_near
+from spatula_env.contact.self_contact import gather_organs
 from spatula_env.contact.skin import copy_near
+from spatula_env.contact.tangles import place
 from spatula_env.geometry import box_surface, icosphere
 
 seeds = st.integers(0, 2**32 - 1)
@@ -68,6 +70,40 @@ def test_a_smooth_surface_is_not_near_itself():
     find_near(skin, near, np.array(organ.vertices), np.array(organ.vertices), 0.1, nowhere(organ.vertices))
     vertex_pairs, edge_pairs, _ = pairs_of(near)
     assert len(vertex_pairs) == 0 and len(edge_pairs) == 0
+
+
+def crossings_of(points, edges, triangles):
+    """Edges and triangles without a vertex in common that go through each other, by trying all."""
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    heights = np.einsum("tj,etj->et", normals, points[edges[:, :1]] - corners[None, :, 0])
+    others = np.einsum("tj,etj->et", normals, points[edges[:, 1:]] - corners[None, :, 0])
+    found = set()
+    for e, t in np.argwhere((heights > 0.0) != (others > 0.0)).tolist():
+        first, second = points[edges[e]]
+        place = first + heights[e, t] / (heights[e, t] - others[e, t]) * (second - first)
+        sides = np.cross(np.roll(corners[t], -1, axis=0) - corners[t], place - corners[t]) @ normals[t]
+        if (sides > 0.0).all() and not set(edges[e].tolist()) & set(triangles[t].tolist()):
+            found.add((e, t))
+    return found
+
+
+def test_a_surface_that_folds_within_its_reach_is_found_near_itself():
+    # A smooth surface, whose vertices may go far before they are out of reach; the cap at its pole is pushed in, and
+    # stretched, so that it comes out at the sides.
+    organ = icosphere(3.0, 2)
+    skin, near = skin_of(organ)
+    vertices = np.array(organ.vertices)
+    find_near(skin, near, vertices, vertices, 4.0, nowhere(vertices))
+    folded = vertices.copy()
+    cap = vertices[:, 2] > 2.4
+    folded[cap] = folded[cap] * (1.8, 1.8, 1.0) - (0.0, 0.0, 2.0)
+    crossing = crossings_of(folded, edges_of(skin), triangles_of(skin))
+    assert crossing and np.linalg.norm(folded - vertices, axis=1).max() < 4.0
+    assert not place(skin, near, folded, False)
+    gathered(gather_organs, skin, near, vertices, folded)
+    find_cross_pairs(skin, near)
+    assert crossing <= {tuple(pair) for pair in pairs_of(near)[2].tolist()}
 
 
 def test_walls_that_are_pressed_together_are_near_each_other():
