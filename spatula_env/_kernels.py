@@ -68,7 +68,9 @@ class Kernel:
     @functools.cached_property
     def dispatcher(self) -> Any:
         """Numba's function, compiled for the signatures."""
-        made: Any = numba.njit(error_model="numpy", nogil=self._nogil, _nrt=self.counts)(self.py_func)
+        # The last option is in Numba's list of them, but not in its stubs.
+        options: dict[str, Any] = {"error_model": "numpy", "nogil": self._nogil, "_nrt": self.counts}
+        made: Any = numba.njit(**options)(self.py_func)
         if CACHE.kept:
             made._cache = KernelCache(self.py_func)
         for signature in self._signatures:

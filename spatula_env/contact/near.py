@@ -147,7 +147,7 @@ def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int
     """The pairs and their distances, `count` of them, in arrays that have room for as many as are wanted."""
     if wanted <= pairs.shape[0] and wanted <= distances.shape[0]:
         return pairs, distances
-    room = max(2 * wanted, 64)
+    room = max(wanted + wanted // 4, 64)
     more, longer = np.empty((room, pairs.shape[1]), np.int32), np.empty(room)
     for p in range(count):
         longer[p] = distances[p]
@@ -312,7 +312,7 @@ def _first_turned(
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             if nx * along_x + ny * along_y + nz * along_z < length * np.cos(cones[p, 3] + TURNED):
                 return p
-    return calm.shape[0]
+    return int(calm.shape[0])
 
 
 @inline_kernel

@@ -364,6 +364,7 @@ class Episodes:
         elif len(going):
             reward[going] = self._judge(situation.rows(going), going)
         self._info["tangled"][:] = loads.tangled
+        self._info["residual"][:] = np.where(lost, 0.0, loads.residuals * frames.length)
         terminated = self._succeeded & self.settings.terminate_on_success
         terminated |= loads.tangled & self.settings.terminate_on_tangle
         if self.settings.damage_limit is not None:
@@ -530,6 +531,7 @@ class Episodes:
             "within_tolerance": within,
             "diverged": np.zeros(len(worlds), dtype=np.bool_),
             "tangled": np.zeros(len(worlds), dtype=np.bool_),
+            "residual": np.zeros(len(worlds)),
             "hold_time": self._held[worlds] * self.period,
             "time": self.worlds.times_of(worlds),
             "force": situation.force,

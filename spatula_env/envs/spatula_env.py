@@ -145,6 +145,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `within_tolerance`       | whether it is fulfilled now                                                         |
     | `diverged`               | whether physics has broken down, which only a vector environment lives to tell      |
     | `tangled`                | whether organs have crossed themselves or each other for longer than 0.1 s          |
+    | `residual`               | how deep tools and organs were left in each other in a physics step, at most [m]    |
     | `is_damaged`             | whether the cost of the episode exceeds `damage_limit`                              |
     | `hold_time`              | for how long the goal has been kept [s]                                             |
     | `time`                   | since the reset [s]                                                                 |

@@ -150,3 +150,32 @@ def test_both_engines_count_alike() -> None:
             totals.append(plunge(env)[-1][2])
     for name in ("episode_cost", "episode_work", "episode_peak_force", "episode_peak_pressure"):
         assert totals[0][name] == pytest.approx(totals[1][name], rel=0.05), name
+
+
+@pytest.mark.parametrize("contact", ["flags", "bullet"])
+def test_info_tells_how_deep_contact_was_left(contact: str) -> None:
+    env = PressEnv(contact=contact, engine="bullet")
+    shown = plunge(env)
+    residuals = [info["residual"] for *_, info in shown]
+    env.close()
+    assert residuals[0] >= 0.0 and np.isfinite(residuals).all()
+    # PyBullet's own contact lets the plate in by centimetres.
+    assert (max(residuals) < 1e-4) == (contact == "flags")
+
+
+def test_info_tells_the_greatest_residual_of_the_physics_steps() -> None:
+    env = PressEnv(engine="bullet")
+    step, reported = env.simulation.step, []
+
+    def listen(*arguments: Any, **options: Any) -> Any:
+        report = step(*arguments, **options)
+        reported.append(report.residual)
+        return report
+
+    env.reset(seed=0, options={"goal": GOAL, "tool_position": ABOVE})
+    env.simulation.step = listen  # type: ignore[method-assign]
+    for _ in range(10):
+        reported.clear()
+        info = env.step(DOWN)[4]
+        assert len(reported) == 12 and info["residual"] == pytest.approx(max(reported) * env.simulation.scene.scale.length)
+    env.close()
