@@ -176,6 +176,6 @@ def test_info_tells_the_greatest_residual_of_the_physics_steps() -> None:
     env.simulation.step = listen  # type: ignore[method-assign]
     for _ in range(10):
         reported.clear()
-        info = env.step(DOWN)[4]
-        assert len(reported) == 12 and info["residual"] == pytest.approx(max(reported) * env.simulation.scene.scale.length)
+        residual = env.step(DOWN)[4]["residual"]
+        assert len(reported) == 12 and residual == pytest.approx(max(reported) * env.simulation.scene.scale.length)
     env.close()
