@@ -187,6 +187,9 @@ def pair_depth(tool: Any, memory: Any, triangles: np.ndarray, known: float) -> f
     greatest, reach = known, SUNK * extent[7]
     nearest, near = np.empty(4), np.empty(triangles.shape[0], np.int32)
     found = list_near(extent, local, triangles, reach, near)
+    if found == 0 and not encloses(local, triangles, corners[0, 0], corners[0, 1], corners[0, 2]):
+        # No surface is near the tool: it is outside as a whole.
+        return known
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
         t = find_nearest(local, triangles, near, found, x, y, z, np.inf, nearest)

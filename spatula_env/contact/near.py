@@ -294,9 +294,12 @@ def _first_turned(
         shift: See there.
         points: (V, 3) where the vertices are [u].
     """
+    farthest = 0.0
+    for i in range(shift.shape[0]):
+        farthest = max(farthest, shift[i])
     for p in range(first, calm.shape[0]):
         # What is in no such cone is looked at anyway.
-        if cones[p, 3] > FLAT:
+        if cones[p, 3] > FLAT or farthest <= calm[p]:
             continue
         x, y, z = cones[p, 0], cones[p, 1], cones[p, 2]
         along_x = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
