@@ -305,6 +305,7 @@ def _first_turned(
         along_x = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
         along_y = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
         along_z = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
+        least = np.cos(cones[p, 3] + TURNED)
         for m in range(starts[p], starts[p + 1]):
             a, b, c = triangles[order[m], 0], triangles[order[m], 1], triangles[order[m], 2]
             if max(shift[a], shift[b], shift[c]) <= calm[p]:
@@ -313,7 +314,7 @@ def _first_turned(
             vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
             nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if nx * along_x + ny * along_y + nz * along_z < length * np.cos(cones[p, 3] + TURNED):
+            if nx * along_x + ny * along_y + nz * along_z < length * least:
                 return p
     return int(calm.shape[0])
 

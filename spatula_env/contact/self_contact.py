@@ -245,14 +245,8 @@ def append_pair(
 @array_kernel
 def _is_left_out(left_out: np.ndarray, name: int) -> bool:
     """Whether a name without a side is among those (., ), which are sorted."""
-    low, high = 0, left_out.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if left_out[middle] < name:
-            low = middle + 1
-        else:
-            high = middle
-    return bool(low < left_out.shape[0] and left_out[low] == name)
+    place = np.searchsorted(left_out, name)
+    return bool(place < left_out.shape[0] and left_out[place] == name)
 
 
 @array_kernel
