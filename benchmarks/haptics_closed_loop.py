@@ -11,13 +11,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 import spatula_env
+from spatula_env.envs import SpatulaEnv
 from spatula_env.teleop.emulator import ElasticHand, Hand, HandOnMechanism, Mechanism
 from spatula_env.teleop.falcon.frames import direction_to_device, position_to_device, position_to_falcon
 from spatula_env.teleop.haptics import HapticDevice, HapticSettings, LoopStatistics
@@ -213,8 +214,7 @@ class ClosedLoop:
             now=lambda: self.device.now() * speed,
             sleep=lambda duration: self.device.sleep(duration / speed),
         )
-        self.made: Any = self.env.unwrapped
-        self._stop = self.made.listen(self._hear)
+        self._stop = cast("SpatulaEnv", self.env.unwrapped).listen(self._hear)
         self.teleop.reset(seed=0, options={"tool_position": self.touch.start})
 
     def run(self, until: float, stall: tuple[float, float] | None = None) -> Trace:

@@ -122,14 +122,14 @@ def tap(cell: Cell, speed: float) -> dict[str, Any]:
     """Touch the organ at a speed, and be off again."""
     lift, depth = 0.010, 0.010
     touch = TOUCHES[cell.task]
-    start = tuple(place - (lift - ABOVE) * way for place, way in zip(touch.start, touch.direction, strict=True))
+    x, y, z = (place - (lift - ABOVE) * way for place, way in zip(touch.start, touch.direction, strict=True))
     period = 2.0 * math.pi * 0.5 * (lift + depth) / speed
 
     def path(time: float) -> float:
         share = min(1.0, max(0.0, (time - WAIT) / period))
         return 0.5 * (lift + depth) * (1.0 - math.cos(2.0 * math.pi * share))
 
-    loop = _loop(cell, path, replace(touch, start=start))
+    loop = _loop(cell, path, replace(touch, start=(x, y, z)))
     trace = _run(loop, WAIT + period + 1.0)
     shown, true = (float(np.linalg.norm(force, axis=1).max()) for force in (trace.shown, trace.true))
     return {"speed": speed, **_common(trace), "shown_peak_n": shown, "true_peak_n": true, "peak_ratio": shown / true}

@@ -53,7 +53,7 @@ def write_recording(path: Path, state: SimulationState, linear: FloatArray, angu
     flags = {f"flags_{i}_{j}": flags for i, row in enumerate(contact.flags) for j, flags in enumerate(row)}
     arrays: dict[str, Any] = dict(zip((*RECORDED, *REMEMBERED), (*moved, *remembered), strict=True))
     path.parent.mkdir(parents=True, exist_ok=True)
-    np.savez_compressed(path, **arrays, **flags)
+    np.savez_compressed(path, **arrays | flags)
 
 
 def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, FloatArray]:

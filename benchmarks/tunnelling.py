@@ -261,7 +261,7 @@ def _run_all(arguments: argparse.Namespace) -> None:
     numbers = range(arguments.first, arguments.first + arguments.cases)
     outcomes: dict[str, list[Outcome]] = {}
     stopped: str | None = None
-    contacts = without_bullet(get_args(ContactName)) if arguments.subset else ["flags"]
+    contacts: list[ContactName] = without_bullet(get_args(ContactName)) if arguments.subset else ["flags"]
     start = time.perf_counter()
     # So that `timeout` ends a run with what there is.
     before = signal.signal(signal.SIGTERM, _interrupt)
