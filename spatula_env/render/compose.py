@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env._kernels import kernel
+from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.render.ground_shadow import shadow_corners, shadow_part, shadow_row
 from spatula_env.render.layout import (
+    BAND,
     EYE,
     FAR,
     GROUND_HEIGHT,
@@ -20,11 +21,13 @@ from spatula_env.render.layout import (
     RAY_Y,
     SCENE,
     TONES,
+    Band,
     Bytes,
     Floats,
     Indices,
     Scene,
     Singles,
+    inlined,
 )
 from spatula_env.render.rasterizer import draw_cap, draw_opaque
 from spatula_env.render.shading import shade
@@ -37,9 +40,124 @@ _SHADOW_TINT = (1.0, 0.985, 0.955)
 _GROUND_BEHIND = 1.0 - 1e-4
 
 
+@inlined
+def _touched_pixels(rows: Indices, row: int, supersample: int, stride: int) -> tuple[int, int]:
+    """Pixels of a band's row, the end excluded, of which a sample was touched; `rows` and `stride` count samples."""
+    first, last = stride, 0
+    for j in range(row * supersample, (row + 1) * supersample):
+        first, last = min(first, rows[j, 0]), max(last, rows[j, 1])
+    return first // supersample, (last + supersample - 1) // supersample
+
+
+@inlined
+def _is_one(shown: Indices, corner: int, supersample: int, stride: int) -> bool:
+    """Whether all samples of the pixel whose first sample is `corner` show the same triangle, or all none."""
+    whole = shown[corner]
+    if supersample == 2:
+        return bool(
+            shown[corner + 1] == whole and shown[corner + stride] == whole and shown[corner + stride + 1] == whole
+        )
+    same = True
+    for k in range(1, supersample * supersample):
+        same = same and shown[corner + k // supersample * stride + k % supersample] == whole
+    return same
+
+
+@inlined
+def _split_pixel(
+    px: int,
+    py: int,
+    pixel: int,
+    corner: int,
+    supersample: int,
+    stride: int,
+    translucent: bool,
+    shown: Indices,
+    left: Singles,
+    group: Indices,
+    group_left: Floats,
+    waiting: int,
+    jobs: Indices,
+    places: Floats,
+) -> tuple[int, float]:
+    """Make a job of each triangle in a pixel, at the mean of the samples that show it.
+
+    Args:
+        px: column of the pixel.
+        py: its row.
+        pixel: its number in the band.
+        corner: its first sample.
+        supersample: samples along a pixel's side.
+        stride: samples in a row.
+        translucent: whether anything is.
+        shown: see `layout.Band`.
+        left: the same.
+        group: scratch for each sample of a pixel.
+        group_left: the same.
+        waiting: jobs so far.
+        jobs: written to.
+        places: the same.
+
+    Returns:
+        Jobs now, and how many samples show none; of what is translucent, the part that comes through.
+    """
+    samples = supersample * supersample
+    bare = 0.0
+    for k in range(samples):
+        group[k] = shown[corner + k // supersample * stride + k % supersample]
+        group_left[k] = 1.0
+        if translucent:
+            group_left[k] = left[corner + k // supersample * stride + k % supersample]
+        if group[k] == -1:
+            bare += group_left[k]
+    for k in range(samples):
+        t = group[k]
+        if t == -1:
+            continue
+        weight = mean_x = mean_y = 0.0
+        members = 0
+        for i in range(k, samples):
+            if group[i] == t:
+                weight += group_left[i]
+                mean_x += i % supersample + 0.5
+                mean_y += i // supersample + 0.5
+                members += 1
+                group[i] = -1
+        jobs[waiting, 0] = t
+        jobs[waiting, 1] = pixel
+        places[waiting, 0] = px * supersample + mean_x / members
+        places[waiting, 1] = py * supersample + mean_y / members
+        places[waiting, 2] = weight * (1.0 / samples)
+        waiting += 1
+    return waiting, bare
+
+
+@inlined
+def _add_background(
+    total: Singles, pixel: int, share: float, blocked: float, background: Singles, py: int, px: int
+) -> None:
+    """Add a share of the background in row py and column px, of whose light a shadow on the ground blocks a part."""
+    for k in range(3):
+        total[pixel, k] += share * (1.0 - _SHADOW_TINT[k] * blocked) * background[py, px, k]
+
+
+@inlined
+def _encode_row(total: Singles, row: int, first: int, last: int, tones: Bytes, picture: Bytes, py: int) -> None:
+    """Encode pixels of the band's row, which is row py of the picture, and set their light to zero again."""
+    for px in range(first, last):
+        pixel = row * picture.shape[1] + px
+        for k in range(3):
+            level = total[pixel, k] * np.float32(TONES - 1) + np.float32(0.5)
+            picture[py, px, k] = tones[min(max(int(level), 0), TONES - 1)]
+            total[pixel, k] = 0.0
+
+
 @kernel(
-    "void(i8, i8, i8, i8, f8[:,::1], i8, f8[::1], u1[::1], i4[::1], f4[::1], i4[:,::1], b1, f4[:,:,::1],"
-    " f4[:,::1], f4[:,:,::1], i8, u1[:,:,::1], f4[:,::1], i4[:,::1], f8[:,::1]," + SCENE + ")"
+    "void(i8, i8, i8, i8, f8[:,::1], i8, f8[::1], u1[::1], b1, f4[:,:,::1], f4[:,::1], f4[:,:,::1], i8, u1[:,:,::1],"
+    + BAND
+    + ", "
+    + SCENE
+    + ")"
 )
 def resolve(
     first_row: int,
@@ -50,18 +168,13 @@ def resolve(
     step: int,
     blocks: Floats,
     tones: Bytes,
-    shown: Indices,
-    left: Singles,
-    rows: Indices,
     translucent: bool,
     background: Singles,
     ground_weight: Singles,
     dark: Singles,
     under_size: int,
     picture: Bytes,
-    total: Singles,
-    jobs: Indices,
-    places: Floats,
+    band: Band,
     scene: Scene,
 ) -> None:
     """Shade, mix the samples of each pixel of a band, and encode, where the picture is not the bare background.
@@ -75,112 +188,56 @@ def resolve(
         step: the ground's shadow is found at every `step`th pixel of a row.
         blocks: scratch (width + 2 step).
         tones: the encoding table.
-        shown: triangle of each sample of the band, -1 for none.
-        left: part of the light that comes through what is translucent, for each sample of the band.
-        rows: range of samples touched in each row of the band.
         translucent: whether anything is.
         background: linear colours (H, W, 3).
         ground_weight: how much of the ground each pixel shows (H, W).
         dark: see `shadows.cast_shadows`.
         under_size: texels in use along a side of the second layer of `dark`.
         picture: (H, W, 3), which holds the encoded background.
-        total: light of the translucent triangles in the band's pixels; set to zero again.
-        jobs: scratch for `shading.shade`, as many rows as a row has samples.
-        places: scratch for `shading.shade`.
+        band: see `layout`.
         scene: see `layout`.
     """
+    _depth, shown, left, _inside, rows, total, jobs, places = band
     view, light = scene[4], scene[5]
     stride = width * supersample
     samples = supersample * supersample
-    share = 1.0 / samples
     group = np.empty(samples, dtype=np.int32)
     group_left = np.empty(samples)
     for py in range(first_row, last_row):
         row = py - first_row
-        first, last = stride, 0
-        for j in range(supersample):
-            first = min(first, rows[row * supersample + j, 0])
-            last = max(last, rows[row * supersample + j, 1])
-        first, last = first // supersample, (last + supersample - 1) // supersample
+        first, last = _touched_pixels(rows, row, supersample, stride)
         dark_first, dark_last = shadow_row(corners, py, width)
         if dark_first < dark_last:
             first, last = min(first, dark_first), max(last, dark_last)
-
         shadow_part(view, light, dark, under_size, py, supersample, dark_first, dark_last, step, blocks)
 
         waiting = 0
         for px in range(first, last):
             pixel = row * width + px
-            # One triangle in all samples of a pixel is by far the most frequent.
             corner = row * supersample * stride + px * supersample
-            whole = shown[corner]
-            same = not translucent
-            if supersample == 2:
-                same = (
-                    same
-                    and shown[corner + 1] == whole
-                    and shown[corner + stride] == whole
-                    and shown[corner + stride + 1] == whole
-                )
-            else:
-                for k in range(1, samples):
-                    same = same and shown[corner + k // supersample * stride + k % supersample] == whole
             bare = 0.0
-            if same:
-                if whole == -1:
-                    bare = float(samples)
-                else:
-                    jobs[waiting, 0] = whole
-                    jobs[waiting, 1] = pixel
-                    places[waiting, 0] = (px + 0.5) * supersample
-                    places[waiting, 1] = (py + 0.5) * supersample
-                    places[waiting, 2] = 1.0
-                    waiting += 1
+            # One triangle in all samples of a pixel is by far the most frequent.
+            if translucent or not _is_one(shown, corner, supersample, stride):
+                waiting, bare = _split_pixel(
+                    px, py, pixel, corner, supersample, stride, translucent, shown, left, group, group_left,
+                    waiting, jobs, places,
+                )  # fmt: skip
+            elif shown[corner] == -1:
+                bare = float(samples)
             else:
-                for k in range(samples):
-                    group[k] = shown[corner + k // supersample * stride + k % supersample]
-                    group_left[k] = 1.0
-                    if translucent:
-                        group_left[k] = left[corner + k // supersample * stride + k % supersample]
-                    if group[k] == -1:
-                        bare += group_left[k]
-                for k in range(samples):
-                    t = group[k]
-                    if t == -1:
-                        continue
-                    weight = mean_x = mean_y = 0.0
-                    members = 0
-                    for i in range(k, samples):
-                        if group[i] == t:
-                            weight += group_left[i]
-                            mean_x += i % supersample + 0.5
-                            mean_y += i // supersample + 0.5
-                            members += 1
-                            group[i] = -1
-                    jobs[waiting, 0] = t
-                    jobs[waiting, 1] = pixel
-                    places[waiting, 0] = px * supersample + mean_x / members
-                    places[waiting, 1] = py * supersample + mean_y / members
-                    places[waiting, 2] = weight * share
-                    waiting += 1
+                jobs[waiting, 0] = shown[corner]
+                jobs[waiting, 1] = pixel
+                places[waiting, 0] = (px + 0.5) * supersample
+                places[waiting, 1] = (py + 0.5) * supersample
+                places[waiting, 2] = 1.0
+                waiting += 1
             if bare > 0.0:
-                mix_red = mix_green = mix_blue = bare * share
+                blocked = 0.0
                 if dark_first <= px and px < dark_last:
                     blocked = blocks[px - dark_first] * ground_weight[py, px]
-                    mix_red *= 1.0 - _SHADOW_TINT[0] * blocked
-                    mix_green *= 1.0 - _SHADOW_TINT[1] * blocked
-                    mix_blue *= 1.0 - _SHADOW_TINT[2] * blocked
-                total[pixel, 0] += mix_red * background[py, px, 0]
-                total[pixel, 1] += mix_green * background[py, px, 1]
-                total[pixel, 2] += mix_blue * background[py, px, 2]
+                _add_background(total, pixel, bare * (1.0 / samples), blocked, background, py, px)
         shade(waiting, jobs, places, total, scene)
-
-        for px in range(first, last):
-            pixel = row * width + px
-            for k in range(3):
-                level = total[pixel, k] * np.float32(TONES - 1) + np.float32(0.5)
-                picture[py, px, k] = tones[min(max(int(level), 0), TONES - 1)]
-                total[pixel, k] = 0.0
+        _encode_row(total, row, first, last, tones, picture, py)
 
 
 @kernel("void(i8, i8, i8, i8, f4[::1], i4[::1], i4[:,::1], f8[::1], i4[::1], f8[::1], f4[:,::1])")
@@ -223,12 +280,10 @@ def resolve_depth(
             value = slope[0] * (px + 0.5) * supersample + slope[1] * y + slope[2]
             value = 0.0 if value > nearest else value
             out[py, px] = 1.0 / max(value, farthest)
-        row = (py - first_row) * supersample
-        first, last = stride, 0
-        for j in range(supersample):
-            first, last = min(first, rows[row + j, 0]), max(last, rows[row + j, 1])
-        for px in range(first // supersample, (last + supersample - 1) // supersample):
-            corner = row * stride + px * supersample
+        row = py - first_row
+        first, last = _touched_pixels(rows, row, supersample, stride)
+        for px in range(first, last):
+            corner = row * supersample * stride + px * supersample
             highest = np.float32(0.0)
             mesh = -1
             for j in range(supersample):
@@ -249,10 +304,48 @@ def resolve_depth(
             out[py, px] = members / total
 
 
+@inline_kernel
+def _find_ground_shadow(
+    view: Floats, light: Floats, matrix: Floats, supersample: int, width: int, height: int, corners: Floats
+) -> None:
+    """Write the corners (8, 2) around the ground that may be in shadow, pixels; all of them -1 if there is none."""
+    if light[HAS_SHADOWS] == 0.0 or view[GROUND_SEEN] == 0.0 or not light[GROUND_SHADOW] > 0.0:
+        corners[:] = -1.0
+    elif not shadow_corners(view, light, matrix, supersample, corners):
+        # Part of it is behind the eye: look everywhere.
+        for corner in range(8):
+            corners[corner, 0] = width if corner & 3 == 1 or corner & 3 == 2 else 0.0
+            corners[corner, 1] = height if corner & 2 else 0.0
+
+
+@inlined
+def _clear_band(
+    top: int, bottom: int, stride: int, count: int, extents: Indices, slope: Floats, view: Floats, band: Band
+) -> None:
+    """Begin the rows of samples top..bottom: nothing is shown but the ground, see `resolve_depth` for its `slope`."""
+    depth, shown, rows = band[0], band[1], band[4]
+    nearest, farthest = 1.0 / view[NEAR], 1.0 / view[FAR]
+    # Depth is needed where triangles may be.
+    first, last = stride, 0
+    for t in range(count):
+        if extents[t, 0] > 0 and extents[t, 3] < bottom and extents[t, 4] > top:
+            first, last = min(first, extents[t, 1]), max(last, extents[t, 2])
+    shown[:] = -1
+    for y in range(top, bottom):
+        start = slope[1] * (y + 0.5) + slope[2] + 0.5 * slope[0]
+        row = (y - top) * stride
+        for x in range(first, last):
+            value = _GROUND_BEHIND * (start + slope[0] * x)
+            # Ground nearer than the near plane is not there.
+            value = 0.0 if value > nearest else value
+            depth[row + x] = max(value, farthest)
+        rows[y - top, 0] = stride
+        rows[y - top, 1] = 0
+
+
 @kernel(
     "void(i8, i8, i8, i8, f8[:,::1], i8[::1], i8[:,::1], i4[:,::1], f8[:,:,::1], u1[::1], f4[:,:,::1],"
-    " f4[:,::1], f4[:,:,::1], i8, f4[::1], i4[::1], f4[::1], i4[::1], i4[:,::1], f4[:,::1],"
-    " i4[:,::1], f8[:,::1], u1[:,:,::1], f4[:,::1]," + SCENE + ")"
+    " f4[:,::1], f4[:,:,::1], i8, u1[:,:,::1], f4[:,::1]," + BAND + ", " + SCENE + ")"
 )
 def draw_picture(
     width: int,
@@ -269,16 +362,9 @@ def draw_picture(
     ground_weight: Singles,
     dark: Singles,
     under_size: int,
-    depth: Singles,
-    shown: Indices,
-    left: Singles,
-    inside: Indices,
-    rows: Indices,
-    total: Singles,
-    jobs: Indices,
-    places: Floats,
     picture: Bytes,
     depth_picture: Singles,
+    band: Band,
     scene: Scene,
 ) -> None:
     """Draw everything over the background, band by band.
@@ -299,121 +385,45 @@ def draw_picture(
         ground_weight: how much of the ground each pixel shows (H, W).
         dark: see `shadows.cast_shadows`.
         under_size: texels in use along a side of the second layer of `dark`.
-        depth: scratch for each sample of a band.
-        shown: the same.
-        left: the same.
-        inside: the same, all zero.
-        rows: scratch for each row of samples of a band: its length is the height of a band.
-        total: scratch for each pixel of a band, all zero.
-        jobs: scratch for `shading.shade`, as many rows as a row has samples.
-        places: scratch for `shading.shade`.
         picture: (H, W, 3), which holds the encoded background.
         depth_picture: (H, W) to write, or without rows.
+        band: see `layout`; the number of its rows is the height of a band.
         scene: see `layout`.
     """
     functions, owner, flags, parameters, view, light, _map_depth, _map_mesh, _others = scene
+    depth, shown, left, inside, rows, total, jobs, places = band
     stride = width * supersample
-    band = len(rows) // supersample
+    band_height = len(rows) // supersample
     corners = np.empty((8, 2))
-    if light[HAS_SHADOWS] != 0.0 and view[GROUND_SEEN] != 0.0 and light[GROUND_SHADOW] > 0.0:
-        if not shadow_corners(view, light, matrix, supersample, corners):
-            # Part of it is behind the eye: look everywhere.
-            for corner in range(8):
-                corners[corner, 0] = width if corner & 3 == 1 or corner & 3 == 2 else 0.0
-                corners[corner, 1] = height if corner & 2 else 0.0
-    else:
-        corners[:] = -1.0
+    _find_ground_shadow(view, light, matrix, supersample, width, height, corners)
     # Shadows on the ground are soft: in a large picture they are smooth over a few pixels.
     step = 4 if height >= 300 else (2 if height >= 150 else 1)
     blocks = np.empty(width + 2 * step)
-    nearest, farthest = 1.0 / view[NEAR], 1.0 / view[FAR]
     # 1 / W of the ground, which is linear over the picture.
     slope = np.zeros(3)
     if view[GROUND_SEEN] != 0.0:
         drop = view[GROUND_HEIGHT] - view[EYE + 2]
         slope[0], slope[1], slope[2] = view[RAY_X + 2] / drop, view[RAY_Y + 2] / drop, view[RAY + 2] / drop
-    for first_row in range(0, height, band):
-        last_row = min(first_row + band, height)
+    for first_row in range(0, height, band_height):
+        last_row = min(first_row + band_height, height)
         top, bottom = first_row * supersample, last_row * supersample
-        # Depth is needed where triangles may be.
-        first, last = stride, 0
-        for t in range(count):
-            if extents[t, 0] > 0 and extents[t, 3] < bottom and extents[t, 4] > top:
-                first, last = min(first, extents[t, 1]), max(last, extents[t, 2])
-        shown[:] = -1
-        for y in range(top, bottom):
-            start = slope[1] * (y + 0.5) + slope[2] + 0.5 * slope[0]
-            row = (y - top) * stride
-            for x in range(first, last):
-                value = _GROUND_BEHIND * (start + slope[0] * x)
-                # Ground nearer than the near plane is not there.
-                value = 0.0 if value > nearest else value
-                depth[row + x] = max(value, farthest)
-            rows[y - top, 0] = stride
-            rows[y - top, 1] = 0
+        _clear_band(top, bottom, stride, count, extents, slope, view, band)
         draw_opaque(top, bottom, stride, count, extents, limits, functions, owner, flags, depth, shown, rows)
         for c in range(len(caps)):
             draw_cap(
-                top,
-                bottom,
-                stride,
-                caps[c, 0],
-                caps[c, 1],
-                caps[c, 2],
-                caps[c, 3],
-                caps[c, 4],
-                extents,
-                limits,
-                functions,
-                parameters,
-                view,
-                inside,
-                depth,
-                shown,
-                rows,
-            )
+                top, bottom, stride, caps[c, 0], caps[c, 1], caps[c, 2], caps[c, 3], caps[c, 4],
+                extents, limits, functions, parameters, view, inside, depth, shown, rows,
+            )  # fmt: skip
         if len(order) > 0:
             left[:] = 1.0
             draw_translucent(
-                top,
-                bottom,
-                stride,
-                supersample,
-                order,
-                extents,
-                limits,
-                depth,
-                left,
-                rows,
-                total,
-                jobs,
-                places,
-                scene,
+                top, bottom, stride, supersample, order, extents, limits, depth, left, rows, total, jobs, places, scene
             )
         if len(depth_picture) > 0:
             resolve_depth(
                 first_row, last_row, width, supersample, depth, shown, rows, slope, owner, view, depth_picture
             )
         resolve(
-            first_row,
-            last_row,
-            width,
-            supersample,
-            corners,
-            step,
-            blocks,
-            tones,
-            shown,
-            left,
-            rows,
-            len(order) > 0,
-            background,
-            ground_weight,
-            dark,
-            under_size,
-            picture,
-            total,
-            jobs,
-            places,
-            scene,
-        )
+            first_row, last_row, width, supersample, corners, step, blocks, tones, len(order) > 0, background,
+            ground_weight, dark, under_size, picture, band, scene,
+        )  # fmt: skip

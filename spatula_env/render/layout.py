@@ -1,8 +1,6 @@
 """Where things are in the arrays that the renderer hands to its kernels.
 
-The kernels are compiled with these numbers inside them. They are spread over a few modules, and Numba looks only at
-the file of a kernel to see whether a cached one is still good: delete `__pycache__` after changing this module or a
-helper that another module uses.
+The kernels are compiled with these numbers inside them.
 """
 
 from __future__ import annotations
@@ -33,6 +31,21 @@ Scene = tuple[Floats, Indices, Indices, Floats, Floats, Floats, Singles, Indices
 
 SCENE = "Tuple((f8[:,::1], i4[::1], i4[::1], f8[:,::1], f8[::1], f8[::1], f4[:,::1], i4[:,::1], f8[:,::1]))"
 """Numba's type of a `Scene`."""
+
+Band = tuple[Singles, Indices, Singles, Indices, Indices, Singles, Indices, Floats]
+"""Scratch for a band of rows of the picture:
+
+- `depth`, 1 / W of each sample;
+- `shown`, the triangle of each sample, -1 for none;
+- `left`, the part of the light that comes through what is translucent, for each sample;
+- `inside`, which of a section's samples are inside; all zero between calls;
+- `rows`, the range of samples touched in each row of samples (R, 2);
+- `total`, linear light of each pixel (P, 3); all zero between calls;
+- `jobs` (J, 2) and `places` (J, 3), see `shading.shade`, as many rows as `supersample` rows have samples.
+"""
+
+BAND = "Tuple((f4[::1], i4[::1], f4[::1], i4[::1], i4[:,::1], f4[:,::1], i4[:,::1], f8[:,::1]))"
+"""Numba's type of a `Band`."""
 
 # Bits of a mesh's flags.
 SMOOTH = 1

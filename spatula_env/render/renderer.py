@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,14 +69,17 @@ class Renderer:
         columns = self.width * self.supersample
         band = min(max(_BAND // (columns * self.supersample), 1), self.height)
         samples = band * self.supersample * columns
-        self._depth = np.zeros(samples, dtype=np.float32)
-        self._shown = np.zeros(samples, dtype=np.int32)
-        self._left = np.zeros(samples, dtype=np.float32)
-        self._inside = np.zeros(samples, dtype=np.int32)
-        self._rows = np.zeros((band * self.supersample, 2), dtype=np.int32)
-        self._total = np.zeros((band * self.width, 3), dtype=np.float32)
-        self._jobs = np.zeros((columns * self.supersample, 2), dtype=np.int32)
-        self._places = np.zeros((columns * self.supersample, 3))
+        # The order of `layout.Band`.
+        self._band: k.Band = (
+            np.zeros(samples, dtype=np.float32),
+            np.zeros(samples, dtype=np.int32),
+            np.zeros(samples, dtype=np.float32),
+            np.zeros(samples, dtype=np.int32),
+            np.zeros((band * self.supersample, 2), dtype=np.int32),
+            np.zeros((band * self.width, 3), dtype=np.float32),
+            np.zeros((columns * self.supersample, 2), dtype=np.int32),
+            np.zeros((columns * self.supersample, 3)),
+        )
 
         # Shadows are soft: a map much finer than the picture would be wasted.
         size = min(max(int(0.32 * max(self.width, self.height)), 40), 160)
@@ -341,6 +345,27 @@ class Renderer:
         picture: NDArray[np.uint8],
         depth: NDArray[np.float32] | None = None,
     ) -> None:
+        self._see(camera, ground, background)
+        packed = self._pack(meshes, -math.inf if ground is None else ground.height)
+        self._cast_shadows(packed)
+        rasterizer.prepare(
+            self._points, self._placed, self._triangles, self._owner, packed.triangles,
+            self._normals, self._colors, self._texture, self._flags, self._parameters, self._view,
+            self.width * self.supersample, self.height * self.supersample,
+            self._extents, self._limits, self._functions,
+        )  # fmt: skip
+        picture[:] = self._background_bytes
+        compose.draw_picture(
+            self.width, self.height, self.supersample, packed.triangles, self._matrix,
+            self._translucent(packed), packed.sections(self._flags),
+            self._extents, self._limits, self._tones, self._background_light, self._ground_weight,
+            self._dark, len(self._under_depth), picture,
+            np.zeros((0, 0), dtype=np.float32) if depth is None else depth,
+            self._band, self._scene(),
+        )  # fmt: skip
+
+    def _see(self, camera: Camera, ground: GroundPlane | None, background: Background | Color | None) -> None:
+        """Draw the background, unless it is that of the picture before."""
         if background is None:
             background = Background()
         elif not isinstance(background, Background):
@@ -352,115 +377,86 @@ class Renderer:
             self._draw_background(background, ground)
             self._drawn = wanted
 
-        cored = [m for m, mesh in enumerate(meshes) if mesh.rind > 0.0]
+    def _pack(self, meshes: Sequence[Mesh], floor: float) -> _Packed:
+        """Copy all meshes into the buffers; no vertex that refining makes is below the floor [u]."""
+        rinds = [m for m, mesh in enumerate(meshes) if mesh.rind > 0.0]
         corners = triangles = 0
         for mesh in meshes:
             # Splitting adds 3 vertices a triangle, then 12; its input and its output need room at once.
             copies = 2 if mesh.rind > 0.0 else 1
             corners += copies * (len(mesh.vertices) + (0, 3, 15)[mesh.refine] * len(mesh.triangles))
             triangles += copies * (1, 5, 20)[mesh.refine] * len(mesh.triangles)
-        count = len(meshes) + len(cored)
+        count = len(meshes) + len(rinds)
         # Behind the triangles, one place for the section of each mesh.
         self._grow(corners, triangles + count, count)
-        floor = -math.inf if ground is None else ground.height
         vertex = triangle = 0
         starts = []
         for m, mesh in enumerate(meshes):
             starts.append(triangle)
             vertex, triangle = self._pack_mesh(mesh, m, vertex, triangle, floor)
-        for m, shell in enumerate(cored, start=len(meshes)):
+        for m, shell in enumerate(rinds, start=len(meshes)):
             starts.append(triangle)
             vertex, triangle = self._pack_core(meshes[shell], m, shell, vertex, triangle)
         vertices.place(self._points, 0, vertex, self._matrix, self._placed)
-        starts.append(triangle)
         self._owner[triangle : triangle + count] = np.arange(count)
-        shells = [-1] * len(meshes) + [triangle + shell for shell in cored]
+        return _Packed(triangle, (*starts, triangle), (*(-1 for _ in meshes), *(triangle + shell for shell in rinds)))
 
+    def _cast_shadows(self, packed: _Packed) -> None:
         shadows.cast_shadows(
-            self._points,
-            self._light_space,
-            self._triangles,
+            self._points, self._light_space, self._triangles, self._owner, packed.triangles, packed.meshes,
+            self._flags, self._parameters, self._ranges, self._view, self._light,
+            self._map_depth, self._map_mesh, self._dark, self._under_depth, self._under_mesh, self._others,
+        )  # fmt: skip
+
+    def _translucent(self, packed: _Packed) -> NDArray[np.int64]:
+        """Translucent triangles, nearest first, by the mean depth of their corners."""
+        if not np.any(self._flags[: packed.meshes] & k.TRANSLUCENT):
+            return np.zeros(0, dtype=np.int64)
+        order = np.flatnonzero(self._flags[self._owner[: packed.triangles]] & k.TRANSLUCENT)
+        distance = self._placed[self._triangles[order], 2].sum(axis=1)
+        return order[np.argsort(distance, kind="stable")]
+
+    def _scene(self) -> k.Scene:
+        """The arrays that shading reads."""
+        return (
+            self._functions,
             self._owner,
-            triangle,
-            count,
             self._flags,
             self._parameters,
-            self._ranges,
             self._view,
             self._light,
             self._map_depth,
             self._map_mesh,
-            self._dark,
-            self._under_depth,
-            self._under_mesh,
             self._others,
         )
-        rasterizer.prepare(
-            self._points,
-            self._placed,
-            self._triangles,
-            self._owner,
-            triangle,
-            self._normals,
-            self._colors,
-            self._texture,
-            self._flags,
-            self._parameters,
-            self._view,
-            self.width * self.supersample,
-            self.height * self.supersample,
-            self._extents,
-            self._limits,
-            self._functions,
-        )
-        flags = self._flags[:count]
-        order = np.zeros(0, dtype=np.int64)
-        if bool(np.any(flags & k.TRANSLUCENT)):
-            # Nearest first, by the mean depth of the corners.
-            order = np.flatnonzero(self._flags[self._owner[:triangle]] & k.TRANSLUCENT)
-            distance = self._placed[self._triangles[order], 2].sum(axis=1)
-            order = order[np.argsort(distance, kind="stable")]
-        caps = [
-            (m, starts[m], starts[m + 1], triangle + m, shells[m]) for m in np.flatnonzero(flags & k.CAPPED).tolist()
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """Which meshes are in the buffers, and behind them what a section's rind leaves of some.
+
+    Attributes:
+        triangles: How many in all.
+        starts: First triangle of each mesh, and the end of the last.
+        shells: For what a rind leaves, the triangle that stands for the section it is drawn on; -1 for meshes.
+    """
+
+    triangles: int
+    starts: tuple[int, ...]
+    shells: tuple[int, ...]
+
+    @property
+    def meshes(self) -> int:
+        """How many there are."""
+        return len(self.shells)
+
+    def sections(self, flags: k.Indices) -> NDArray[np.int64]:
+        """The sections to draw (C, 5), as `compose.draw_picture` takes them; `flags` of the meshes."""
+        rows = [
+            (m, self.starts[m], self.starts[m + 1], self.triangles + m, self.shells[m])
+            for m in np.flatnonzero(flags[: self.meshes] & k.CAPPED).tolist()
         ]
-        picture[:] = self._background_bytes
-        compose.draw_picture(
-            self.width,
-            self.height,
-            self.supersample,
-            triangle,
-            self._matrix,
-            order,
-            np.array(caps, dtype=np.int64).reshape(-1, 5),
-            self._extents,
-            self._limits,
-            self._tones,
-            self._background_light,
-            self._ground_weight,
-            self._dark,
-            len(self._under_depth),
-            self._depth,
-            self._shown,
-            self._left,
-            self._inside,
-            self._rows,
-            self._total,
-            self._jobs,
-            self._places,
-            picture,
-            np.zeros((0, 0), dtype=np.float32) if depth is None else depth,
-            (
-                self._functions,
-                self._owner,
-                self._flags,
-                self._parameters,
-                self._view,
-                self._light,
-                self._map_depth,
-                self._map_mesh,
-                self._others,
-            ),
-        )
+        return np.array(rows, dtype=np.int64).reshape(-1, 5)
 
 
 def _section_color(mesh: Mesh) -> Color:

@@ -120,6 +120,80 @@ def _room(up: float, towards_key: float, lit: float) -> float:
     return around + 0.75 * lit * box * box * (3.0 - 2.0 * box)
 
 
+@inlined
+def _marks(
+    functions: Floats, parameters: Floats, t: int, m: int, x: float, y: float, w: float, footprint: float
+) -> tuple[float, float, float]:
+    """Marks of triangle t of mesh m at sample coordinate (x, y): brush marks, and patches and vessels as in `_mottle`.
+
+    `w` is the depth there, and `footprint` how wide a sample is.
+    """
+    u = w * (functions[t, MARK] * x + functions[t, MARK + 1] * y + functions[t, MARK + 2])
+    v = w * (functions[t, MARK + 3] * x + functions[t, MARK + 4] * y + functions[t, MARK + 5])
+    s = w * (functions[t, MARK + 6] * x + functions[t, MARK + 7] * y + functions[t, MARK + 8])
+    streak = patch = vessel = 0.0
+    if parameters[m, GRAIN] > 0.0:
+        # Along x on every face of a box.
+        streak = parameters[m, GRAIN] * _streaks(v + s, footprint)
+    if parameters[m, MOTTLE] > 0.0:
+        patch, vessel = _mottle(u, v, s, footprint)
+        patch *= parameters[m, MOTTLE]
+        vessel *= parameters[m, MOTTLE]
+    return streak, patch, vessel
+
+
+@inlined
+def _key_light_share(
+    light: Floats,
+    map_depth: Singles,
+    map_mesh: Indices,
+    others: Floats,
+    m: int,
+    px: float,
+    py: float,
+    pz: float,
+) -> float:
+    """How much of the key light other meshes let through to the point p of mesh m, from 0 to 1.
+
+    Over 4 x 4 texels with weights that fall to the sides.
+    """
+    size = map_depth.shape[0]
+    u = light[AXIS_U] * px + light[AXIS_U + 1] * py + light[AXIS_U + 2] * pz
+    v = light[AXIS_V] * px + light[AXIS_V + 1] * py + light[AXIS_V + 2] * pz
+    u = (u - light[MAP_U]) * light[MAP_SCALE]
+    v = (v - light[MAP_V]) * light[MAP_SCALE]
+    dark = 0.0
+    if u > others[m, 0] and u < others[m, 1] and v > others[m, 2] and v < others[m, 3]:
+        i, j = int(u - 0.5) - 1, int(v - 0.5) - 1
+        if i >= 0 and j >= 0 and i + 4 <= size and j + 4 <= size:
+            fu, fv = u - 1.5 - i, v - 1.5 - j
+            height = light[KEY_DIRECTION] * px + light[KEY_DIRECTION + 1] * py + light[KEY_DIRECTION + 2] * pz
+            for b in range(4):
+                part = 0.0
+                for a in range(4):
+                    other = map_mesh[j + b, i + a]
+                    if other >= 0 and other != m and map_depth[j + b, i + a] > height:
+                        part += (1.0 - fu) if a == 0 else (fu if a == 3 else 1.0)
+                dark += part * ((1.0 - fv) if b == 0 else (fv if b == 3 else 1.0))
+    return float(1.0 - light[SHADOW] * dark / 9.0)
+
+
+@inlined
+def _highlight(n_l: float, n_v: float, l_v: float, squarings: int) -> float:
+    """A mirror-like highlight after Blinn and Phong, from the cosines between normal, light and view.
+
+    The half vector of two unit vectors has the length sqrt(2 + 2 l . v). The exponent is 2 to the power of
+    `squarings`. A wide sheen lies under the sharp highlight, as from a film of liquid that is not quite even.
+    """
+    shine = (n_l + n_v) / math.sqrt(max(2.0 + 2.0 * l_v, 1e-12))
+    sheen = 0.0
+    for k in range(squarings):
+        shine *= shine
+        if k == squarings - 4:
+            sheen = shine
+    return shine + 0.10 * sheen
+
+
 @kernel("void(i8, i4[:,::1], f8[:,::1], f4[:,::1]," + SCENE + ")")
 def shade(
     count: int,
@@ -130,7 +204,7 @@ def shade(
 ) -> None:
     """Add the light that triangles send to the eye.
 
-    This is one long function on purpose: Numba counts references for every array that a call passes on, and inside
+    All that it calls is compiled into it: Numba counts references for every array that a call passes on, and inside
     this loop that costs more than the arithmetic.
 
     Args:
@@ -144,7 +218,6 @@ def shade(
     lx, ly, lz = light[KEY_DIRECTION], light[KEY_DIRECTION + 1], light[KEY_DIRECTION + 2]
     has_shadows = light[HAS_SHADOWS] != 0.0
     has_ground = view[GROUND_SEEN] != 0.0
-    size = map_depth.shape[0]
     for job in range(count):
         t = jobs[job, 0]
         pixel = jobs[job, 1]
@@ -163,20 +236,10 @@ def shade(
 
         streak = 0.0
         if kind & TEXTURED:
-            u = w * (functions[t, MARK] * x + functions[t, MARK + 1] * y + functions[t, MARK + 2])
-            v = w * (functions[t, MARK + 3] * x + functions[t, MARK + 4] * y + functions[t, MARK + 5])
-            s = w * (functions[t, MARK + 6] * x + functions[t, MARK + 7] * y + functions[t, MARK + 8])
-            footprint = w / view[FOCAL]
-            if parameters[m, GRAIN] > 0.0:
-                # Along x on every face of a box.
-                streak = parameters[m, GRAIN] * _streaks(v + s, footprint)
-            if parameters[m, MOTTLE] > 0.0:
-                patch, vessel = _mottle(u, v, s, footprint)
-                patch *= parameters[m, MOTTLE]
-                vessel *= parameters[m, MOTTLE]
-                red *= (1.0 + 0.22 * patch) * (1.0 - 0.30 * vessel)
-                green *= (1.0 + 0.45 * patch) * (1.0 - 0.68 * vessel)
-                blue *= (1.0 + 0.40 * patch) * (1.0 - 0.58 * vessel)
+            streak, patch, vessel = _marks(functions, parameters, t, m, x, y, w, w / view[FOCAL])
+            red *= (1.0 + 0.22 * patch) * (1.0 - 0.30 * vessel)
+            green *= (1.0 + 0.45 * patch) * (1.0 - 0.68 * vessel)
+            blue *= (1.0 + 0.40 * patch) * (1.0 - 0.58 * vessel)
 
         # The point p, the unit normal n and the unit vector v to the eye.
         vx = view[RAY] + x * view[RAY_X] + y * view[RAY_Y]
@@ -196,27 +259,9 @@ def shade(
         fresnel = grazing * grazing
         fresnel = fresnel * fresnel * grazing
 
-        # Shadow of other meshes, over 4 x 4 texels with weights that fall to the sides.
         lit = 1.0
         if has_shadows and kind & RECEIVES:
-            u = light[AXIS_U] * px + light[AXIS_U + 1] * py + light[AXIS_U + 2] * pz
-            v = light[AXIS_V] * px + light[AXIS_V + 1] * py + light[AXIS_V + 2] * pz
-            u = (u - light[MAP_U]) * light[MAP_SCALE]
-            v = (v - light[MAP_V]) * light[MAP_SCALE]
-            if u > others[m, 0] and u < others[m, 1] and v > others[m, 2] and v < others[m, 3]:
-                i, j = int(u - 0.5) - 1, int(v - 0.5) - 1
-                if i >= 0 and j >= 0 and i + 4 <= size and j + 4 <= size:
-                    fu, fv = u - 1.5 - i, v - 1.5 - j
-                    height = lx * px + ly * py + lz * pz
-                    dark = 0.0
-                    for b in range(4):
-                        part = 0.0
-                        for a in range(4):
-                            other = map_mesh[j + b, i + a]
-                            if other >= 0 and other != m and map_depth[j + b, i + a] > height:
-                                part += (1.0 - fu) if a == 0 else (fu if a == 3 else 1.0)
-                        dark += part * ((1.0 - fv) if b == 0 else (fv if b == 3 else 1.0))
-                    lit = 1.0 - light[SHADOW] * dark / 9.0
+            lit = _key_light_share(light, map_depth, map_mesh, others, m, px, py, pz)
         key = light[KEY] * lit
 
         # In flesh, light bleeds around the border of its own shadow.
@@ -237,19 +282,10 @@ def shade(
         sky_green = ambient * (_BOUNCE[1] + up * (_SKY[1] - _BOUNCE[1]))
         sky_blue = ambient * (_BOUNCE[2] + up * (_SKY[2] - _BOUNCE[2]))
 
-        # Blinn-Phong: the half vector of two unit vectors has the length sqrt(2 + 2 l . v). A wide sheen lies under
-        # the sharp highlight, as from a film of liquid that is not quite even.
         l_v = lx * vx + ly * vy + lz * vz
         shine = 0.0
         if parameters[m, SPECULAR] > 0.0 and n_l > 0.0:
-            shine = (n_l + n_v) / math.sqrt(max(2.0 + 2.0 * l_v, 1e-12))
-            squarings = int(parameters[m, SQUARINGS])
-            sheen = 0.0
-            for k in range(squarings):
-                shine *= shine
-                if k == squarings - 4:
-                    sheen = shine
-            shine = parameters[m, SPECULAR] * key * (shine + 0.10 * sheen)
+            shine = parameters[m, SPECULAR] * key * _highlight(n_l, n_v, l_v, int(parameters[m, SQUARINGS]))
             shine *= (0.6 + 0.4 * fresnel) * min(4.0 * n_l, 1.0)
         edge = parameters[m, RIM] * fresnel * ambient * (0.7 + 1.3 * up)
 

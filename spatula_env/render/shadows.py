@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from spatula_env._kernels import kernel
+from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.render.layout import (
     AXIS_U,
     AXIS_V,
@@ -120,6 +120,163 @@ def _blur(maps: Singles, layer: int, size: int, line: Floats, ring: Singles, rad
                     maps[layer, y - radius, x] = line[x] * norm
 
 
+@inline_kernel
+def _measure_casters(
+    points: Floats,
+    meshes: int,
+    flags: Indices,
+    ranges: Indices,
+    light: Floats,
+    p: Floats,
+    boxes: Floats,
+    box: Floats,
+) -> None:
+    """Place what casts shadows in the light's axes, and find how far it extends.
+
+    Args:
+        points: world positions (N, 3).
+        meshes: meshes in use.
+        flags: of the meshes.
+        ranges: first and last (excluded) vertex of each mesh (M, 2).
+        light: the light array.
+        p: (N, 3) to write: places along the light's axes, the height last.
+        boxes: (M, 4) to write: u0, u1, v0, v1 of each mesh; the wrong way round of one that casts no shadow.
+        box: (8,) to write: u0, u1, v0, v1, x0, x1, y0, y1 of all of them.
+    """
+    for k in range(0, 8, 2):
+        box[k], box[k + 1] = math.inf, -math.inf
+    for m in range(meshes):
+        boxes[m, 0] = boxes[m, 2] = math.inf
+        boxes[m, 1] = boxes[m, 3] = -math.inf
+        if not flags[m] & CASTS:
+            continue
+        for i in range(ranges[m, 0], ranges[m, 1]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            u = light[AXIS_U] * x + light[AXIS_U + 1] * y + light[AXIS_U + 2] * z
+            v = light[AXIS_V] * x + light[AXIS_V + 1] * y + light[AXIS_V + 2] * z
+            p[i, 0] = u
+            p[i, 1] = v
+            p[i, 2] = light[KEY_DIRECTION] * x + light[KEY_DIRECTION + 1] * y + light[KEY_DIRECTION + 2] * z
+            boxes[m, 0], boxes[m, 1] = min(boxes[m, 0], u), max(boxes[m, 1], u)
+            boxes[m, 2], boxes[m, 3] = min(boxes[m, 2], v), max(boxes[m, 3], v)
+            box[4], box[5] = min(box[4], x), max(box[5], x)
+            box[6], box[7] = min(box[6], y), max(box[7], y)
+        box[0], box[1] = min(box[0], boxes[m, 0]), max(box[1], boxes[m, 1])
+        box[2], box[3] = min(box[2], boxes[m, 2]), max(box[3], boxes[m, 3])
+
+
+@inline_kernel
+def _place_key_map(
+    p: Floats,
+    meshes: int,
+    flags: Indices,
+    ranges: Indices,
+    boxes: Floats,
+    box: Floats,
+    size: int,
+    light: Floats,
+    others: Floats,
+) -> int:
+    """Place the map of the key light around the casters.
+
+    Args:
+        p: places along the light's axes, see `_measure_casters`; made places in texels.
+        meshes: meshes in use.
+        flags: of the meshes.
+        ranges: first and last (excluded) vertex of each mesh (M, 2).
+        boxes: see `_measure_casters`.
+        box: the same.
+        size: texels along a side of the map.
+        light: the light array; the map's place is written to it.
+        others: see `cast_shadows`.
+
+    Returns:
+        How far the shadows are to be blurred, texels.
+    """
+    soft = light[SOFTNESS]
+    extent = max(box[1] - box[0], box[3] - box[2], 1e-6)
+    # What a shadow's border needs around the casters; two blurs of a radius reach two radii.
+    texel = (extent + 4.0 * soft) / (size - 8)
+    light[MAP_SCALE] = 1.0 / texel
+    light[MAP_U] = 0.5 * (box[0] + box[1]) - 0.5 * size * texel
+    light[MAP_V] = 0.5 * (box[2] + box[3]) - 0.5 * size * texel
+    for m in range(meshes):
+        others[m, 0] = others[m, 2] = math.inf
+        others[m, 1] = others[m, 3] = -math.inf
+        for k in range(meshes):
+            if k != m and boxes[k, 0] <= boxes[k, 1]:
+                others[m, 0] = min(others[m, 0], (boxes[k, 0] - light[MAP_U]) / texel - 3.0)
+                others[m, 1] = max(others[m, 1], (boxes[k, 1] - light[MAP_U]) / texel + 3.0)
+                others[m, 2] = min(others[m, 2], (boxes[k, 2] - light[MAP_V]) / texel - 3.0)
+                others[m, 3] = max(others[m, 3], (boxes[k, 3] - light[MAP_V]) / texel + 3.0)
+        if flags[m] & CASTS:
+            for i in range(ranges[m, 0], ranges[m, 1]):
+                p[i, 0] = (p[i, 0] - light[MAP_U]) / texel
+                p[i, 1] = (p[i, 1] - light[MAP_V]) / texel
+    for k in range(4):
+        light[MAP_BOX + k] = box[k] + (2.0 * soft + 2.0 * texel) * (1.0 if k & 1 else -1.0)
+    return min(max(int(soft / texel + 0.5), 1), size // 8)
+
+
+@inline_kernel
+def _place_under_map(
+    points: Floats,
+    p: Floats,
+    meshes: int,
+    flags: Indices,
+    ranges: Indices,
+    box: Floats,
+    size: int,
+    height: float,
+    light: Floats,
+) -> int:
+    """Place the map straight down around the casters.
+
+    Args:
+        points: world positions (N, 3).
+        p: (N, 3) to write: places in texels, and the height below the ground.
+        meshes: meshes in use.
+        flags: of the meshes.
+        ranges: first and last (excluded) vertex of each mesh (M, 2).
+        box: see `_measure_casters`.
+        size: texels along a side of the map.
+        height: of the ground.
+        light: the light array; the map's place is written to it.
+
+    Returns:
+        How far the shadows are to be blurred, texels.
+    """
+    wide = 1.5 * light[SOFTNESS]
+    extent = max(box[5] - box[4], box[7] - box[6], 1e-6)
+    texel = (extent + 4.0 * wide) / (size - 4)
+    for k in range(4):
+        light[UNDER_BOX + k] = box[4 + k] + (2.0 * wide + 2.0 * texel) * (1.0 if k & 1 else -1.0)
+    light[UNDER_SCALE] = 1.0 / texel
+    light[UNDER_X] = 0.5 * (box[4] + box[5]) - 0.5 * size * texel
+    light[UNDER_Y] = 0.5 * (box[6] + box[7]) - 0.5 * size * texel
+    for m in range(meshes):
+        if flags[m] & CASTS:
+            for i in range(ranges[m, 0], ranges[m, 1]):
+                p[i, 0] = (points[i, 0] - light[UNDER_X]) / texel
+                p[i, 1] = (points[i, 1] - light[UNDER_Y]) / texel
+                p[i, 2] = height - points[i, 2]
+    return min(max(int(wide / texel + 0.5), 1), size // 8)
+
+
+@inline_kernel
+def _darken_below(under_depth: Singles, soft: float, dark: Singles) -> None:
+    """How much of the sky is blocked, less the higher a caster is: written to the second layer of `dark`."""
+    reach = 1.0 / max(4.0 * soft, 1e-6)
+    for y in range(under_depth.shape[0]):
+        for x in range(under_depth.shape[0]):
+            value = under_depth[y, x]
+            if value == -math.inf:
+                dark[1, y, x] = 0.0
+            else:
+                fall = 1.0 + max(-value, np.float32(0.0)) * reach
+                dark[1, y, x] = 1.0 / (fall * fall)
+
+
 @kernel(
     "void(f8[:,::1], f8[:,::1], i4[:,::1], i4[::1], i8, i8, i4[::1], f8[:,::1], i4[:,::1], f8[::1], f8[::1],"
     " f4[:,::1], i4[:,::1], f4[:,:,::1], f4[:,::1], i4[:,::1], f8[:,::1])"
@@ -166,56 +323,15 @@ def cast_shadows(
         others: (M, 4) rectangle of the map in which another mesh can shadow this one: u0, u1, v0, v1.
     """
     size, under_size = map_depth.shape[0], under_depth.shape[0]
-    soft = light[SOFTNESS]
-    height = view[GROUND_HEIGHT]
-    # Ranges along the light's axes and the world's x and y: of each mesh, then of all.
     boxes = np.empty((meshes, 4))
-    box = np.array([math.inf, -math.inf, math.inf, -math.inf, math.inf, -math.inf, math.inf, -math.inf])
-    for m in range(meshes):
-        boxes[m, 0] = boxes[m, 2] = math.inf
-        boxes[m, 1] = boxes[m, 3] = -math.inf
-        if not flags[m] & CASTS:
-            continue
-        for i in range(ranges[m, 0], ranges[m, 1]):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            u = light[AXIS_U] * x + light[AXIS_U + 1] * y + light[AXIS_U + 2] * z
-            v = light[AXIS_V] * x + light[AXIS_V + 1] * y + light[AXIS_V + 2] * z
-            p[i, 0] = u
-            p[i, 1] = v
-            p[i, 2] = light[KEY_DIRECTION] * x + light[KEY_DIRECTION + 1] * y + light[KEY_DIRECTION + 2] * z
-            boxes[m, 0], boxes[m, 1] = min(boxes[m, 0], u), max(boxes[m, 1], u)
-            boxes[m, 2], boxes[m, 3] = min(boxes[m, 2], v), max(boxes[m, 3], v)
-            box[4], box[5] = min(box[4], x), max(box[5], x)
-            box[6], box[7] = min(box[6], y), max(box[7], y)
-        box[0], box[1] = min(box[0], boxes[m, 0]), max(box[1], boxes[m, 1])
-        box[2], box[3] = min(box[2], boxes[m, 2]), max(box[3], boxes[m, 3])
-    light[HAS_SHADOWS] = 0.0
+    box = np.empty(8)
+    _measure_casters(points, meshes, flags, ranges, light, p, boxes, box)
     if not box[0] < box[1]:
+        light[HAS_SHADOWS] = 0.0
         return
     light[HAS_SHADOWS] = 1.0
 
-    extent = max(box[1] - box[0], box[3] - box[2], 1e-6)
-    # What a shadow's border needs around the casters; two blurs of a radius reach two radii.
-    texel = (extent + 4.0 * soft) / (size - 8)
-    radius = min(max(int(soft / texel + 0.5), 1), size // 8)
-    light[MAP_SCALE] = 1.0 / texel
-    light[MAP_U] = 0.5 * (box[0] + box[1]) - 0.5 * size * texel
-    light[MAP_V] = 0.5 * (box[2] + box[3]) - 0.5 * size * texel
-    for m in range(meshes):
-        others[m, 0] = others[m, 2] = math.inf
-        others[m, 1] = others[m, 3] = -math.inf
-        for k in range(meshes):
-            if k != m and boxes[k, 0] <= boxes[k, 1]:
-                others[m, 0] = min(others[m, 0], (boxes[k, 0] - light[MAP_U]) / texel - 3.0)
-                others[m, 1] = max(others[m, 1], (boxes[k, 1] - light[MAP_U]) / texel + 3.0)
-                others[m, 2] = min(others[m, 2], (boxes[k, 2] - light[MAP_V]) / texel - 3.0)
-                others[m, 3] = max(others[m, 3], (boxes[k, 3] - light[MAP_V]) / texel + 3.0)
-        if flags[m] & CASTS:
-            for i in range(ranges[m, 0], ranges[m, 1]):
-                p[i, 0] = (p[i, 0] - light[MAP_U]) / texel
-                p[i, 1] = (p[i, 1] - light[MAP_V]) / texel
-    for k in range(4):
-        light[MAP_BOX + k] = box[k] + (2.0 * soft + 2.0 * texel) * (1.0 if k & 1 else -1.0)
+    radius = _place_key_map(p, meshes, flags, ranges, boxes, box, size, light, others)
     map_depth[:] = -math.inf
     map_mesh[:] = -1
     draw_flat(points, p, triangles, owner, count, flags, parameters, map_depth, map_mesh)
@@ -230,30 +346,8 @@ def cast_shadows(
             dark[0, y, x] = parameters[m, OPACITY] if m >= 0 else 0.0
     _blur(dark, 0, size, line, ring, radius)
 
-    wide = 1.5 * soft
-    extent = max(box[5] - box[4], box[7] - box[6], 1e-6)
-    texel = (extent + 4.0 * wide) / (under_size - 4)
-    radius = min(max(int(wide / texel + 0.5), 1), under_size // 8)
-    for k in range(4):
-        light[UNDER_BOX + k] = box[4 + k] + (2.0 * wide + 2.0 * texel) * (1.0 if k & 1 else -1.0)
-    light[UNDER_SCALE] = 1.0 / texel
-    light[UNDER_X] = 0.5 * (box[4] + box[5]) - 0.5 * under_size * texel
-    light[UNDER_Y] = 0.5 * (box[6] + box[7]) - 0.5 * under_size * texel
-    for m in range(meshes):
-        if flags[m] & CASTS:
-            for i in range(ranges[m, 0], ranges[m, 1]):
-                p[i, 0] = (points[i, 0] - light[UNDER_X]) / texel
-                p[i, 1] = (points[i, 1] - light[UNDER_Y]) / texel
-                p[i, 2] = height - points[i, 2]
+    radius = _place_under_map(points, p, meshes, flags, ranges, box, under_size, view[GROUND_HEIGHT], light)
     under_depth[:] = -math.inf
     draw_flat(points, p, triangles, owner, count, flags, parameters, under_depth, under_mesh)
-    reach = 1.0 / max(4.0 * soft, 1e-6)
-    for y in range(under_size):
-        for x in range(under_size):
-            value = under_depth[y, x]
-            if value == -math.inf:
-                dark[1, y, x] = 0.0
-            else:
-                fall = 1.0 + max(-value, np.float32(0.0)) * reach
-                dark[1, y, x] = 1.0 / (fall * fall)
+    _darken_below(under_depth, light[SOFTNESS], dark)
     _blur(dark, 1, under_size, line, ring, radius)

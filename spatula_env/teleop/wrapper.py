@@ -180,13 +180,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self, device=device if isinstance(device, str) else None, **as_plain(arguments)
         )
         gymnasium.Wrapper.__init__(self, env)
-        if device is None:
-            raise TypeError(
-                "device must be a device or the name of one, got None: a specification holds no device; "
-                "make the environment without FalconTeleop, and put that around it with a device"
-            )
-        if isinstance(device, str):
-            device = make_device(device)
+        device = self.device = _find_device(device)
         _check_choice(mode, "mode", MODES)
         _check_choice(intervention, "intervention", INTERVENTIONS)
         if mode == "position" and device.kind != "position":
@@ -196,16 +190,11 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         for name, value in (("scale", scale), ("motion_threshold", motion_threshold), ("release_time", release_time)):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {value!r}")
-        self.device = device
         self.mode: Literal["position", "rate"] = device.kind if mode == "auto" else mode
         self.pressed: frozenset[str] = frozenset()
         self._scale = scale
         self._buttons = dict(buttons) if buttons is not None else {}
-        unknown = sorted(set(self._buttons) - set(device.button_names))
-        if unknown and device.button_names:
-            raise ValueError(
-                f"buttons must name buttons of the {device.name} ({', '.join(device.button_names)}), got {unknown}"
-            )
+        _check_buttons(self._buttons, device)
         self._centring = centring and self.mode == "position"
         self._tell: Callable[[str], None] = tell if tell is not None else _tell_nobody
         self._pace = Pace()
@@ -561,3 +550,22 @@ def _as_stick(sample: DeviceSample, device: TeleopDevice) -> FloatArray:
 def _check_choice(value: str, name: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
         raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+
+
+def _find_device(device: TeleopDevice | str | None) -> TeleopDevice:
+    """The device that is given, or made by its name."""
+    if device is None:
+        raise TypeError(
+            "device must be a device or the name of one, got None: a specification holds no device; "
+            "make the environment without FalconTeleop, and put that around it with a device"
+        )
+    return make_device(device) if isinstance(device, str) else device
+
+
+def _check_buttons(buttons: Mapping[str, str], device: TeleopDevice) -> None:
+    """Raise a ValueError if a button is named that the device does not have."""
+    unknown = sorted(set(buttons) - set(device.button_names))
+    if unknown and device.button_names:
+        raise ValueError(
+            f"buttons must name buttons of the {device.name} ({', '.join(device.button_names)}), got {unknown}"
+        )
