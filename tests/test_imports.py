@@ -17,6 +17,7 @@ LAYERS = (
     {"cli"},
     {"demo", "learning", "teleop"},
     {"data", "policies"},
+    {"extending"},
     {"envs", "naming"},
     {"render", "sim"},
     {"tasks"},

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from spatula_env.envs.observations import lerobot_keys
     from spatula_env.envs.palpate import PalpateEnv, PalpateVectorEnv
     from spatula_env.envs.press import PressEnv, PressVectorEnv
+    from spatula_env.envs.registering import register_task
     from spatula_env.envs.retract import RetractEnv, RetractVectorEnv
     from spatula_env.envs.settings import Definition, EnvSettings, ObservationSettings
     from spatula_env.envs.spatula_env import SpatulaEnv
@@ -39,6 +40,7 @@ _MODULES = {
     "SpatulaEnv": "spatula_env",
     "SpatulaVectorEnv": "vector",
     "lerobot_keys": "observations",
+    "register_task": "registering",
 }
 
 __all__ = [
@@ -58,6 +60,7 @@ __all__ = [
     "SpatulaEnv",
     "SpatulaVectorEnv",
     "lerobot_keys",
+    "register_task",
 ]
 
 

@@ -1,0 +1,31 @@
+"""What a task of one's own is written with, in one place; docs/extending.md writes one."""
+
+from __future__ import annotations
+
+from spatula_env import scenes
+from spatula_env.envs.registering import register_task
+from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness, sample_disc
+from spatula_env.tasks.configuration import TaskConfig, Weights
+from spatula_env.tasks.marks import Mark, Patch, Path, Points, Ring
+from spatula_env.tasks.situation import Setting, Situation, Start
+
+__all__ = [
+    "Evaluation",
+    "Mark",
+    "Memory",
+    "PartSpec",
+    "Patch",
+    "Path",
+    "Points",
+    "Ring",
+    "Setting",
+    "Situation",
+    "Start",
+    "Task",
+    "TaskConfig",
+    "Weights",
+    "closeness",
+    "register_task",
+    "sample_disc",
+    "scenes",
+]
