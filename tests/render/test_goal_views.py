@@ -12,7 +12,7 @@ from spatula_env.tasks.exposure import visible_points
 from spatula_env.tasks.marks import Patch, Ring
 
 pytest.importorskip("viser", reason="the extra web is not installed")
-first_view = pytest.importorskip("spatula_env.teleop.web.stage").first_view
+first_view = pytest.importorskip("spatula_env.teleop.web.scene_display").first_view
 _fog = pytest.importorskip("spatula_env.teleop.web.viewers")._fog
 
 gym.register_envs(spatula_env)

@@ -11,7 +11,7 @@ from web_helpers import Script
 from spatula_env.render.palette import PRESSURE_LIMITS
 from spatula_env.teleop.web.access import SHORTEST_TOKEN
 from spatula_env.teleop.web.gauges import SPAN
-from spatula_env.teleop.web.hands import AWAY, KEYS, SILENT
+from spatula_env.teleop.web.operator_input import AWAY, KEYS, SILENT
 from spatula_env.teleop.web.recording import DATASET
 
 pytest.importorskip("viser", reason="the extra web is not installed")

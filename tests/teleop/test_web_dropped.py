@@ -31,7 +31,7 @@ def test_nothing_is_left(closed: bool, watched: bool) -> None:
     files = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
     device = WebDevice(port=0)
     device.open()
-    port = device.page._gate.port
+    port = device.page._page_server.port
     env = gym.make("Spatula/Press-v0", engine="batch")
     if watched:
         observation, _ = env.reset(seed=0)

@@ -9,8 +9,8 @@ import pytest
 from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, steady, wait_for
 
 from spatula_env.teleop.web import WebSession
+from spatula_env.teleop.web.scene_display import SHINING
 from spatula_env.teleop.web.session import task_ids
-from spatula_env.teleop.web.stage import SHINING
 
 pytest.importorskip("viser", reason="the extra web is not installed")
 pytest.importorskip("minari", reason="the extra data is not installed")
@@ -203,7 +203,7 @@ def picture(page):
 def test_a_goal_inside_the_organ_shines_through(page, session, task):
     take(page, session, task)
     steady(page)
-    stage = session.device._stage
+    stage = session.device._display
     stage.set_gizmo(False)
     tested = """() => {
       const found = [];
@@ -281,10 +281,10 @@ def test_the_mouse_turns_the_blade(page, session):
     for step in range(1, 13):
         page.mouse.move(x - 4 * step, y - 3 * step)
         page.wait_for_timeout(60)
-    wait_for(page, lambda: session.device.page.hands.orientation is not None, "an orientation to turn to")
+    wait_for(page, lambda: session.device.page.operator_input.orientation is not None, "an orientation to turn to")
     wait_for(page, lambda: np.abs(session.device._orientation - before).max() > 0.03, "a blade that turns")
     page.mouse.up()
-    wait_for(page, lambda: session.device.page.hands.orientation is None, "the mouse lets go")
+    wait_for(page, lambda: session.device.page.operator_input.orientation is None, "the mouse lets go")
 
 
 def test_the_mouse_closes_the_jaws(page, session):
@@ -300,7 +300,7 @@ def test_the_mouse_closes_the_jaws(page, session):
         page.wait_for_timeout(60)
     page.mouse.up()
     wait_for(page, lambda: session.device._width < before - 0.004, "jaws that close")
-    wait_for(page, lambda: session.device.page.hands.opening is None, "jaws where they are to be")
+    wait_for(page, lambda: session.device.page.operator_input.opening is None, "jaws where they are to be")
     wait_for(page, lambda: abs(1e3 * session.device._width - session.device.panel.jaws.value) < 0.6, "the slider")
 
 
@@ -317,12 +317,12 @@ def test_a_press_is_done_by_mouse_and_keys(page, session):
         page.keyboard.down(key)
         wait_for(page, reached, what)
         page.keyboard.up(key)
-        wait_for(page, lambda: not session.device.page.hands.keys, "a key that is let go")
+        wait_for(page, lambda: not session.device.page.operator_input.keys, "a key that is let go")
 
     # Roughly to the place by the mouse, and exactly by keys.
     steady(page)
     x, y = page.evaluate(SEEN_AT, "/tool/0")
-    session.device._stage.set_gizmo(False)
+    session.device._display.set_gizmo(False)
     wait_for(page, lambda: mesh(page, "/tool/0"), "the tool")
     place = session.device._grip.copy()
     page.mouse.move(x, y)
@@ -332,8 +332,8 @@ def test_a_press_is_done_by_mouse_and_keys(page, session):
         page.wait_for_timeout(60)
     wait_for(page, lambda: abs(session.device._grip[0] - place[0]) > 0.001, "the tool follows")
     page.mouse.up()
-    wait_for(page, lambda: session.device.page.hands.target is None, "the mouse lets go")
-    session.device._stage.set_gizmo(True)
+    wait_for(page, lambda: session.device.page.operator_input.target is None, "the mouse lets go")
+    session.device._display.set_gizmo(True)
     session.device.panel.speed.value = 10
     for axis, (less, more) in enumerate((("KeyA", "KeyD"), ("KeyS", "KeyW"))):
         away = goal[axis] - session.device._grip[axis]

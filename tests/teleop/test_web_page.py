@@ -60,7 +60,7 @@ def nodes(session):
 def vertices(session):
     """What has to be drawn first of the organ: its nodes, in another order."""
     found = nodes(session)
-    return session.device._stage._surface.place(found)[: len(found)]
+    return session.device._display._surface.place(found)[: len(found)]
 
 
 def new_episode(page, session):
@@ -80,7 +80,7 @@ def test_a_key_presses_the_organ_and_the_page_shows_it(page, session):
     page.keyboard.down("KeyQ")
     wait_for(page, lambda: np.abs(nodes(session) - before).max() > 0.3, "an organ that is pressed")
     page.keyboard.up("KeyQ")
-    wait_for(page, lambda: not session.device.page.hands.keys, "a key that is let go")
+    wait_for(page, lambda: not session.device.page.operator_input.keys, "a key that is let go")
     grip = session.device._grip.copy()
     # Straight down, and it stays there.
     assert grip[:2] == pytest.approx(air[:2], abs=1e-9) and grip[2] < air[2] - 0.005
@@ -121,7 +121,7 @@ def test_keys_do_not_move_the_camera_and_text_moves_no_tool(page, session):
     page.keyboard.up("KeyA")
     assert page.locator("#text").input_value() == "a"
     # Something is held by no key that was typed.
-    assert not session.device.page.hands.keys
+    assert not session.device.page.operator_input.keys
 
 
 def test_the_mouse_drags_the_tool(page, session):
@@ -145,7 +145,7 @@ def test_the_mouse_drags_the_tool(page, session):
         page.wait_for_timeout(60)
     wait_for(page, lambda: session.device._grip[2] < place[2] - 0.003, "the tool follows downwards")
     page.mouse.up()
-    wait_for(page, lambda: session.device.page.hands.target is None, "the mouse lets go")
+    wait_for(page, lambda: session.device.page.operator_input.target is None, "the mouse lets go")
     page.get_by_text("Handles to drag by").click()
     page.get_by_text("View and speed").click()
 
@@ -211,12 +211,12 @@ def test_the_page_asks_for_its_token(browser):
         page.get_by_placeholder("token").fill("open sesame?")
         page.get_by_role("button", name="Open").click()
         page.get_by_text("needs its token").wait_for()
-        assert not device.page.hands.present
+        assert not device.page.operator_input.present
         page.get_by_placeholder("token").fill("open sesame!")
         page.get_by_role("button", name="Open").click()
         page.get_by_role("button", name="Finish").wait_for()
         assert "sesame" not in page.url
-        wait_for(page, lambda: device.page.hands.present, "somebody who looks")
+        wait_for(page, lambda: device.page.operator_input.present, "somebody who looks")
         page.get_by_role("button", name="Finish").click()
         wait_for(page, lambda: "finish" in device.read().buttons, "the button")
         page.close()

@@ -68,7 +68,7 @@ def attributes(dataset, number):
 
 def start_recording(session, script):
     script.hold()
-    until(lambda: session._status.text == "Practice" and not session.device.page.hands.keys, "practice")
+    until(lambda: session._status.text == "Practice" and not session.device.page.operator_input.keys, "practice")
     session._ask("record")
     until(lambda: session._status.text == "Ready", "recording")
     script.hold("KeyQ")
@@ -161,7 +161,7 @@ def test_a_discarded_episode_counts_for_nothing(session):
         assert session.saved == 0
         # An operator who has not moved has done nothing that could be kept.
         script.hold()
-        until(lambda: session._status.text == "Practice" and not session.device.page.hands.keys, "practice")
+        until(lambda: session._status.text == "Practice" and not session.device.page.operator_input.keys, "practice")
         session._ask("record")
         until(lambda: session._status.text == "Ready", "recording")
         session._said = ""
@@ -311,17 +311,17 @@ def test_a_device_for_the_wrapper_and_for_record(tmp_path):
         teleop = FalconTeleop(env, device, real_time=False)
         teleop.reset(seed=0)
         script.hold("KeyD", "KeyE", "ShiftLeft")
-        until(lambda: device.page.hands.rates(), "keys")
+        until(lambda: device.page.operator_input.rates(), "keys")
         *_, info = teleop.step()
         assert info["action"].tolist() == pytest.approx([0.075, 0.0, 0.075])
         assert info["acted_by"] == "human"
         # The mouse wins, and takes the grip where it is.
         place = np.array([0.01, -0.015, 0.02])
-        device.page.hands.drag(place)
+        device.page.operator_input.drag(place)
         for _ in range(40):
             *_, info = teleop.step()
         assert device._grip == pytest.approx(place, abs=1e-4)
-        device.page.hands.drag(None)
+        device.page.operator_input.drag(None)
         script.hold("Enter")
         until(lambda: "finish" in device._pressed, "the button")
         assert device.read().buttons == {"finish"}
@@ -344,13 +344,13 @@ def test_a_page_that_is_busy_drawing_is_shown_no_more(monkeypatch):
         teleop = FalconTeleop(env, device, real_time=False)
         teleop.reset(seed=0)
         shown = []
-        monkeypatch.setattr(device._stage, "show", shown.append)
+        monkeypatch.setattr(device._display, "show", shown.append)
         for _ in range(3):
             teleop.step()
         assert len(shown) == 3
         for count in (7, 8):
             script.frames = count
-            until(lambda count=count: count in device.page.hands.frames.values(), "frames")
+            until(lambda count=count: count in device.page.operator_input.frames.values(), "frames")
             shown.clear()
             for _ in range(3):
                 teleop.step()

@@ -2,16 +2,16 @@
 
 Modules::
 
-    access      who may open the page
-    gate        serves it, passes viser's messages on, and hears of the keys
-    hands       what is done on all pages that are open
-    page        viser's server with the gate in front
-    bands       pressure on the organ as filled contours
-    stage       organ, tools and goal in the view
-    panel       bars, plot and settings beside it
-    device      all that as a `TeleopDevice`
-    recording   episodes on their way into datasets
-    session     tasks to choose from, and what the page's buttons ask for
+    access              who may open the page
+    page_server         serves it, passes viser's messages on, and takes what the page's script sends
+    operator_input      keys and mouse on all pages that are open
+    page                viser's server with the page server in front
+    pressure_contours   pressure on the organ as filled contours
+    scene_display       organ, tools and goal in the view
+    panel               bars, plot and settings beside it
+    device              all that as a `TeleopDevice`
+    recording           episodes on their way into datasets
+    session             tasks to choose from, and what the page's buttons ask for
 
 Importing this package loads neither viser nor any physics.
 """

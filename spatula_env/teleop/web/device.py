@@ -25,8 +25,8 @@ from spatula_env.teleop.web.viewers import Viewers
 if TYPE_CHECKING:
     import gymnasium
 
-    from spatula_env.teleop.web.hands import Hands
-    from spatula_env.teleop.web.stage import Stage
+    from spatula_env.teleop.web.operator_input import OperatorInput
+    from spatula_env.teleop.web.scene_display import SceneDisplay
 
 LONGEST = 1.0
 """A page that draws nothing is shown something again after so long [s]."""
@@ -101,7 +101,7 @@ class WebDevice(TeleopDevice):
         self._lock = threading.Lock()
         self._pressed: set[str] = set()
         self._sequence = 0
-        self._stage: Stage | None = None
+        self._display: SceneDisplay | None = None
         self._viewers: Viewers | None = None
         self._env: Any = None
         self._grip: FloatArray = np.zeros(3)
@@ -138,7 +138,7 @@ class WebDevice(TeleopDevice):
         self.panel = panel = Panel(self.page.server)
         self._viewers = Viewers(self.page.server, panel)
         self._pressed.clear()
-        self._stage = self._env = None
+        self._display = self._env = None
         if self._own:
             press = weakly(self.press)
             panel.add_command("Finish", partial(press, FINISH), color="green", hint="The episode ends here (Enter)")
@@ -162,7 +162,7 @@ class WebDevice(TeleopDevice):
         page = self._opened()
         if progress is not None:
             progress(f"open {page.url}")
-        if not page.hands.wait(self._patience):
+        if not page.operator_input.wait(self._patience):
             raise NotCalibrated(f"nobody opened {page.url} within {self._patience:.0f} s")
 
     def press(self, button: str) -> None:
@@ -172,17 +172,17 @@ class WebDevice(TeleopDevice):
 
     def read(self) -> DeviceSample:
         """See `TeleopDevice`."""
-        hands = self._opened().hands
+        operator_input = self._opened().operator_input
         with self._lock:
             pressed, self._pressed = frozenset(self._pressed), set()
         share = self._key_share()
-        self._rates = {name: share * rate for name, rate in hands.rates().items()}
+        self._rates = {name: share * rate for name, rate in operator_input.rates().items()}
         rate = np.array([self._rates.get(axis, 0.0) for axis in "xyz"])
-        target = hands.target
+        target = operator_input.target
         if self._env is not None:
             if target is not None:
                 rate = self._toward(target)
-            self._rates.update(self._turning(hands.orientation) | self._opening(hands))
+            self._rates.update(self._turning(operator_input.orientation) | self._opening(operator_input))
         self._sequence += 1
         return DeviceSample("rate", self.now(), self._sequence, None, rate, np.zeros(3), pressed)
 
@@ -195,20 +195,20 @@ class WebDevice(TeleopDevice):
         made: Any = env.unwrapped
         page, panel = self._opened(), self.panel
         assert panel is not None
-        if self._stage is None or self._env is not made:
+        if self._display is None or self._env is not made:
             # Kernels are compiled, or taken from Numba's cache, when it is first needed.
-            from spatula_env.teleop.web.stage import Stage
+            from spatula_env.teleop.web.scene_display import SceneDisplay
 
-            page.hands.let_go()
+            page.operator_input.let_go()
             self._env = made
             assert self._viewers is not None
-            self._stage = Stage(page.server, self._viewers, made, weakly(self._drag), weakly(self._turn))
-            self._stage.set_gizmo(panel.gizmo.value)
-            self._stage.set_see_through(panel.see_through.value)
+            self._display = SceneDisplay(page.server, self._viewers, made, weakly(self._drag), weakly(self._turn))
+            self._display.set_gizmo(panel.gizmo.value)
+            self._display.set_see_through(panel.see_through.value)
             self._explain(env)
         elif made._episodes.elapsed[0] == 0:
-            page.hands.let_go()
-            self._stage.begin()
+            page.operator_input.let_go()
+            self._display.begin()
         episodes = made._episodes
         situation = episodes.situation
         self._grip = np.array(situation.tool_position[0])
@@ -230,7 +230,7 @@ class WebDevice(TeleopDevice):
         )
         # A page that is busy drawing would drown in pictures, and have no time for the hands.
         self._stale = True
-        drawn, now = page.hands.frames, self.now()
+        drawn, now = page.operator_input.frames, self.now()
         busy = any(count is not None and count == self._drawn.get(number) for number, count in drawn.items())
         if not busy or info["time"] == 0.0 or now > self._shown + LONGEST:
             self._drawn, self._shown = drawn, now
@@ -238,17 +238,17 @@ class WebDevice(TeleopDevice):
 
     def refresh(self) -> None:
         """Show how things stand, if they are not what the page shows."""
-        if self._stale and self._stage is not None and self.panel is not None:
+        if self._stale and self._display is not None and self.panel is not None:
             self._stale = False
-            self._stage.show(self._env.moment)
+            self._display.show(self._env.moment)
             self.panel.show()
-            if self.page is not None and self.page.hands.opening is None:
+            if self.page is not None and self.page.operator_input.opening is None:
                 self.panel.show_opening()
 
     def close(self) -> None:
         """See `TeleopDevice`; all pages lose their connection."""
         page, self.page, self.panel = self.page, None, None
-        self._stage = self._env = self._viewers = None
+        self._display = self._env = self._viewers = None
         if page is not None:
             self._finish()
 
@@ -271,22 +271,22 @@ class WebDevice(TeleopDevice):
         if target is not None and not np.isfinite(target).all():
             return
         if page is not None and env is not None:
-            page.hands.drag(None if target is None else env.workspace.from_scene(target))
+            page.operator_input.drag(None if target is None else env.workspace.from_scene(target))
 
     def _turn(self, orientation: FloatArray | None) -> None:
         page = self.page
         if orientation is not None and not np.isfinite(orientation).all():
             return
         if page is not None:
-            page.hands.turn(orientation)
+            page.operator_input.turn(orientation)
 
     def _set_gizmo(self, event: Any) -> None:
-        if self._stage is not None:
-            self._stage.set_gizmo(event.target.value)
+        if self._display is not None:
+            self._display.set_gizmo(event.target.value)
 
     def _set_see_through(self, event: Any) -> None:
-        if self._stage is not None:
-            self._stage.set_see_through(event.target.value)
+        if self._display is not None:
+            self._display.set_see_through(event.target.value)
 
     def _look(self, event: Any) -> None:
         if self._viewers is not None and event.client is not None:
@@ -295,7 +295,7 @@ class WebDevice(TeleopDevice):
     def _slid(self, event: Any) -> None:
         # What the program sets has no client.
         if event.client is not None and self.page is not None:
-            self.page.hands.open(1e-3 * float(event.target.value))
+            self.page.operator_input.open(1e-3 * float(event.target.value))
 
     def _explain(self, env: Any) -> None:
         """Say what is asked in an environment, and how to do it."""
@@ -320,13 +320,13 @@ class WebDevice(TeleopDevice):
         rates = np.clip(away / (APPROACH * float(control.max_rotation_rate)), -1.0, 1.0)
         return {f"rotation_{axis}": float(rates["xyz".index(axis)]) for axis in control.layout.rotations}
 
-    def _opening(self, hands: Hands) -> dict[str, float]:
+    def _opening(self, operator_input: OperatorInput) -> dict[str, float]:
         """Rate by name that brings the jaws as far apart as the slider says, until they are or keys say otherwise."""
-        wanted = hands.opening
+        wanted = operator_input.opening
         if wanted is None or self._width is None:
             return {}
         if "jaw_speed" in self._rates or abs(wanted - self._width) < OPENED:
-            hands.open(None)
+            operator_input.open(None)
             return {}
         rate = (wanted - self._width) / (APPROACH * float(self._env.control.max_jaw_speed))
         return {"jaw_speed": min(1.0, max(-1.0, rate))}

@@ -1,4 +1,4 @@
-"""One page: viser, and the gate that its server is replaced by."""
+"""One page: viser, and the server that takes the place of its own."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 
 from spatula_env.installing import install_hint
 from spatula_env.teleop.web.access import Doorkeeper, find_token
-from spatula_env.teleop.web.gate import Gate
-from spatula_env.teleop.web.hands import KEYS, SLOW_KEYS, Hands
+from spatula_env.teleop.web.operator_input import KEYS, SLOW_KEYS, OperatorInput
+from spatula_env.teleop.web.page_server import PageServer
 
 _REPLACING = threading.Lock()
 """Held while a name in another package stands for something else."""
@@ -22,7 +22,7 @@ class Page:
 
     Attributes:
         server: viser's, to put things on the page.
-        hands: What is done on it by keys.
+        operator_input: What is done on it by keys and mouse.
         messages: What visitors may do on it otherwise.
         url: What to open in a browser on this machine, with the token.
     """
@@ -56,25 +56,27 @@ class Page:
         from spatula_env.teleop.web.messages import MessageFilter
 
         doorkeeper = Doorkeeper(host, find_token(token))
-        self.hands = Hands()
+        self.operator_input = OperatorInput()
         self.messages = MessageFilter()
-        self._gate = Gate(doorkeeper, port, self.hands, self.messages, (*KEYS, *SLOW_KEYS, *keys), on_key)
+        self._page_server = PageServer(
+            doorkeeper, port, self.operator_input, self.messages, (*KEYS, *SLOW_KEYS, *keys), on_key
+        )
         # It tells everybody the address that nobody is to use.
-        with _served_by(self._gate) as host, contextlib.redirect_stdout(io.StringIO()):
+        with _served_by(self._page_server) as host, contextlib.redirect_stdout(io.StringIO()):
             self.server: Any = viser.ViserServer(host=host, port=0, verbose=False)
         # A page may ask for the scene to be shown to the whole world; not here.
         self.server.request_share_url = _do_not_share
         self.messages.server = self.server
         try:
-            self._gate.check()
+            self._page_server.check()
         except BaseException:
             self._stop_server()
             raise
-        self.url = doorkeeper.address(self._gate.port)
+        self.url = doorkeeper.address(self._page_server.port)
 
     def take_focus(self) -> None:
         """Have the keys go to the tool again, and to no part of the panel."""
-        self._gate.tell({"blur": True})
+        self._page_server.tell({"blur": True})
 
     def notify(self, title: str, text: str, *, color: Any = None) -> None:
         """Say something on all pages, for a few seconds."""
@@ -83,7 +85,7 @@ class Page:
 
     def close(self) -> None:
         """Close all connections. Closing twice is allowed."""
-        self._gate.close()
+        self._page_server.close()
         self._stop_server()
 
     def _stop_server(self) -> None:
@@ -98,12 +100,12 @@ class _Marked(str):
 
 
 @contextlib.contextmanager
-def _served_by(gate: Gate) -> Iterator[str]:
-    """Have the gate serve what viser would.
+def _served_by(page_server: PageServer) -> Iterator[str]:
+    """Have the page server serve what viser would.
 
     viser's constructor starts `websockets.asyncio.server.serve` with the address that it is given, and offers no other
-    way to say who may connect. So that name stands for the gate meanwhile, if it is called with the address that this
-    yields; for all others it stays what it is.
+    way to say who may connect. So that name stands for the page server meanwhile, if it is called with the address that
+    this yields; for all others it stays what it is.
     """
     from websockets.asyncio import server
 
@@ -113,7 +115,7 @@ def _served_by(gate: Gate) -> Iterator[str]:
 
         def serve(handler: Any, given: Any = None, *arguments: Any, **options: Any) -> Any:
             if given is host:
-                return gate.serve(handler, **options)
+                return page_server.serve(handler, **options)
             return original(handler, given, *arguments, **options)
 
         server.serve = serve  # type: ignore[assignment, misc]

@@ -8,7 +8,7 @@ from typing import Any
 
 from spatula_env.render.palette import FORCE
 from spatula_env.teleop.web.gauges import Bars, Plot
-from spatula_env.teleop.web.hands import hints
+from spatula_env.teleop.web.operator_input import hints
 from spatula_env.teleop.web.readings import Reading, Status, colors_in_words, criteria_table
 
 PLOT_EVERY = 2

@@ -299,11 +299,11 @@ class WebSession:
         """Stand still while nobody looks."""
         page = self._device.page
         assert page is not None
-        if page.hands.present:
+        if page.operator_input.present:
             return
         before = self._status
         self._say("Paused", "Nobody looks at the page.")
-        while not (self._stopping.is_set() or page.hands.wait(LOOKING)):
+        while not (self._stopping.is_set() or page.operator_input.wait(LOOKING)):
             pass
         self._say(before.text, before.detail)
 
@@ -363,9 +363,9 @@ class WebSession:
     def _until_moved(self) -> None:
         page = self._device.page
         assert page is not None
-        while not (self._stopping.is_set() or page.hands.active or self._asked.what is not None):
+        while not (self._stopping.is_set() or page.operator_input.active or self._asked.what is not None):
             self._asked.wait(0.02)
-        self._moved = page.hands.active
+        self._moved = page.operator_input.active
 
     def _verdict(self) -> str:
         """What becomes of the episode that has just ended."""

@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from spatula_env.geometry import seed_sphere
 from spatula_env.render.display_surface import vertex_normals
 from spatula_env.render.palette import PRESSURE_LIMITS
-from spatula_env.teleop.web.bands import LEVELS, pressure_bands, pressure_field, split_at_levels
-from spatula_env.teleop.web.stage import on_drag_plane
+from spatula_env.teleop.web.pressure_contours import LEVELS, pressure_contours, pressure_field, split_at_levels
+from spatula_env.teleop.web.scene_display import on_drag_plane
 
 ORGAN = seed_sphere()
 POINTS, TRIANGLES = np.array(ORGAN.vertices), np.array(ORGAN.triangles)
@@ -78,7 +78,7 @@ def test_pressure_is_felt_around_the_tool_and_on_the_wall_that_is_pressed():
 def test_bands_tell_the_pressure():
     normals = vertex_normals(POINTS, TRIANGLES)
     field = np.where(POINTS[:, 2] > 2.0, 4500.0, 0.0)
-    pieces = pressure_bands(POINTS, normals, TRIANGLES, field, 0.0)
+    pieces = pressure_contours(POINTS, normals, TRIANGLES, field, 0.0)
     assert len(pieces) == len(LEVELS)
     strongest = LEVELS.index(4000.0)
     assert all(piece is not None for piece in pieces[: strongest + 1])
@@ -86,12 +86,12 @@ def test_bands_tell_the_pressure():
     points, triangles = pieces[strongest]
     whole = TRIANGLES[(POINTS[TRIANGLES][..., 2] > 2.0).all(axis=1)]
     assert areas(points, triangles).sum() >= areas(POINTS, whole).sum()
-    assert not any(pressure_bands(POINTS, normals, TRIANGLES, np.zeros(len(POINTS)), 0.0))
+    assert not any(pressure_contours(POINTS, normals, TRIANGLES, np.zeros(len(POINTS)), 0.0))
 
 
 def test_what_colours_the_organ_lies_over_it():
     normals = vertex_normals(POINTS, TRIANGLES)
-    (points, _), *_ = pressure_bands(POINTS, normals, TRIANGLES, np.full(len(POINTS), 300.0), 0.5)
+    (points, _), *_ = pressure_contours(POINTS, normals, TRIANGLES, np.full(len(POINTS), 300.0), 0.5)
     assert np.linalg.norm(points, axis=1).min() > np.linalg.norm(POINTS, axis=1).max() + 0.4
 
 

@@ -1,8 +1,8 @@
-"""The gate: the one server that listens, which lets in whom the doorkeeper does.
+"""The one server that listens, which lets in whom the doorkeeper does.
 
-viser asks nobody for anything, so it does not listen at all: `Gate.serve` takes the place of the server that viser
-would start, in viser's own thread, and hands it the connections of those who may come in. It also hands viser's page
-out, with a script for the keys. The script's own line, ``/spatula/hand``, is what `hands` is fed by.
+viser asks nobody for anything, so it does not listen at all: `PageServer.serve` takes the place of the server that
+viser would start, in viser's own thread, and passes on the connections of those who may come in. It also serves viser's
+page, with a script for the keys. What that sends over ``/spatula/hand`` goes to `operator_input`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, cast
 from spatula_env.teleop.device import DeviceBusy, DeviceError
 from spatula_env.teleop.web.access import TOKEN, Doorkeeper
 from spatula_env.teleop.web.document import dressed
-from spatula_env.teleop.web.hands import Hands
+from spatula_env.teleop.web.operator_input import OperatorInput
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
@@ -53,7 +53,7 @@ ASK = """<!doctype html><meta charset="utf-8"><title>spatula</title>
 """
 
 
-class Gate:
+class PageServer:
     """Serves the page at one address, in viser's thread.
 
     Attributes:
@@ -64,24 +64,24 @@ class Gate:
         self,
         doorkeeper: Doorkeeper,
         port: int,
-        hands: Hands,
+        operator_input: OperatorInput,
         messages: MessageFilter,
         keys: tuple[str, ...],
         on_key: Callable[[str], None],
     ) -> None:
-        """Describe the gate.
+        """Describe the server.
 
         Args:
             doorkeeper: Who comes in, and at which address.
             port: Where; 0 for any that is free.
-            hands: Fed with what the pages' scripts say.
+            operator_input: Fed with what the pages' scripts say.
             messages: Chooses what of what the pages say comes to viser.
             keys: Codes of the keys that pages tell of.
             on_key: Called with the code of each key when it is pressed, by viser's thread.
         """
         self.port = 0
         self._wanted = port
-        self._doorkeeper, self._hands, self._messages = doorkeeper, hands, messages
+        self._doorkeeper, self._operator_input, self._messages = doorkeeper, operator_input, messages
         self._keys, self._on_key = keys, on_key
         self._document = _with_script()
         self._script = files(__package__).joinpath("page.js").read_bytes()
@@ -105,7 +105,7 @@ class Gate:
         from websockets.asyncio.server import serve
 
         logger = logging.getLogger(__name__)
-        # Somebody who does not finish what he began to say is no error of ours.
+        # Ignore incomplete handshakes.
         logger.setLevel(logging.CRITICAL)
         self._loop, self._draw = asyncio.get_running_loop(), draw
         try:
@@ -132,11 +132,11 @@ class Gate:
             yield server
 
     def check(self) -> None:
-        """See that the gate is open.
+        """Check that it listens.
 
         Raises:
             DeviceBusy: If the port is taken.
-            DeviceError: If the address cannot be served at, or viser has not asked the gate to serve.
+            DeviceError: If the address cannot be served at, or viser has not asked this to serve.
         """
         error = self._failure
         if error is not None:
@@ -222,13 +222,13 @@ class Gate:
                 if heard is None:
                     await connection.close(1008, "not understood")
                     break
-                for key in sorted(self._hands.hear(page, *heard)):
+                for key in sorted(self._operator_input.hear(page, *heard)):
                     self._on_key(key)
         except ConnectionClosed:
             pass
         finally:
             self._lines.discard(connection)
-            self._hands.leave(page)
+            self._operator_input.leave(page)
 
 
 def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str], bool, int | None] | None:

@@ -95,7 +95,7 @@ def split_at_levels(
     return points, triangles, band
 
 
-def pressure_bands(
+def pressure_contours(
     points: FloatArray, normals: FloatArray, triangles: IntArray, field: FloatArray, lift: float
 ) -> list[tuple[FloatArray, IntArray] | None]:
     """Pieces of the surface by the pressure on them.

@@ -1,4 +1,4 @@
-"""What the operators' hands do on the pages: keys that are held, and where the mouse drags the tool."""
+"""What operators do on the pages: which keys they hold, and where the mouse drags the tool."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ NAMES: Mapping[str, str] = MappingProxyType({"Period": ".", "Comma": ",", "Shift
 
 
 @dataclass
-class _Hand:
+class _PageInput:
     keys: frozenset[str]
     heard: float
     hidden: bool
     frames: int | None
 
 
-class Hands:
-    """All hands on all pages that are open. Everything may be called by any thread."""
+class OperatorInput:
+    """Input from all pages that are open. Everything may be called by any thread."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         """Nobody is there yet.
@@ -82,7 +82,7 @@ class Hands:
         """
         self._now = now
         self._lock = threading.Lock()
-        self._hands: dict[int, _Hand] = {}
+        self._pages: dict[int, _PageInput] = {}
         self._target: FloatArray | None = None
         self._orientation: FloatArray | None = None
         self._opening: float | None = None
@@ -102,8 +102,8 @@ class Hands:
         """
         held = frozenset() if hidden else frozenset(keys)
         with self._lock:
-            before = self._hands[page].keys if page in self._hands else frozenset()
-            self._hands[page] = _Hand(held, self._now(), hidden, frames)
+            before = self._pages[page].keys if page in self._pages else frozenset()
+            self._pages[page] = _PageInput(held, self._now(), hidden, frames)
         if not hidden:
             self._anybody.set()
         return held - before
@@ -111,7 +111,7 @@ class Hands:
     def leave(self, page: int) -> None:
         """A page is closed."""
         with self._lock:
-            self._hands.pop(page, None)
+            self._pages.pop(page, None)
 
     def drag(self, target: FloatArray | None) -> None:
         """The mouse drags the grip to a place (3,), workspace frame [m]; None: it has let go."""
@@ -155,7 +155,7 @@ class Hands:
     def keys(self) -> frozenset[str]:
         """All keys that are held now."""
         with self._lock:
-            return frozenset().union(*(hand.keys for hand in self._fresh(SILENT)))
+            return frozenset().union(*(page.keys for page in self._fresh(SILENT)))
 
     @property
     def present(self) -> bool:
@@ -174,8 +174,8 @@ class Hands:
         """How many pictures each page that is looked at has drawn."""
         earliest = self._now() - AWAY
         with self._lock:
-            hands = self._hands.items()
-            return {page: hand.frames for page, hand in hands if hand.heard >= earliest and not hand.hidden}
+            pages = self._pages.items()
+            return {number: page.frames for number, page in pages if page.heard >= earliest and not page.hidden}
 
     @property
     def active(self) -> bool:
@@ -205,9 +205,9 @@ class Hands:
             rates[name] = rates.get(name, 0.0) + share
         return {name: factor * min(1.0, max(-1.0, rate)) for name, rate in rates.items()}
 
-    def _fresh(self, longest: float) -> list[_Hand]:
+    def _fresh(self, longest: float) -> list[_PageInput]:
         earliest = self._now() - longest
-        return [hand for hand in self._hands.values() if hand.heard >= earliest and not hand.hidden]
+        return [page for page in self._pages.values() if page.heard >= earliest and not page.hidden]
 
 
 def hints(names: tuple[str, ...], buttons: tuple[tuple[str, str], ...] = ()) -> str:

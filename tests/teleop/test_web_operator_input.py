@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spatula_env.teleop.keys import RATE_NAMES
-from spatula_env.teleop.web.gate import LARGEST_WORD, read_word
-from spatula_env.teleop.web.hands import AWAY, KEYS, SILENT, SLOW, Hands, hints
+from spatula_env.teleop.web.operator_input import AWAY, KEYS, SILENT, SLOW, OperatorInput, hints
+from spatula_env.teleop.web.page_server import LARGEST_WORD, read_word
 
 
 class Clock:
@@ -30,7 +30,7 @@ def clock():
 
 @pytest.fixture
 def hands(clock):
-    return Hands(clock)
+    return OperatorInput(clock)
 
 
 def test_every_rate_has_keys_for_both_directions():
@@ -97,7 +97,7 @@ def test_targets_are_copies(hands):
 
 
 def test_waiting_ends_when_somebody_looks():
-    hands = Hands()
+    hands = OperatorInput()
     assert not hands.wait(0.01)
     threading.Timer(0.05, hands.hear, (1, [])).start()
     assert hands.wait(30.0)

@@ -16,7 +16,7 @@ from spatula_env.render.scene_model import ROLE_COLORS, Composition, SceneModel
 from spatula_env.render.viewpoints import viewpoint_toward
 from spatula_env.tasks.marks import Patch, Path, Points, Ring
 from spatula_env.teleop.device import FloatArray
-from spatula_env.teleop.web.bands import LEVELS, pressure_bands, pressure_field
+from spatula_env.teleop.web.pressure_contours import LEVELS, pressure_contours, pressure_field
 
 if TYPE_CHECKING:
     from spatula_env.envs.spatula_env import SpatulaEnv
@@ -48,7 +48,7 @@ Drag = Callable[[FloatArray | None], None]
 """Takes where the mouse drags the grip to (3,) [u], or how it turns the first tool (4,), and None when it lets go."""
 
 
-class Stage:
+class SceneDisplay:
     """Shows one environment; another one needs another stage.
 
     Everything is in the frame and the unit of the scene, as if nothing of it had been drawn at random.
@@ -95,7 +95,7 @@ class Stage:
             self._organ = add("/organ", _single(self._surface.rest), self._surface.triangles, color=_bytes(TISSUE))
             nothing = np.zeros((3, 3), dtype=np.float32), np.zeros((1, 3), dtype=np.uint32)
             colors = PRESSURE(np.array(_middles(LEVELS)), 0.0, HIGHEST_PRESSURE)
-            self._bands = [
+            self._contours = [
                 add(f"/pressure/{index}", *nothing, color=_bytes(color), cast_shadow=False, visible=False)
                 for index, color in enumerate(colors)
             ]
@@ -207,9 +207,9 @@ class Stage:
             places = positions[tool] + turn(orientations[tool], moment.tool_scale * nodes)
             felt = pressure_field(points, normals, places, turn(orientations[tool], out), np.asarray(pressures))
             field = np.maximum(field, felt)
-        pieces = pressure_bands(points, normals, self._surface.triangles, field, LIFT)
-        for band, piece in zip(self._bands, pieces, strict=True):
-            _replace(band, piece)
+        pieces = pressure_contours(points, normals, self._surface.triangles, field, LIFT)
+        for contour, piece in zip(self._contours, pieces, strict=True):
+            _replace(contour, piece)
 
     def _point(self, composition: Composition) -> None:
         """Forces and goals."""
