@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -96,6 +97,10 @@ NO_BULLET = no_bullet()
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # Whoever runs the tests in the background, or under nohup, has signals ignored, in all that they start too.
+    for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
+        if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is signal.SIG_IGN:
+            signal.signal(getattr(signal, name), default)
     if NO_BULLET is not None:
         # That the default is then another engine is said where it is tested.
         config.addinivalue_line("filterwarnings", "ignore:PyBullet is not installed, so environments:UserWarning")

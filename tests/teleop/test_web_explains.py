@@ -110,7 +110,7 @@ def resize(page, size):
     seen = []
 
     def settled():
-        page.wait_for_timeout(300)
+        page.wait_for_timeout(150)
         now = page.evaluate(LAYOUT)
         seen.append(now["canvas"])
         fits = now["panel"][2] <= width and (
@@ -188,48 +188,6 @@ def test_nothing_is_hidden_on_any_screen(page, session, task, size):
         page.get_by_text("Spatula", exact=True).first.click()
         wait_for(page, lambda: page.evaluate(LAYOUT)["canvas"][3] < canvas[3] + 20, "the panel again")
     resize(page, "large")
-
-
-def picture(page):
-    """(height, width, 3) the canvas as it is seen."""
-    from PIL import Image
-
-    left, top, right, bottom = (round(value) for value in page.evaluate(LAYOUT)["canvas"])
-    box = {"x": left, "y": top, "width": right - left, "height": bottom - top}
-    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB"), dtype=float)
-
-
-@pytest.mark.parametrize("task", TASKS[:3])
-def test_a_goal_inside_the_organ_shines_through(page, session, task):
-    take(page, session, task)
-    steady(page)
-    stage = session.device._display
-    stage.set_gizmo(False)
-    tested = """() => {
-      const found = [];
-      for (const [name, node] of Object.entries(window.__viserMutable.nodeRefFromName)) {
-        if (!name.startsWith("/through/")) continue;
-        node?.traverse((each) => each.material && found.push([each.material.depthTest, each.material.opacity]));
-      }
-      return found;
-    }"""
-
-    def drawn(opacity):
-        for ghost in stage._ghosts:
-            ghost.opacity = opacity
-        wait_for(page, lambda: (found := page.evaluate(tested)) and all(o == opacity for _, o in found), "its opacity")
-        wait_for(page, lambda: not any(deep for deep, _ in page.evaluate(tested)), "what is drawn over everything")
-        page.wait_for_timeout(1000)
-        return picture(page)
-
-    shining, plain = drawn(SHINING), drawn(0.01)
-    drawn(SHINING)
-    stage.set_gizmo(True)
-    changed = np.abs(shining - plain).max(axis=2) > 15.0
-    # It is seen where nothing of the goal would be, and is greener than what hides it.
-    assert changed.sum() > 60
-    greener = (shining[..., 1] - shining[..., 0]) - (plain[..., 1] - plain[..., 0])
-    assert np.median(greener[changed]) > 15.0
 
 
 def test_keys_work_after_a_click_on_buttons_and_sliders(page, session):
@@ -396,6 +354,56 @@ def test_a_page_says_when_nobody_serves_it_any_more(browser, tmp_path):
     left.locator("#sp-lost").wait_for(state="visible")
     assert "Disconnected" in left.locator("#sp-lost").inner_text()
     left.context.close()
+
+
+@pytest.fixture(scope="module")
+def drawn_page(browser, session):
+    opened = visit(browser, session, drawn=True)
+    yield opened
+    opened.context.close()
+
+
+def picture(page):
+    """(height, width, 3) the canvas as it is seen."""
+    from PIL import Image
+
+    left, top, right, bottom = (round(value) for value in page.evaluate(LAYOUT)["canvas"])
+    box = {"x": left, "y": top, "width": right - left, "height": bottom - top}
+    return np.asarray(Image.open(io.BytesIO(page.screenshot(clip=box))).convert("RGB"), dtype=float)
+
+
+@pytest.mark.parametrize("task", TASKS[:3])
+def test_a_goal_inside_the_organ_shines_through(drawn_page, session, task):
+    page = drawn_page
+    take(page, session, task)
+    steady(page)
+    stage = session.device._display
+    stage.set_gizmo(False)
+    tested = """() => {
+      const found = [];
+      for (const [name, node] of Object.entries(window.__viserMutable.nodeRefFromName)) {
+        if (!name.startsWith("/through/")) continue;
+        node?.traverse((each) => each.material && found.push([each.material.depthTest, each.material.opacity]));
+      }
+      return found;
+    }"""
+
+    def drawn(opacity):
+        for ghost in stage._ghosts:
+            ghost.opacity = opacity
+        wait_for(page, lambda: (found := page.evaluate(tested)) and all(o == opacity for _, o in found), "its opacity")
+        wait_for(page, lambda: not any(deep for deep, _ in page.evaluate(tested)), "what is drawn over everything")
+        page.wait_for_timeout(1000)
+        return picture(page)
+
+    shining, plain = drawn(SHINING), drawn(0.01)
+    drawn(SHINING)
+    stage.set_gizmo(True)
+    changed = np.abs(shining - plain).max(axis=2) > 15.0
+    # It is seen where nothing of the goal would be, and is greener than what hides it.
+    assert changed.sum() > 60
+    greener = (shining[..., 1] - shining[..., 0]) - (plain[..., 1] - plain[..., 0])
+    assert np.median(greener[changed]) > 15.0
 
 
 def test_all_tasks_were_tried():

@@ -22,6 +22,7 @@ SWITCHES = (
     "--enable-unsafe-swiftshader",
     "--disable-background-networking",
     "--disable-component-update",
+    "--disable-gpu-compositing",
     "--disable-quic",
     "--disable-sync",
     "--no-first-run",
@@ -63,18 +64,38 @@ def open_browser(*switches: str):
             browser.close()
 
 
-# A renderer in software draws as often as it can, and takes a core from all other tests.
+# A renderer in software draws as often as it can, takes a second for a picture, and a core from all other tests: a few
+# pictures a second are enough.
 SELDOM = """(() => {
   const next = window.requestAnimationFrame.bind(window);
-  window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 200);
+  window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 100);
   window.cancelAnimationFrame = (request) => window.clearTimeout(request);
 })()"""
 
+# What is there, and where it would be seen, is known without a picture.
+UNDRAWN = """(() => {
+  for (const name of ["clear", "drawArrays", "drawArraysInstanced", "drawElements", "drawElementsInstanced"])
+    WebGL2RenderingContext.prototype[name] = () => undefined;
+})()"""
 
-def new_page(browser, **options):
-    """A page of its own that draws no more than a few pictures a second."""
+# Shadows take most of the time, and pixels most of the rest. Places on the page are told in the same units as ever.
+COARSE = """(() => {
+  window.setInterval(() => {
+    const state = window.__viserMutable?.scene?.__r3f?.root?.getState();
+    if (!state) return;
+    Object.defineProperty(state.gl.shadowMap, "enabled", { configurable: true, get: () => false, set: () => undefined });
+    if (state.viewport.dpr !== RATIO) state.setDpr(RATIO);
+  }, 20);
+})()"""
+
+
+def new_page(browser, drawn=False, **options):
+    """A page of its own, whose picture of the scene is drawn coarsely, or never."""
     page = browser.new_page(**options)
     page.add_init_script(SELDOM)
+    page.add_init_script(COARSE.replace("RATIO", "0.25" if drawn else "0.05"))
+    if not drawn:
+        page.add_init_script(UNDRAWN)
     return page
 
 
@@ -156,7 +177,7 @@ def wait_for(page, holds, what):
     """Wait, and let the browser's messages come in meanwhile."""
 
     def look():
-        page.wait_for_timeout(150)
+        page.wait_for_timeout(40)
         return holds()
 
     return until(look, what)
@@ -178,7 +199,7 @@ def steady(page):
     seen = []
 
     def still():
-        page.wait_for_timeout(300)
+        page.wait_for_timeout(150)
         seen.append(page.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.slice()"))
         return len(seen) > 3 and seen[-1] == seen[-2] == seen[-3]
 
