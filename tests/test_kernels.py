@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import threading
+from itertools import product
 from pathlib import Path
 
 import gymnasium
@@ -104,11 +105,11 @@ print(double(2.0), CACHE.kept, CACHE.folder)
 """
 
 
-def run_copy(site, *prefix, **environment):
+def run_copy(site, *prefix, script=SCRIPT, **environment):
     """What a process says that compiles a kernel of a copy of the package."""
     kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
-        [*prefix, sys.executable, "-c", SCRIPT],
+        [*prefix, sys.executable, "-c", script],
         env={**kept, "PYTHONPATH": str(site), **environment},
         cwd=site,
         capture_output=True,
@@ -173,16 +174,31 @@ def test_what_is_compiled_into_a_kernel_from_another_file_may_change(site, step,
         assert (len(said) > 1) == (index < 2)
 
 
-@pytest.mark.parametrize("damage", [bytes(400), b"garbage\n", b"\x80\x05\x95\xff\xfe\xfd", b""], ids=str)
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_what_is_damaged_is_compiled_anew(site, damage, ending):
-    first = run_copy(site)
-    kept = list((site / "spatula_env" / "__pycache__").glob(f"made.double-*.{ending}"))
-    assert kept
-    for file in kept:
-        file.write_bytes(damage)
-    assert run_copy(site) == first
-    assert run_copy(site) == first[1:]
+DAMAGE = (bytes(400), b"garbage\n", b"\x80\x05\x95\xff\xfe\xfd", b"")
+ENDINGS = ("nbi", "nbc")
+
+
+def test_what_is_damaged_is_compiled_anew(site):
+    cases = {f"kernel_{k}": case for k, case in enumerate(product(DAMAGE, ENDINGS))}
+    whole = "kernel_whole"
+    names = [*cases, whole]
+    (site / "spatula_env" / "made.py").write_text("".join(MADE.replace("double", name) for name in names))
+    script = f"""
+from spatula_env import made
+for name in {names}:
+    kernel = getattr(made, name)
+    print(name, kernel(2.0), "loaded" if kernel.dispatcher.stats.cache_hits else "compiled")
+"""
+
+    def run():
+        return [line.split() for line in run_copy(site, script=script)]
+
+    assert run() == [[name, "4.0", "compiled"] for name in names]
+    for name, (damage, ending) in cases.items():
+        (kept,) = (site / "spatula_env" / "__pycache__").glob(f"made.{name}-*.{ending}")
+        kept.write_bytes(damage)
+    assert run() == [[name, "4.0", "loaded" if name == whole else "compiled"] for name in names]
+    assert run() == [[name, "4.0", "loaded"] for name in names]
 
 
 def test_a_fingerprint_is_the_same_in_every_process():

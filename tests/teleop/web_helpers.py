@@ -83,7 +83,8 @@ COARSE = """(() => {
   window.setInterval(() => {
     const state = window.__viserMutable?.scene?.__r3f?.root?.getState();
     if (!state) return;
-    Object.defineProperty(state.gl.shadowMap, "enabled", { configurable: true, get: () => false, set: () => undefined });
+    const never = { configurable: true, get: () => false, set: () => undefined };
+    Object.defineProperty(state.gl.shadowMap, "enabled", never);
     if (state.viewport.dpr !== RATIO) state.setDpr(RATIO);
   }, 20);
 })()"""
