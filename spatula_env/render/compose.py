@@ -71,6 +71,7 @@ def _split_pixel(
     corner: int,
     supersample: int,
     stride: int,
+    share: float,
     translucent: bool,
     shown: Indices,
     left: Singles,
@@ -89,6 +90,7 @@ def _split_pixel(
         corner: its first sample.
         supersample: samples along a pixel's side.
         stride: samples in a row.
+        share: of a pixel that a sample has.
         translucent: whether anything is.
         shown: see `layout.Band`.
         left: the same.
@@ -101,7 +103,7 @@ def _split_pixel(
     Returns:
         Jobs now, and how many samples show none; of what is translucent, the part that comes through.
     """
-    samples = supersample * supersample
+    samples = len(group)
     bare = 0.0
     for k in range(samples):
         group[k] = shown[corner + k // supersample * stride + k % supersample]
@@ -127,7 +129,7 @@ def _split_pixel(
         jobs[waiting, 1] = pixel
         places[waiting, 0] = px * supersample + mean_x / members
         places[waiting, 1] = py * supersample + mean_y / members
-        places[waiting, 2] = weight * (1.0 / samples)
+        places[waiting, 2] = weight * share
         waiting += 1
     return waiting, bare
 
@@ -201,6 +203,7 @@ def resolve(
     view, light = scene[4], scene[5]
     stride = width * supersample
     samples = supersample * supersample
+    share = 1.0 / samples
     group = np.empty(samples, dtype=np.int32)
     group_left = np.empty(samples)
     for py in range(first_row, last_row):
@@ -219,7 +222,7 @@ def resolve(
             # One triangle in all samples of a pixel is by far the most frequent.
             if translucent or not _is_one(shown, corner, supersample, stride):
                 waiting, bare = _split_pixel(
-                    px, py, pixel, corner, supersample, stride, translucent, shown, left, group, group_left,
+                    px, py, pixel, corner, supersample, stride, share, translucent, shown, left, group, group_left,
                     waiting, jobs, places,
                 )  # fmt: skip
             elif shown[corner] == -1:
@@ -235,7 +238,7 @@ def resolve(
                 blocked = 0.0
                 if dark_first <= px and px < dark_last:
                     blocked = blocks[px - dark_first] * ground_weight[py, px]
-                _add_background(total, pixel, bare * (1.0 / samples), blocked, background, py, px)
+                _add_background(total, pixel, bare * share, blocked, background, py, px)
         shade(waiting, jobs, places, total, scene)
         _encode_row(total, row, first, last, tones, picture, py)
 
