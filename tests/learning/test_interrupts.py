@@ -80,8 +80,11 @@ def interrupt(process, *, group):
     return said
 
 
-@pytest.mark.parametrize("group", [False, True], ids=["the first process", "the group"])
-@pytest.mark.parametrize("after", [0.0, 0.3, 2.0])
+@pytest.mark.parametrize(
+    ("after", "group"),
+    [(0.0, False), (0.3, True), (2.0, False), (2.0, True)],
+    ids=lambda value: {False: "the first process", True: "the group"}.get(value) if isinstance(value, bool) else None,
+)
 def test_an_evaluation_in_processes_is_ended(after, group, tmp_path):
     process = start(EVALUATE, tmp_path)
     # From the moment when the processes begin, to that in which they are at work.

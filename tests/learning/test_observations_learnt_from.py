@@ -31,8 +31,20 @@ MODES = {
 }
 
 
-@pytest.mark.parametrize("algorithm", ["sac", "ppo", "sac_her"])
-@pytest.mark.parametrize("mode", MODES)
+# Each mode once, each algorithm with observations of each kind: vectors, pictures, points.
+@pytest.mark.parametrize(
+    ("mode", "algorithm"),
+    [
+        ("dict", "sac"),
+        ("rgb", "ppo"),
+        ("rgbd of three moments", "sac_her"),
+        ("pointcloud", "sac"),
+        ("pointcloud", "ppo"),
+        ("state of three moments", "sac_her"),
+        ("state of three moments", "ppo"),
+        ("rgb", "sac"),
+    ],
+)
 def test_it_is_trained_saved_and_evaluated(mode, algorithm, tmp_path):
     file = write_small(tmp_path / "c.yaml", algorithm, **MODES[mode])
     output = tmp_path / "run"

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from web_helpers import open_browser, until
+from web_helpers import new_page, open_browser, until
 
 from spatula_env.teleop.web import WebDevice
 
@@ -158,7 +158,7 @@ def test_a_page_of_another_site_gets_nothing(device, before):
         assert {got[name] for name in got if name.startswith(("cors", "no-cors"))} == {"basic 403"}
         page.close()
         # And the page itself, for comparison: the probe finds what is open.
-        page = browser.new_page()
+        page = new_page(browser)
         page.goto(device.url)
         got = page.evaluate(PROBE, [["127.0.0.1"], [port_of(device)], protocol])
         assert set(got.values()) == {"open", "basic 200"}

@@ -103,10 +103,11 @@ def test_a_page_that_vanishes_while_a_key_is_held_stops_the_tool(session):
     assert session.device.read().rate.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_practice_has_no_limit_of_time(session):
-    with Script(session.url):
+def test_practice_has_no_limit_of_time(tmp_path):
+    limit = 1.0
+    options = {"real_time": False, "env_kwargs": {"episode_time": limit}}
+    with WebSession(TASK, port=0, dataset=tmp_path, seed=5, **options) as session, Script(session.url):
         until(lambda: session.env is not None and session.env.unwrapped._episodes.info, "an episode")
-        limit = session.env.spec.max_episode_steps * session.env.unwrapped._episodes.period
         until(lambda: session.env.unwrapped._episodes.info["time"][0] > limit + 0.5, "more than an episode's time")
 
 
@@ -170,8 +171,9 @@ def test_a_discarded_episode_counts_for_nothing(session):
     assert load().total_episodes == 0
 
 
-def test_after_the_last_step_the_operator_is_asked(session):
-    with Script(session.url) as script:
+def test_after_the_last_step_the_operator_is_asked(tmp_path):
+    options = {"real_time": False, "env_kwargs": {"episode_time": 2.0}}
+    with WebSession(TASK, port=0, dataset=tmp_path, seed=5, **options) as session, Script(session.url) as script:
         start_recording(session, script)
         until(lambda: session._status.text == "The episode is over", "the end of the time")
         # Buttons that mean nothing now do nothing.
@@ -180,7 +182,7 @@ def test_after_the_last_step_the_operator_is_asked(session):
         assert session.saved == 0
         session._on_enter()
         until(lambda: session.saved == 1, "saving")
-    assert load()[0].actions.shape[0] == 200
+    assert load()[0].actions.shape[0] == 40
 
 
 def test_a_page_that_goes_away_while_it_records_loses_nothing(session):
