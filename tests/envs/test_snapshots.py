@@ -58,18 +58,18 @@ def episode_of(env: Any, actions: np.ndarray, seed: int = 1) -> list[Any]:
 @pytest.mark.parametrize("engine", ["batch", "bullet"])
 def test_ten_steps_are_the_same_ten_steps_again(task: str, engine: str) -> None:
     with gym.make(f"Spatula/{task}-v0", engine=engine, **EVERYTHING) as env:
-        actions = actions_of(env, 16)
-        episode_of(env, actions[:6])
+        actions = actions_of(env, 18)
+        episode_of(env, actions[:8])
         made: Any = env.unwrapped
         state = made.save()
-        first = go_on(env, actions[6:])
+        first = go_on(env, actions[8:])
         observation, info = made.restore(pickle.loads(pickle.dumps(state)))
         assert made.observation_space.contains(observation)
         assert set(info) == set(first[0][4])
-        assert_alike(go_on(env, actions[6:]), first, 0.0)
+        assert_alike(go_on(env, actions[8:]), first, 0.0)
         # Neither has changed the state.
         made.restore(state)
-        assert_alike([env.step(action) for action in actions[6:9]], first[:3], 0.0)
+        assert_alike([env.step(action) for action in actions[8:11]], first[:3], 0.0)
         assert max(result[4]["peak_force"] for result in first[:-1]) > 0.0
 
 
