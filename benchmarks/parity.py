@@ -356,7 +356,7 @@ def _in_bullet(scene: Scene, changes: np.ndarray, steps: int, *, rounded: bool =
         positions, velocities = scene.organs[0].vertices, np.zeros_like(changes)
         if rounded:
             positions = _rounded(positions)
-            world.set_state(positions, velocities)
+            world.set_state(positions)
 
         def step() -> np.ndarray:
             nonlocal positions, velocities

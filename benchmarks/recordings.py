@@ -101,30 +101,6 @@ def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, F
     return linear, angular
 
 
-def state_of_world(state: Any, world: int) -> SimulationState:
-    """What `Worlds.save` returned for all worlds, of one of them."""
-    if isinstance(state, tuple):
-        one: SimulationState = state[world]
-        return one
-    memory = state.memories[world]
-    organs = len(memory.flags) // len(state.tool_positions[world])
-    forces = state.tool_forces[world]
-    return SimulationState(
-        nodes=state.nodes[world],
-        node_velocities=state.node_velocities[world],
-        tool_positions=state.tool_positions[world],
-        tool_orientations=state.tool_orientations[world],
-        contact=ContactMemory(
-            flags=tuple(memory.flags[k : k + organs] for k in range(0, len(memory.flags), organs)),
-            multipliers=memory.multipliers,
-            ledger=memory.ledger,
-            wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
-            near=memory.near,
-        ),
-        time=float(state.times[world]),
-    )
-
-
 @dataclass
 class _ControlStep:
     """A control step of all worlds: where it began, and how the tools moved in each physics step, (W, N, 3) each."""
@@ -169,7 +145,7 @@ class Recorder:
         state = self._worlds.save(np.arange(self._worlds.count))
         self._kept.append(_ControlStep(state, [], []))
         self._forces = np.array(
-            [state_of_world(state, world).contact.wrenches[:, :3] for world in range(len(self._age))]
+            [SimulationState.of_world(state, world).contact.wrenches[:, :3] for world in range(len(self._age))]
         )
         self._age += 1
 
@@ -226,7 +202,7 @@ class Recorder:
         kept = list(self._kept)[-count:]
         write_recording(
             self._path,
-            state_of_world(kept[0].state, world),
+            SimulationState.of_world(kept[0].state, world),
             np.array([v[world] for each in kept for v in each.linear]),
             np.array([w[world] for each in kept for w in each.angular]),
         )

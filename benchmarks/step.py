@@ -48,7 +48,8 @@ def measure(faces: str, steps: int) -> dict[str, Any]:
         Microseconds and share, by motion.
     """
     simulation = Simulation(scenes.seed(faces=faces), engine="bullet")
-    world: Any = simulation._world
+    engine: Any = simulation.worlds.engine
+    world = engine.loaded[0]
     bullet = world._bullet
     watch = _Watch(bullet)
     world._bullet = SimpleNamespace(**{**vars(bullet), "stepSimulation": watch})

@@ -30,7 +30,7 @@ from spatula_env.engines import bullet_hint, bullet_is_there
 from spatula_env.geometry import FissuredBlock, RidgedBlock
 from spatula_env.geometry.transforms import random_quaternion
 from spatula_env.installing import install_hint
-from spatula_env.sim.worlds import Worlds, make_worlds
+from spatula_env.sim.worlds import Worlds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -160,13 +160,13 @@ def force_curves(
     Returns:
         (c, k) force of each tool at each place against its way [kg u/s2].
     """
-    worlds = make_worlds(scene, 1, "batch")
+    worlds = Worlds(scene, 1)
     starts, directions, gaps = indentation.begin(scene, worlds.nodes[0])
     starts, directions, gaps = starts[:places], directions[:places], gaps[:places]
     worlds.close()
     ways = (gaps[:, None] + depths * 1e-3 / scene.scale.length).ravel()
     count = len(depths)
-    worlds = make_worlds(scene, len(ways), engine)
+    worlds = Worlds(scene, len(ways), engine=engine)
     orientations = np.array([placed.orientation for placed in scene.tools])
     every = np.arange(len(ways))
     worlds.place_tools(np.repeat(starts, count, axis=0), np.tile(orientations, (len(ways), 1, 1)), every)

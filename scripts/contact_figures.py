@@ -22,6 +22,7 @@ from spatula_env import Simulation, scenes
 from spatula_env.contact.flags import FlaggedDetector
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_CORNER, ON_EDGE, ON_NODE, ON_VERTEX
+from spatula_env.contact.step import CONTACT_COUNT
 from spatula_env.contact.structures import NORMAL, OWNER, PLANE, WEIGHTS, copy_constraints
 from spatula_env.geometry import Tool
 from spatula_env.geometry.transforms import (
@@ -595,8 +596,8 @@ def press_edge_on(depth: float = 0.5, speed: float = 1.0, turn: float = 0.4) -> 
     best: Touch | None = None
     for _ in range(math.ceil(depth / (speed * simulation.dt))):
         report = simulation.step((0.0, 0.0, -speed))
-        model = simulation._model
-        names, features, rows = copy_constraints(model._world.workspace.constraints, model._contact_count)
+        count = int(simulation.worlds.last.result[0, CONTACT_COUNT])
+        names, features, rows = copy_constraints(simulation.worlds.contacts[0].workspace.constraints, count)
         of_tool = features[:, OWNER] >= 0
         names, features, rows = names[of_tool], features[of_tool], rows[of_tool]
         weights = rows[:, WEIGHTS : WEIGHTS + 3]

@@ -9,6 +9,7 @@ reaches is part of the stamp that the cache compares.
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from types import CodeType, FunctionType, ModuleType
@@ -69,17 +70,30 @@ def _add_value(value: Any, parts: list[str], seen: set[int]) -> None:
         seen.add(id(function))
         parts.append(f"{function.__module__}.{function.__qualname__}")
         _add_code(function.__code__, function.__globals__, parts, seen)
+        _add_records(function.__annotations__, function.__globals__, parts, seen)
     elif isinstance(value, frozenset):
         parts.append(repr(sorted(value, key=repr)))
     elif isinstance(value, bool | int | float | str | tuple | None):
         parts.append(repr(value))
     elif isinstance(value, np.ndarray):
         parts.append(f"{value.dtype.str}{value.shape}{value.tobytes().hex()}")
+    elif isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields"):
+        # A kernel takes the fields of a named tuple by their places.
+        parts.append(f"{value.__qualname__}{value._fields}")
+        _add_records(value.__annotations__, vars(sys.modules[value.__module__]), parts, seen)
     elif isinstance(value, ModuleType):
         parts.append(value.__name__)
     else:
         # Types, intrinsics and functions of other libraries: their versions are Numba's business.
         parts.append(str(getattr(value, "__qualname__", type(value).__qualname__)))
+
+
+def _add_records(annotations: dict[str, Any], names: dict[str, Any], parts: list[str], seen: set[int]) -> None:
+    """Add what is to be told of the named tuples that arguments or fields are said to be."""
+    for annotation in annotations.values():
+        value = names.get(getattr(annotation, "__forward_arg__", annotation))
+        if hasattr(value, "_fields"):
+            _add_value(value, parts, seen)
 
 
 def _add_code(code: CodeType, names: dict[str, Any], parts: list[str], seen: set[int]) -> None:

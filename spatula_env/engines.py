@@ -9,14 +9,42 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-ENGINES = ("bullet", "batch")
-"""What can integrate the organs."""
+ENGINES: dict[str, str] = {
+    "bullet": "spatula_env.sim.bullet:BulletEngine",
+    "batch": "spatula_env.sim.batch_engine:BatchEngine",
+}
+"""What can integrate the organs, by name: module and class of a `sim.engine.Engine`. As Gymnasium's registry of
+environments does, it grows by registration; see `register_engine`."""
 
 DEFAULT = '"bullet" where PyBullet is installed, else "batch"'
 """The engine that is taken when none is named, for people."""
 
 BULLET_DISTRIBUTIONS = ("pybullet", "pybullet-arm64")
 """What brings the module `pybullet`: the original, and a fork with wheels for more platforms."""
+
+
+def register_engine(name: str, entry_point: str) -> None:
+    """Make an engine known, so that environments and simulations take it by its name.
+
+    Args:
+        name: What the option `engine` is to be.
+        entry_point: Where its class is, "module:Class"; the module is imported when the engine is first used. The class
+            is a `sim.engine.Engine`.
+
+    Raises:
+        ValueError: If `entry_point` is not of that form, or the name is that of another engine.
+    """
+    module, _, kind = entry_point.partition(":")
+    if not (module and kind):
+        raise ValueError(f"entry_point must be 'module:Class', got {entry_point!r}")
+    if ENGINES.setdefault(name, entry_point) != entry_point:
+        raise ValueError(f"name must be that of no other engine, but {name!r} is {ENGINES[name]!r}")
+
+
+def load_engine(name: str) -> Any:
+    """The class of an engine, from the registry."""
+    module, _, kind = ENGINES[name].partition(":")
+    return getattr(import_module(module), kind)
 
 
 def choose_engine(engine: str | None = None, contact: str = "flags") -> str:

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 from spatula_env import Simulation, engines, scenes
-from spatula_env.sim.worlds import make_worlds
+from spatula_env.sim.worlds import Worlds
 
 try:
     import tomllib
@@ -61,7 +61,7 @@ def test_without_pybullet_asking_for_it_says_what_to_install(
     for make in (
         lambda: gym.make("Spatula/Press-v0", **options),
         lambda: Simulation(scenes.seed(), **options),
-        lambda: make_worlds(scenes.seed(), 2, **{"engine": None, **options}),
+        lambda: Worlds(scenes.seed(), 2, **{"engine": None, **options}),
     ):
         with pytest.raises(ImportError, match=message) as raised:
             make()
@@ -89,7 +89,7 @@ def test_an_unknown_engine_is_an_error_in_any_case(without_bullet: None) -> None
     for make in (
         lambda: gym.make("Spatula/Press-v0", engine="mystery"),
         lambda: Simulation(scenes.seed(), engine="mystery"),
-        lambda: make_worlds(scenes.seed(), 1, engine="mystery"),
+        lambda: Worlds(scenes.seed(), 1, engine="mystery"),
     ):
         with pytest.raises(ValueError, match=r"engine must be one of \['bullet', 'batch'\], got 'mystery'"):
             make()

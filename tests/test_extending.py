@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from spatula_env import envs, geometry
+from spatula_env import engines, envs, geometry
 from spatula_env.geometry import seed_sphere
 
 PAGE = (Path(__file__).parents[1] / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -26,17 +26,18 @@ SECTIONS = {
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    modules, ids = set(sys.modules), set(gymnasium.registry)
+    modules, ids, known = set(sys.modules), set(gymnasium.registry), set(engines.ENGINES)
     yield tmp_path
     for name in set(sys.modules) - modules:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
             del sys.modules[name]
-    for added in set(gymnasium.registry) - ids:
-        del gymnasium.registry[added]
+    for registry, before in ((gymnasium.registry, ids), (engines.ENGINES, known)):
+        for added in set(registry) - before:
+            del registry[added]
 
 
 def test_there_is_a_section_for_each_kind_of_thing():
-    assert list(SECTIONS) == ["Add a task", "Add an organ", "Add a tool"]
+    assert list(SECTIONS) == ["Add a task", "Add an organ", "Add a tool", "Add an engine"]
     assert all(SECTIONS.values())
 
 

@@ -43,7 +43,7 @@ LAYERS = (
 SAME_LAYER = {("envs", "naming"), ("naming", "envs")}
 """An environment's name is found by what it is made of; and what makes environments of all kinds is told a name."""
 
-CIRCLES = {frozenset({"spatula_env.sim.batch", "spatula_env.sim.worlds"})}
+CIRCLES: set[frozenset[str]] = set()
 """What goes round in a circle. None may be added; a circle that is opened is to be taken out."""
 
 PACKAGES = ("spatula_env", "agents", "benchmarks")

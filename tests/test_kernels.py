@@ -174,6 +174,45 @@ def test_what_is_compiled_into_a_kernel_from_another_file_may_change(site, step,
         assert (len(said) > 1) == (index < 2)
 
 
+RECORD = """
+from typing import NamedTuple
+import numpy as np
+from spatula_env._kernels import inline_kernel
+
+class Pair(NamedTuple):
+    {first}: np.ndarray
+    {second}: np.ndarray
+
+@inline_kernel
+def left_of(pair: "Pair") -> float:
+    return pair.left[0]
+"""
+
+READER = """
+from __future__ import annotations
+import numpy as np
+from spatula_env._kernels import kernel
+from spatula_env.record import Pair, left_of
+
+@kernel()
+def read(pair: Pair) -> float:
+    return left_of(pair)
+
+def double(number):
+    return read(Pair(left=np.array([2.0 * number]), right=np.zeros(1)))
+"""
+
+
+def test_the_order_of_a_records_fields_may_change(site):
+    package = site / "spatula_env"
+    (package / "made.py").write_text(READER, encoding="utf-8")
+    for first, second in (("left", "right"), ("right", "left")):
+        (package / "record.py").write_text(RECORD.format(first=first, second=second), encoding="utf-8")
+        for stale in (package / "__pycache__").glob("record.*.pyc"):
+            stale.unlink()
+        assert run_copy(site)[-1].split()[0] == "4.0"
+
+
 DAMAGE = (bytes(400), b"garbage\n", b"\x80\x05\x95\xff\xfe\xfd", b"")
 ENDINGS = ("nbi", "nbc")
 
@@ -205,7 +244,7 @@ def test_a_fingerprint_is_the_same_in_every_process():
     script = """
 from spatula_env._kernel_cache import fingerprint
 from spatula_env.contact.step import resolve_step
-from spatula_env.sim.batch_step import advance_blocks
+from spatula_env.sim.batch_engine import advance_blocks
 print(fingerprint(resolve_step), fingerprint(advance_blocks))
 """
     said = {

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from spatula_env.envs.snapshots import Physics
     from spatula_env.envs.steering import Pilot
     from spatula_env.scenes import Scene
-    from spatula_env.sim.worlds import Loads, SeparateWorlds, Worlds
+    from spatula_env.sim.worlds import Loads, Worlds
     from spatula_env.tasks.marks import Mark
     from spatula_env.tasks.situation import Setting
 
@@ -308,12 +308,15 @@ class Episodes:
         )
         self._show(situation, worlds, first=True)
 
-    def step(self, actions: FloatArray, pilot: Pilot | None = None) -> Outcome:
+    def step(
+        self, actions: FloatArray, pilot: Pilot | None = None, after_step: Callable[[], object] | None = None
+    ) -> Outcome:
         """Move all tools for one control step.
 
         Args:
             actions: (W, A) in [-1, 1].
             pilot: Who is asked before every physics step instead, for one world only.
+            after_step: Called after every physics step.
 
         Returns:
             What that led to. Where physics has diverged, observation and info stay those of the step before, but for
@@ -329,22 +332,14 @@ class Episodes:
             motion = self.control.motion(
                 self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
             )
-            loads = worlds.advance(
-                frames.velocities_to_scene(motion.linear),
-                frames.rates_to_scene(motion.angular),
-                self.steps_per_action,
-                pressure_limits,
-                force_limits,
-            )
-            held = loads.restrained > 0.0
+            steer, linear = None, frames.velocities_to_scene(motion.linear)
+            angular = frames.rates_to_scene(motion.angular)
         else:
-            # Steering is for one simulation of its own.
-            single = cast("SeparateWorlds", worlds)
             steering = Steering(self, pilot)
-            nowhere = np.zeros_like(positions)
-            loads = single.advance(
-                nowhere, nowhere, self.steps_per_action, pressure_limits, force_limits, steering.velocities
-            )
+            steer, linear, angular = steering.velocities, np.zeros_like(positions), np.zeros_like(positions)
+        loads = worlds.advance(linear, angular, self.steps_per_action, pressure_limits, force_limits, steer, after_step)
+        held = loads.restrained > 0.0
+        if pilot is not None:
             motion, actions = steering.motion(), mean_of_track(steering.track)[None]
             held = np.ones(self.count, dtype=np.bool_)
         if held.any():
@@ -375,7 +370,7 @@ class Episodes:
         """All that the next step depends on in some worlds (n,) in which episodes have begun, as copies."""
         assert self.situation is not None
         drawn, generators = self._variation.save(worlds)
-        physics = save_physics(self.worlds, worlds, self.settings.engine)
+        physics = save_physics(self.worlds, worlds)
         return physics, EpisodesState(
             counters={name: values[worlds] for name, values in self._counters().items()},
             memory={name: values[worlds] for name, values in self._memory.items()},

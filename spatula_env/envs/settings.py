@@ -17,7 +17,7 @@ from spatula_env.tasks.plain import make_fields_plain
 
 if TYPE_CHECKING:
     from spatula_env.scenes import Scene
-    from spatula_env.sim.simulation import ContactName
+    from spatula_env.sim.engine import ContactName
     from spatula_env.tasks.base import Task
     from spatula_env.tasks.situation import Setting
 

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env.envs.indices import indices_below
-from spatula_env.sim.batch import BatchState, WorldMemory
 from spatula_env.sim.simulation import SimulationState
-from spatula_env.sim.worlds import SeparateWorlds, Worlds
+from spatula_env.sim.worlds import Worlds, WorldsState
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -20,8 +19,8 @@ if TYPE_CHECKING:
     from spatula_env.envs.settings import EnvSettings
     from spatula_env.tasks.situation import Setting, Situation
 
-Physics = BatchState | tuple[SimulationState, ...]
-"""Of n worlds, as the engine of many worlds has it or one by one."""
+Physics = WorldsState | tuple[SimulationState, ...]
+"""Of n worlds; world by world in older snapshots of single environments, and of those with PyBullet."""
 
 Rows = dict[str, "NDArray[Any]"]
 """Arrays (n, ...) by name."""
@@ -115,7 +114,7 @@ class EnvState:
         }
         return replace(
             self,
-            physics=_physics_rows(self.physics, chosen),
+            physics=_joined(self.physics).rows(chosen),
             episodes=EpisodesState(**taken, situation=episodes.situation.rows(chosen)),
             generators=_take(self.generators, chosen),
             seeds=tuple(self.seeds[row] for row in chosen.tolist()),
@@ -152,25 +151,26 @@ def check_fits(state: EnvState, name: str, settings: EnvSettings, setting: Setti
         )
 
 
-def save_physics(physics: Worlds, worlds: IntArray, engine: str | None) -> Physics:
+def save_physics(physics: Worlds, worlds: IntArray) -> WorldsState:
     """The state of the physics in some worlds (n,), from where it goes on exactly as after `restore_physics`.
 
     What PyBullet has computed cannot be read to the last bit: its velocities keep rounding errors of all that was
     before. So a simulation of PyBullet is put to its own state, which clears them, and both go on alike. That changes
     how it goes on, by as much as such errors do.
     """
-    state: Physics = physics.save(worlds)
-    if engine == "bullet":
+    state = physics.save(worlds)
+    if not physics.engine.abilities.restores_exactly:
         physics.restore(state, worlds)
     return state
 
 
 def restore_physics(physics: Worlds, state: Physics, worlds: IntArray) -> None:
-    """Put some worlds (n,) to a state of n worlds, whichever way it was saved."""
-    separate = isinstance(state, tuple)
-    if isinstance(physics, SeparateWorlds) != separate:
-        state = _joined(state) if isinstance(state, tuple) else _separated(state)
-    physics.restore(state, worlds)
+    """Put some worlds (n,) to a state of n worlds."""
+    physics.restore(_joined(state), worlds)
+
+
+def _joined(state: Physics) -> WorldsState:
+    return SimulationState.joined(state) if isinstance(state, tuple) else state
 
 
 def _take(tree: Any, rows: IntArray) -> Any:
@@ -182,59 +182,3 @@ def _take(tree: Any, rows: IntArray) -> Any:
     if isinstance(tree, tuple):
         return tuple(_take(values, rows) for values in tree)
     return tree[rows]
-
-
-def _physics_rows(physics: Physics, rows: IntArray) -> Physics:
-    if isinstance(physics, tuple):
-        return tuple(physics[row] for row in rows.tolist())
-    arrays = {each.name: getattr(physics, each.name)[rows] for each in fields(physics) if each.name != "memories"}
-    return BatchState(**arrays, memories=tuple(physics.memories[row] for row in rows.tolist()))
-
-
-def _joined(states: tuple[SimulationState, ...]) -> BatchState:
-    return BatchState(
-        nodes=np.stack([state.nodes for state in states]),
-        node_velocities=np.stack([state.node_velocities for state in states]),
-        tool_positions=np.stack([state.tool_positions for state in states]),
-        tool_orientations=np.stack([state.tool_orientations for state in states]),
-        tool_forces=np.stack([state.contact.wrenches[:, :3] for state in states]),
-        times=np.array([state.time for state in states]),
-        memories=tuple(
-            WorldMemory(
-                flags=tuple(flags for row in state.contact.flags for flags in row),
-                multipliers=state.contact.multipliers,
-                ledger=state.contact.ledger,
-                near=state.contact.near,
-            )
-            for state in states
-        ),
-    )
-
-
-def _separated(states: BatchState) -> tuple[SimulationState, ...]:
-    from spatula_env.contact.model import ContactMemory
-
-    tools = states.tool_positions.shape[1]
-    made = []
-    for row, memory in enumerate(states.memories):
-        organs = len(memory.flags) // tools
-        wrenches = np.zeros((tools, 6))
-        wrenches[:, :3] = states.tool_forces[row]
-        contact = ContactMemory(
-            flags=tuple(memory.flags[tool * organs : (tool + 1) * organs] for tool in range(tools)),
-            multipliers=memory.multipliers,
-            ledger=memory.ledger,
-            wrenches=wrenches,
-            near=memory.near,
-        )
-        made.append(
-            SimulationState(
-                nodes=states.nodes[row],
-                node_velocities=states.node_velocities[row],
-                tool_positions=states.tool_positions[row],
-                tool_orientations=states.tool_orientations[row],
-                contact=contact,
-                time=float(states.times[row]),
-            )
-        )
-    return tuple(made)

@@ -27,13 +27,13 @@ from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.start_options import START_OPTIONS, own_options
 from spatula_env.envs.time_limit import is_told_in_steps, steps_in
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
-from spatula_env.sim.worlds import SeparateWorlds
 
 if TYPE_CHECKING:
     from spatula_env.envs.steering import Pilot
     from spatula_env.render.moment import Moment
     from spatula_env.scenes import Scene
     from spatula_env.sim.report import Report
+    from spatula_env.sim.worlds import Worlds
 
 
 class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -228,9 +228,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             settings = replace(settings, episode_time=None)
         self.simulation: Simulation
 
-        def load(scene: Scene) -> SeparateWorlds:
+        def load(scene: Scene) -> Worlds:
             self.simulation = Simulation(scene, engine=settings.engine, contact=settings.contact)
-            return SeparateWorlds([self.simulation])
+            return self.simulation.worlds
 
         self._episodes = Episodes(self.definition, settings, load, observed_pictures)
         self.settings = settings
@@ -291,7 +291,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         self._check_started("step")
         episodes = self._episodes
-        outcome = episodes.step(as_action(action, episodes.control.size)[None], self._pilot)
+        tell = self.simulation.tell if self.simulation.listeners else None
+        outcome = episodes.step(as_action(action, episodes.control.size)[None], self._pilot, tell)
         if outcome.diverged[0]:
             self._started = False
             raise SimulationDiverged(

@@ -29,12 +29,12 @@ from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.time_limit import read_step_limit, steps_in
 from spatula_env.envs.vector_arguments import as_autoreset_mode, read_mask, read_seeds, read_worlds
 from spatula_env.geometry.checks import check_count
-from spatula_env.sim.worlds import Worlds, make_worlds
+from spatula_env.sim.worlds import Worlds
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from spatula_env.sim.worlds import IntArray
+    from spatula_env.arrays import IntArray
 
 OWN_ARGUMENTS = ("num_envs", "max_episode_steps", "autoreset_mode")
 """Arguments beside those of the environment for one agent."""
@@ -104,7 +104,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         self._episodes = Episodes(
             self.definition,
             settings,
-            lambda scene: make_worlds(scene, num_envs, settings.engine, settings.contact),
+            lambda scene: Worlds(scene, num_envs, engine=settings.engine, contact=settings.contact),
             observed_pictures,
         )
         if max_episode_steps is None:

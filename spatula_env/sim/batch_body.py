@@ -25,7 +25,7 @@ computed by a function, correctly and slowly.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numba
 import numpy as np
@@ -33,8 +33,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from spatula_env._kernels import array_kernel, kernel
+from spatula_env._kernels import array_kernel, inline_kernel, kernel
 from spatula_env.geometry.checks import check_positive
+from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.threads import share_out
 
 if TYPE_CHECKING:
@@ -175,6 +176,36 @@ _correct_narrow = _link_kernel(NARROW)
 _correct_single = _single_link_kernel()
 
 
+class Blocks(NamedTuple):
+    """The arrays of a body in all worlds, B blocks of so many lanes, in the body's precision.
+
+    Attributes:
+        positions: (B, V, C, lanes) [u].
+        velocities: (B, V, C, lanes) [u/s].
+        predicted: (B, V, C, lanes) workspace.
+        movable: (V,) which nodes are not held fixed.
+        links: (L, 2) nodes.
+        factors: (L, 3) squared rest length [u2] and shares.
+        gravity: (B, lanes) downwards [u/s2].
+        stiffness: (B, lanes) factor.
+        dt: Length of a step [s].
+        inverse_dt: One over it [1/s].
+        finite: (B, lanes) zero where all velocities are finite after a step, NaN otherwise.
+    """
+
+    positions: NDArray[Any]
+    velocities: NDArray[Any]
+    predicted: NDArray[Any]
+    movable: NDArray[np.bool_]
+    links: NDArray[np.int32]
+    factors: NDArray[Any]
+    gravity: NDArray[Any]
+    stiffness: NDArray[Any]
+    dt: Any
+    inverse_dt: Any
+    finite: NDArray[Any]
+
+
 @array_kernel
 def predict_block(
     positions: np.ndarray,
@@ -249,38 +280,18 @@ def finish_block(
                 finite[k] += velocities[i, axis, k] - velocities[i, axis, k]
 
 
-@array_kernel
-def advance_block(
-    positions: np.ndarray,
-    velocities: np.ndarray,
-    predicted: np.ndarray,
-    movable: np.ndarray,
-    links: np.ndarray,
-    factors: np.ndarray,
-    gravity: np.ndarray,
-    stiffness: np.ndarray,
-    dt: float,
-    inverse_dt: float,
-    finite: np.ndarray,
-) -> None:
+@inline_kernel
+def advance_block(blocks: Blocks, b: int) -> None:
     """Advance all worlds of a block by one step.
 
     Args:
-        positions: (V, C, lanes) written [u].
-        velocities: (V, C, lanes) written [u/s].
-        predicted: (V, C, lanes) workspace.
-        movable: (V,) which nodes are not held fixed.
-        links: (L, 2) nodes.
-        factors: (L, 3) squared rest length [u2] and shares.
-        gravity: (lanes,) downwards [u/s2].
-        stiffness: (lanes,) factor.
-        dt: Length of the step [s].
-        inverse_dt: One over it [1/s].
-        finite: (lanes,) written: zero where all velocities are finite, NaN otherwise.
+        blocks: The arrays of all blocks; written.
+        b: Index of the block.
     """
-    predict_block(positions, velocities, predicted, movable, gravity, dt)
-    sweep_block(positions, links, factors, stiffness, SWEEPS)
-    finish_block(positions, velocities, predicted, inverse_dt, finite)
+    positions, velocities, predicted = blocks.positions[b], blocks.velocities[b], blocks.predicted[b]
+    predict_block(positions, velocities, predicted, blocks.movable, blocks.gravity[b], blocks.dt)
+    sweep_block(positions, blocks.links, blocks.factors, blocks.stiffness[b], SWEEPS)
+    finish_block(positions, velocities, predicted, blocks.inverse_dt, blocks.finite[b])
 
 
 @array_kernel
@@ -335,27 +346,10 @@ _WRITE_SIGNATURES = [_copy_signature(real, readonly=True) for real in _REALS]
 
 # Compiled when first called, which for the two precisions is rarely both of them.
 @kernel(nogil=True)
-def _advance_blocks(
-    first_block: int,
-    end_block: int,
-    positions: np.ndarray,
-    velocities: np.ndarray,
-    predicted: np.ndarray,
-    movable: np.ndarray,
-    links: np.ndarray,
-    factors: np.ndarray,
-    gravity: np.ndarray,
-    stiffness: np.ndarray,
-    dt: float,
-    inverse_dt: float,
-    finite: np.ndarray,
-) -> None:
-    """Advance some blocks by one step; arguments as of `advance_block`, those of a block with a leading axis."""
+def _advance_blocks(first_block: int, end_block: int, blocks: Blocks) -> None:
+    """Advance some blocks by one step."""
     for b in range(first_block, end_block):
-        advance_block(
-            positions[b], velocities[b], predicted[b], movable, links, factors, gravity[b], stiffness[b], dt,
-            inverse_dt, finite[b],
-        )  # fmt: skip
+        advance_block(blocks, b)
 
 
 @kernel(*_READ_SIGNATURES)
@@ -389,14 +383,14 @@ def _add_to_worlds(blocks: np.ndarray, movable: np.ndarray, values: np.ndarray) 
 class BatchBody:
     """One soft body in many worlds, which differ in state, gravity, stiffness and mass.
 
-    The arrays that kernels work on are in the body's precision and shaped (blocks, V, C, lanes): world w is lane
-    w % lanes of block w // lanes. The last block is filled up with worlds of their own that nothing moves.
+    World w is lane w % lanes of block w // lanes. The last block is filled up with worlds of their own that nothing
+    moves.
 
     Attributes:
         body: The nodes and links.
         worlds: Number of worlds W.
         dt: Length of a step [s], rounded to single precision as Bullet rounds it for soft bodies.
-        arrays: What `advance_block` takes, by the names it has there.
+        blocks: The arrays that kernels work on.
     """
 
     def __init__(
@@ -440,22 +434,22 @@ class BatchBody:
         shape = (blocks, len(body.vertices), 4 if lanes == 1 else 3, lanes)
         linked = (body.inverse_masses[body.links] > 0.0).any(axis=1)
         factors = np.column_stack([body.squared_rest_lengths, body.shares()])[linked]
-        self.arrays: dict[str, Any] = {
-            "positions": self._zeros(shape),
-            "velocities": self._zeros(shape),
-            "predicted": self._zeros(shape),
-            "movable": body.inverse_masses > 0.0,
-            "links": np.ascontiguousarray(body.links[linked]),
-            "factors": np.ascontiguousarray(factors.astype(self._real)),
-            "gravity": self._zeros((blocks, lanes)),
-            "stiffness": self._zeros((blocks, lanes)),
-            "dt": np.array(self.dt, dtype=self._real)[()],
-            "inverse_dt": np.array(1.0 / self.dt, dtype=self._real)[()],
-            "finite": self._zeros((blocks, lanes)),
-        }
+        self.blocks = Blocks(
+            positions=self._zeros(shape),
+            velocities=self._zeros(shape),
+            predicted=self._zeros(shape),
+            movable=body.inverse_masses > 0.0,
+            links=np.ascontiguousarray(body.links[linked]),
+            factors=np.ascontiguousarray(factors.astype(self._real)),
+            gravity=self._zeros((blocks, lanes)),
+            stiffness=self._zeros((blocks, lanes)),
+            dt=np.array(self.dt, dtype=self._real)[()],
+            inverse_dt=np.array(1.0 / self.dt, dtype=self._real)[()],
+            finite=self._zeros((blocks, lanes)),
+        )
         self._mass_scale: FloatArray = np.ones(worlds)
         every = np.arange(blocks * lanes)
-        _write_worlds(self.arrays["positions"], every, np.repeat(body.vertices[None], len(every), axis=0))
+        _write_worlds(self.blocks.positions, every, np.repeat(body.vertices[None], len(every), axis=0))
         self.set_parameters(gravity=gravity, stiffness=1.0)
 
     def _zeros(self, shape: tuple[int, ...]) -> NDArray[Any]:
@@ -486,28 +480,19 @@ class BatchBody:
         Raises:
             ValueError: If a value is not allowed; nothing has then changed.
         """
-        indices = self.indices(worlds)
+        indices = world_indices(worlds, self.worlds)
         checked: dict[str, FloatArray] = {}
         for name, value in (("gravity", gravity), ("stiffness", stiffness), ("mass_scale", mass_scale)):
             if value is not None:
-                checked[name] = self.values(value, name, indices)
+                checked[name] = one_each(value, name, indices)
         if "stiffness" in checked:
             bad = (checked["stiffness"] < 0.0) | (checked["stiffness"] >= GREATEST_STIFFNESS)
-            _refuse(bad, indices, "stiffness", f"zero to less than {GREATEST_STIFFNESS:g}", checked["stiffness"])
+            refuse(bad, indices, "stiffness", f"zero to less than {GREATEST_STIFFNESS:g}", checked["stiffness"])
         if "mass_scale" in checked:
-            _refuse(checked["mass_scale"] <= 0.0, indices, "mass_scale", "more than zero", checked["mass_scale"])
+            refuse(checked["mass_scale"] <= 0.0, indices, "mass_scale", "more than zero", checked["mass_scale"])
         for name, values in checked.items():
-            target = self._mass_scale if name == "mass_scale" else self.arrays[name].reshape(-1)
+            target = self._mass_scale if name == "mass_scale" else getattr(self.blocks, name).reshape(-1)
             target[indices] = values
-
-    def values(self, value: ArrayLike, name: str, indices: NDArray[np.int64]) -> FloatArray:
-        """A finite number for each of some worlds (n,), from one for all of them or one each."""
-        array = np.asarray(value, dtype=np.float64)
-        if array.shape not in ((), (len(indices),)):
-            raise ValueError(f"{name} must be a number or have shape ({len(indices)},), got {array.shape}")
-        array = np.broadcast_to(array, (len(indices),))
-        _refuse(~np.isfinite(array), indices, name, "finite", array)
-        return array
 
     def step(self, velocity_changes: ArrayLike | None = None, displacements: ArrayLike | None = None) -> None:
         """Advance all worlds by one step of `dt`. A world that diverges leaves the others alone; see `finite`.
@@ -522,8 +507,8 @@ class BatchBody:
             ValueError: If an argument has another shape.
         """
         for name, value, target in (
-            ("velocity_changes", velocity_changes, "velocities"),
-            ("displacements", displacements, "positions"),
+            ("velocity_changes", velocity_changes, self.blocks.velocities),
+            ("displacements", displacements, self.blocks.positions),
         ):
             if value is not None:
                 array = np.ascontiguousarray(value, dtype=np.float64)
@@ -531,13 +516,13 @@ class BatchBody:
                     raise ValueError(
                         f"{name} must have shape {(self.worlds, len(self.body.vertices), 3)}, got {array.shape}"
                     )
-                _add_to_worlds(self.arrays[target], self.arrays["movable"], array)
-        arguments, blocks = tuple(self.arrays.values()), len(self.arrays["positions"])
+                _add_to_worlds(target, self.blocks.movable, array)
+        blocks, count = self.blocks, len(self.blocks.positions)
         threads = numba.get_num_threads() if self._parallel else 1
-        if min(blocks, threads) == 1:
-            _advance_blocks(0, blocks, *arguments)
+        if min(count, threads) == 1:
+            _advance_blocks(0, count, blocks)
         else:
-            share_out(lambda block: _advance_blocks(block, block + 1, *arguments), blocks, threads)
+            share_out(lambda block: _advance_blocks(block, block + 1, blocks), count, threads)
 
     def set_state(self, positions: ArrayLike, velocities: ArrayLike = 0.0, worlds: ArrayLike | None = None) -> None:
         """Replace the state of all nodes in some worlds; what follows depends on nothing that was there before.
@@ -550,7 +535,7 @@ class BatchBody:
         Raises:
             ValueError: If an argument has another shape or is not finite; nothing has then changed.
         """
-        indices = self.indices(worlds)
+        indices = world_indices(worlds, self.worlds)
         shape = (len(indices), len(self.body.vertices), 3)
         arrays = []
         for name, value in (("positions", positions), ("velocities", velocities)):
@@ -558,11 +543,11 @@ class BatchBody:
             if array.shape not in (shape, shape[1:]) and (name == "positions" or array.shape != ()):
                 raise ValueError(f"{name} must have shape {shape[1:]} or {shape}, got {array.shape}")
             array = np.ascontiguousarray(np.broadcast_to(array, shape))
-            _refuse(np.asarray(~np.isfinite(array).all(axis=(1, 2))), indices, name, "finite")
+            refuse(np.asarray(~np.isfinite(array).all(axis=(1, 2))), indices, name, "finite")
             arrays.append(array)
-        for name, array in zip(("positions", "velocities"), arrays, strict=True):
-            _write_worlds(self.arrays[name], indices, array)
-        self.arrays["finite"].reshape(-1)[indices] = 0.0
+        for target, array in zip((self.blocks.positions, self.blocks.velocities), arrays, strict=True):
+            _write_worlds(target, indices, array)
+        self.blocks.finite.reshape(-1)[indices] = 0.0
 
     def get_state(self, worlds: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
         """Positions (n, V, 3) [u] and velocities (n, V, 3) [u/s] of some worlds, to be given to `set_state` later.
@@ -573,28 +558,28 @@ class BatchBody:
         Returns:
             Arrays of their own.
         """
-        indices = self.indices(worlds)
-        return self._get("positions", indices), self._get("velocities", indices)
+        indices = world_indices(worlds, self.worlds)
+        return self._get(self.blocks.positions, indices), self._get(self.blocks.velocities, indices)
 
-    def _get(self, name: str, indices: NDArray[np.int64]) -> FloatArray:
+    def _get(self, blocks: NDArray[Any], indices: NDArray[np.int64]) -> FloatArray:
         values: FloatArray = np.empty((len(indices), len(self.body.vertices), 3))
-        _read_worlds(self.arrays[name], indices, values)
+        _read_worlds(blocks, indices, values)
         return values
 
     @property
     def positions(self) -> FloatArray:
         """(W, V, 3) of all nodes (a copy) [u]."""
-        return self._get("positions", np.arange(self.worlds))
+        return self._get(self.blocks.positions, np.arange(self.worlds))
 
     @property
     def velocities(self) -> FloatArray:
         """(W, V, 3) of all nodes (a copy) [u/s]."""
-        return self._get("velocities", np.arange(self.worlds))
+        return self._get(self.blocks.velocities, np.arange(self.worlds))
 
     @property
     def finite(self) -> NDArray[np.bool_]:
         """(W,) whether all velocities were finite after the last step."""
-        finite: NDArray[np.bool_] = self.arrays["finite"].reshape(-1)[: self.worlds] == 0.0
+        finite: NDArray[np.bool_] = self.blocks.finite.reshape(-1)[: self.worlds] == 0.0
         return finite
 
     @property
@@ -606,45 +591,19 @@ class BatchBody:
     @property
     def gravity(self) -> FloatArray:
         """(W,) downward acceleration (a copy) [u/s2]."""
-        return self._parameter("gravity")
+        return self._parameter(self.blocks.gravity)
 
     @property
     def stiffness(self) -> FloatArray:
         """(W,) factor on the stiffness of all links (a copy)."""
-        return self._parameter("stiffness")
+        return self._parameter(self.blocks.stiffness)
 
     @property
     def mass_scale(self) -> FloatArray:
         """(W,) factor on all masses (a copy)."""
         return self._mass_scale.copy()
 
-    def _parameter(self, name: str) -> FloatArray:
+    def _parameter(self, blocks: NDArray[Any]) -> FloatArray:
         """(W,) one of the worlds' parameters."""
-        values: FloatArray = self.arrays[name].reshape(-1)[: self.worlds].astype(np.float64)
+        values: FloatArray = blocks.reshape(-1)[: self.worlds].astype(np.float64)
         return values
-
-    def indices(self, worlds: ArrayLike | None) -> NDArray[np.int64]:
-        """Indices of worlds, from indices or a mask."""
-        if worlds is None:
-            return np.arange(self.worlds)
-        array = np.asarray(worlds)
-        if array.dtype == np.bool_ and array.shape == (self.worlds,):
-            return np.flatnonzero(array)
-        if array.size == 0:
-            return np.zeros(0, dtype=np.int64)
-        allowed = f"indices in 0..{self.worlds - 1} or a mask of shape ({self.worlds},)"
-        if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
-            raise ValueError(f"worlds must be {allowed}, got {worlds!r}")
-        if array.min() < 0 or array.max() >= self.worlds:
-            raise ValueError(f"worlds must be {allowed}, got {array.tolist()}")
-        return array.astype(np.int64)
-
-
-def _refuse(
-    bad: NDArray[np.bool_], worlds: NDArray[np.int64], name: str, allowed: str, values: FloatArray | None = None
-) -> None:
-    """Raise a ValueError that names the first world with a bad value, if there is one."""
-    if bad.any():
-        first = int(np.argmax(bad))
-        got = "" if values is None else f", got {values[first]:g}"
-        raise ValueError(f"{name} must be {allowed}, in world {worlds[first]} it is not{got}")

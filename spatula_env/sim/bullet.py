@@ -23,6 +23,7 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import chain, combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,7 @@ import numpy as np
 from spatula_env.engines import import_bullet
 from spatula_env.geometry.parts import Part, describe_parts, organ_parts
 from spatula_env.geometry.transforms import rotate
+from spatula_env.sim.engine import Abilities
 from spatula_env.sim.exchange import forces_of_changes, velocities_of_positions
 from spatula_env.sim.soft_body import node_masses
 
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 
     from spatula_env.geometry.meshes import Organ
     from spatula_env.scenes import PlacedTool, Scene
+    from spatula_env.sim.engine import EngineOptions
 
     FloatArray = NDArray[np.float64]
 
@@ -57,7 +60,7 @@ DRAWN = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 
 
 class BulletWorld:
-    """Soft bodies in PyBullet's classic soft world; see `world.SoftWorld`.
+    """Soft bodies in one world of PyBullet's.
 
     Bullet integrates the organs: gravity, links, bending. Ground and, except in `contact="bullet"`, tools are absent
     from Bullet's world: contact with them is resolved by `spatula_env.contact`.
@@ -179,7 +182,18 @@ class BulletWorld:
         return self._inverse_masses
 
     def step(self, positions: FloatArray, velocities: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `world.SoftWorld.step`."""
+        """Advance by one time step, from where the last step or `set_state` ended or close to that.
+
+        Args:
+            positions: (V, 3) of the nodes at the start of the step [u].
+            velocities: (V, 3) [u/s].
+
+        Returns:
+            Positions (V, 3) [u] and velocities (V, 3) [u/s] at the end of the step; not to be written to.
+
+        Raises:
+            FloatingPointError: If they are not finite.
+        """
         bullet, client = self._bullet, self._client
         positions, velocities = self._from_scene(positions), self._from_scene(velocities)
         displacements, velocity_changes = positions - self._positions, velocities - self._velocities
@@ -224,8 +238,8 @@ class BulletWorld:
             with _given_back([rows, *rows]):
                 self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
 
-    def set_state(self, positions: FloatArray, velocities: FloatArray) -> None:
-        """See `world.SoftWorld.set_state`."""
+    def set_state(self, positions: FloatArray) -> None:
+        """Put the nodes somewhere (V, 3), standing still [u]; what follows depends on nothing that was before."""
         self._set_state(self._from_scene(positions))
 
     def _set_state(self, positions: FloatArray) -> None:
@@ -257,7 +271,7 @@ class BulletWorld:
         self._velocities = velocities_left
 
     def close(self) -> None:
-        """See `world.SoftWorld.close`."""
+        """Free Bullet's world. Closing twice is allowed."""
         self._disconnect()
         self._client = -1
 
@@ -298,6 +312,87 @@ def _given_back(objects: Sequence[object]) -> Iterator[None]:
                 ctypes.pythonapi.Py_DecRef(ctypes.py_object(one))
 
 
+class BulletEngine:
+    """As many worlds of PyBullet as there are worlds, one after the other; see `engine.CollidingEngine`.
+
+    Attributes:
+        loaded: (W,) PyBullet's worlds.
+    """
+
+    abilities = Abilities(contacts=("flags", "second_step", "bullet"), restores_exactly=False)
+
+    def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
+        """See `engine.Engine`; what this raises is told by `BulletWorld`."""
+        self._scene, self._with_tools = scene, options.contact == "bullet"
+        self.loaded: list[BulletWorld] = []
+        try:
+            for _ in range(worlds):
+                self.loaded.append(self._load(scene))
+        except BaseException:
+            self.close()
+            raise
+
+    def _load(self, scene: Scene) -> BulletWorld:
+        return BulletWorld(scene, with_tools=self._with_tools)
+
+    @property
+    def inverse_masses(self) -> FloatArray:
+        """See `engine.Engine`."""
+        return np.stack([world.inverse_masses for world in self.loaded])
+
+    def advance(self, positions: FloatArray, velocities: FloatArray, diverged: NDArray[np.bool_]) -> None:
+        """See `engine.Engine`."""
+        for w in np.flatnonzero(~diverged).tolist():
+            try:
+                positions[w], velocities[w] = self.loaded[w].step(positions[w], velocities[w])
+            except FloatingPointError:
+                diverged[w] = True
+
+    def halt(self, positions: FloatArray, worlds: NDArray[np.int64]) -> None:
+        """See `engine.Engine`."""
+        for row, w in enumerate(worlds.tolist()):
+            self.loaded[w].set_state(positions[row])
+
+    def save(self, worlds: NDArray[np.int64]) -> tuple[None, ...]:
+        """See `engine.Engine`: there are no nodes but those of the surface."""
+        return (None,) * len(worlds)
+
+    def restore(
+        self, positions: FloatArray, velocities: FloatArray, inner: Sequence[Any], worlds: NDArray[np.int64]
+    ) -> None:
+        """See `engine.Engine`; the next step gives the nodes their velocities, by forces."""
+        self.halt(positions, worlds)
+
+    def close(self) -> None:
+        """See `engine.Engine`."""
+        for world in self.loaded:
+            world.close()
+
+    def set_tools(self, tools: Sequence[PlacedTool], world: int) -> None:
+        """See `engine.CollidingEngine`: Bullet cannot exchange the shape of a body, so all is loaded anew."""
+        self.loaded[world].close()
+        self.loaded[world] = self._load(replace(self._scene, tools=tuple(tools)))
+
+    def place_tools(self, positions: FloatArray, orientations: FloatArray, world: int) -> None:
+        """See `engine.CollidingEngine`."""
+        self._tools(world).place(positions, orientations)
+
+    def move_tools(
+        self, positions: FloatArray, orientations: FloatArray, linear: FloatArray, angular: FloatArray, world: int
+    ) -> None:
+        """See `engine.CollidingEngine`."""
+        self._tools(world).move(positions, orientations, linear, angular)
+
+    def tool_impulses(self, linear: FloatArray, angular: FloatArray, world: int) -> FloatArray:
+        """See `engine.CollidingEngine`."""
+        return self._tools(world).impulses(linear, angular)
+
+    def _tools(self, world: int) -> BulletTools:
+        tools = self.loaded[world].tools
+        assert tools is not None
+        return tools
+
+
 class BulletTools:
     """The scene's tools as rigid bodies in Bullet's world, for `contact="bullet"`.
 
@@ -334,37 +429,26 @@ class BulletTools:
         )
         return body
 
-    def place(self, index: int, position: FloatArray, orientation: FloatArray) -> None:
-        """Put a tool somewhere, at rest."""
-        self._bullet.resetBasePositionAndOrientation(
-            self._bodies[index], position.tolist(), orientation.tolist(), physicsClientId=self._client
-        )
+    def place(self, positions: FloatArray, orientations: FloatArray) -> None:
+        """Put the tools somewhere, at rest."""
+        for body, position, orientation in zip(self._bodies, positions.tolist(), orientations.tolist(), strict=True):
+            self._bullet.resetBasePositionAndOrientation(body, position, orientation, physicsClientId=self._client)
 
-    def move(
-        self,
-        index: int,
-        position: FloatArray,
-        orientation: FloatArray,
-        linear: FloatArray,
-        angular: FloatArray,
-    ) -> None:
-        """Give a tool the pose that it has at the end of the coming step, and its velocity."""
-        self.place(index, position, orientation)
-        # Gravity acts on the tool too; what it will add is taken off beforehand.
-        self._bullet.resetBaseVelocity(
-            self._bodies[index],
-            (linear - self._gravity * self._dt).tolist(),
-            angular.tolist(),
-            physicsClientId=self._client,
-        )
+    def move(self, positions: FloatArray, orientations: FloatArray, linear: FloatArray, angular: FloatArray) -> None:
+        """Give the tools the poses that they have at the end of the coming step, and their velocities."""
+        self.place(positions, orientations)
+        # Gravity acts on tools too; what it will add is taken off beforehand.
+        linear = linear - self._gravity * self._dt
+        for body, speed, rate in zip(self._bodies, linear.tolist(), angular.tolist(), strict=True):
+            self._bullet.resetBaseVelocity(body, speed, rate, physicsClientId=self._client)
 
-    def impulse(self, index: int, linear: FloatArray, angular: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Linear [kg u/s] and angular [kg u2/s] impulse that contacts gave a tool in the last step."""
-        after_linear, after_angular = self._bullet.getBaseVelocity(self._bodies[index], physicsClientId=self._client)
-        orientation = self._bullet.getBasePositionAndOrientation(self._bodies[index], physicsClientId=self._client)[1]
-        inverse = np.array([-1.0, -1.0, -1.0, 1.0])
-        turned = rotate(np.asarray(orientation) * inverse, np.subtract(after_angular, angular))
-        return (
-            self._mass * np.subtract(after_linear, linear),
-            rotate(np.asarray(orientation), self._inertia[index] * turned),
-        )
+    def impulses(self, linear: FloatArray, angular: FloatArray) -> FloatArray:
+        """(N, 6) linear [kg u/s] and angular [kg u2/s2] impulses that contacts gave the tools in the last step."""
+        impulses, inverse = np.empty((len(self._bodies), 6)), np.array([-1.0, -1.0, -1.0, 1.0])
+        for k, body in enumerate(self._bodies):
+            after_linear, after_angular = self._bullet.getBaseVelocity(body, physicsClientId=self._client)
+            orientation = np.array(self._bullet.getBasePositionAndOrientation(body, physicsClientId=self._client)[1])
+            turned = rotate(orientation * inverse, np.subtract(after_angular, angular[k]))
+            impulses[k, :3] = self._mass * np.subtract(after_linear, linear[k])
+            impulses[k, 3:] = rotate(orientation, self._inertia[k] * turned)
+        return impulses

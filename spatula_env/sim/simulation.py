@@ -1,53 +1,32 @@
-"""One physics step: move the tools, step the organs, detect contacts, respond."""
+"""One world and what happens in it: `Worlds` of one world, with a report of every step."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.contact.model import ContactMemory, ContactModel, Motions, Pressures
-from spatula_env.contact.motion import turned_by
-from spatula_env.engines import ENGINES, choose_engine
+from spatula_env.contact import step as contact_step
+from spatula_env.contact.flags import Contacts
+from spatula_env.contact.model import ContactMemory, Motions, Pressures
+from spatula_env.contact.pressure import contact_table
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
-from spatula_env.sim.batch_world import BatchWorld
-from spatula_env.sim.bullet import BulletWorld
-from spatula_env.sim.clock import later
 from spatula_env.sim.report import Report
-from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
-from spatula_env.sim.volumes import Volumes
+from spatula_env.sim.worlds import NO_COPY, SimulationDiverged, WorldMemory, Worlds, WorldsState
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.contact.flags import FirstStep
     from spatula_env.scenes import PlacedTool, Scene
-    from spatula_env.sim.bullet import BulletTools
-    from spatula_env.sim.world import SoftWorld
+    from spatula_env.sim.engine import ContactName, Precision
 
-    FloatArray = NDArray[np.float64]
-
-ContactName = Literal["flags", "second_step", "bullet"]
-"""What resolves contact between tools and organs; see `Simulation`."""
-
-PRECISIONS = {"single": np.float32, "double": np.float64}
-"""Of the batch engine."""
-
-SETTLED_SPEED = 1e-3
-"""An organ none of whose nodes is faster is at rest [u/s]."""
-
-NO_COPY = "a {} can be neither copied nor pickled: make another one of its scene, and restore there what save() gives"
-
-LONGEST_SETTLING = 4.0
-"""Settling ends after this time even if something still moves [s]."""
-
-
-class SimulationDiverged(RuntimeError):
-    """Positions are no longer finite, or an organ has turned inside out; reset() or restore() makes it usable again."""
+__all__ = ["Simulation", "SimulationDiverged", "SimulationState"]
 
 
 @dataclass(frozen=True)
@@ -59,8 +38,9 @@ class SimulationState:
         node_velocities: (V, 3) [u/s].
         tool_positions: (N, 3) of the N tools [u].
         tool_orientations: (N, 4).
-        contact: What the contact model remembers.
+        contact: What the contact model remembers, and the forces of the last step.
         time: [s].
+        inner: What the engine has beside the surface nodes; None where it has nothing.
     """
 
     nodes: FloatArray
@@ -69,6 +49,51 @@ class SimulationState:
     tool_orientations: FloatArray
     contact: ContactMemory
     time: float
+    inner: Any = None
+
+    @classmethod
+    def of_world(cls, state: WorldsState, world: int = 0) -> SimulationState:
+        """The state of one of n worlds, from that of all of them."""
+        memory, tools = state.memories[world], len(state.tool_positions[world])
+        organs = len(memory.flags) // tools
+        forces = state.tool_forces[world]
+        return cls(
+            nodes=state.nodes[world],
+            node_velocities=state.node_velocities[world],
+            tool_positions=state.tool_positions[world],
+            tool_orientations=state.tool_orientations[world],
+            contact=ContactMemory(
+                flags=tuple(memory.flags[k : k + organs] for k in range(0, tools * organs, organs)),
+                multipliers=memory.multipliers,
+                ledger=memory.ledger,
+                wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
+                near=memory.near,
+            ),
+            time=float(state.times[world]),
+            inner=None if state.inner is None else state.inner[world],
+        )
+
+    @staticmethod
+    def joined(states: Sequence[SimulationState]) -> WorldsState:
+        """The state of n worlds, from those of each."""
+        return WorldsState(
+            nodes=np.stack([state.nodes for state in states]),
+            node_velocities=np.stack([state.node_velocities for state in states]),
+            tool_positions=np.stack([state.tool_positions for state in states]),
+            tool_orientations=np.stack([state.tool_orientations for state in states]),
+            tool_forces=np.stack([state.contact.wrenches[:, :3] for state in states]),
+            times=np.array([state.time for state in states]),
+            memories=tuple(
+                WorldMemory(
+                    flags=tuple(flags for row in state.contact.flags for flags in row),
+                    multipliers=state.contact.multipliers,
+                    ledger=state.contact.ledger,
+                    near=state.contact.near,
+                )
+                for state in states
+            ),
+            inner=tuple(state.inner for state in states),
+        )
 
     @property
     def flags(self) -> tuple[tuple[NDArray[np.bool_], ...], ...]:
@@ -89,10 +114,10 @@ class Simulation:
         >>> simulation.close()
 
     Attributes:
-        scene: What is in it.
+        worlds: The one world, as what steps many of them has it.
         contact: What resolves contact.
-        listeners: Called with the report of every `step`, in order, before it returns. When one raises, the step has
-            been done all the same.
+        listeners: Called with the report of every physics step, in order. When one raises, the step has been done all
+            the same.
     """
 
     def __init__(
@@ -101,24 +126,24 @@ class Simulation:
         engine: str | None = None,
         contact: ContactName = "flags",
         first_step: FirstStep = "inside",
-        precision: Literal["single", "double"] = "single",
+        precision: Precision = "single",
     ) -> None:
         """Load a scene and let its organs come to rest.
 
         Args:
             scene: What is in it.
-            engine: What integrates the organs. "bullet": PyBullet's soft body. "batch": this package's own, which
-                computes the same, faster; `BatchSimulation` steps many worlds with it. None: "bullet" where PyBullet
-                is installed, else "batch".
+            engine: What integrates the organs, a name in `engines.ENGINES`. "bullet": PyBullet's soft body. "batch":
+                this package's own, which computes the same, faster. None: "bullet" where PyBullet is installed, else
+                "batch".
             contact: "flags": the flags method with both its steps; organs are kept apart from themselves and each other
                 too, which the others do not do. "second_step": without the first step, so that both faces of a thin
                 tool push. "bullet": PyBullet's own collision algorithm; the detector only watches.
             first_step: What the flags method's first step looks for, "inside" or "any_hit"; see `FlaggedDetector`.
-            precision: In which the batch engine integrates, "single" or "double". Bullet's is always double, as is all
-                contact.
+            precision: In which an engine that has the choice integrates, "single" or "double". Bullet's is always
+                double, as is all contact.
 
         Raises:
-            ValueError: If an argument is not one of those, or the batch engine is asked for Bullet's contact.
+            ValueError: If an argument is not one of those, or the engine is asked for a contact that it does not have.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
             SimulationDiverged: If an organ collapses under its own weight.
 
@@ -126,42 +151,21 @@ class Simulation:
             SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and of what
                 else in the scene is not as it is likely to be meant.
         """
-        if engine is not None and engine not in ENGINES:
-            raise ValueError(f"engine must be one of {list(ENGINES)}, got {engine!r}")
-        if contact not in get_args(ContactName):
-            raise ValueError(f"contact must be one of {list(get_args(ContactName))}, got {contact!r}")
-        if precision not in PRECISIONS:
-            raise ValueError(f"precision must be one of {list(PRECISIONS)}, got {precision!r}")
-        if engine == "batch" and contact == "bullet":
-            raise ValueError("contact must be 'flags' or 'second_step' with engine 'batch', got 'bullet'")
-        engine = choose_engine(engine, contact)
-        self.scene = scene
+        self.worlds = Worlds(
+            scene, 1, engine=engine, contact=contact, first_step=first_step, precision=precision, parallel=False
+        )
         self.contact: ContactName = contact
         self.listeners: list[Callable[[Report], None]] = []
+        self._scene = scene
         self._closed = False
-        warn_of_scene(scene)
-        self._tools: BulletTools | None = None
-        self._world: SoftWorld
-        if engine == "bullet":
-            self._world = bullet = BulletWorld(scene, with_tools=contact == "bullet")
-            self._tools = bullet.tools
-        else:
-            self._world = BatchWorld(scene, PRECISIONS[precision])
-        self._first_step: FirstStep = "off" if contact == "second_step" else first_step
-        self._model = ContactModel(scene, self._world.inverse_masses, self._first_step, keeps_apart=contact == "flags")
-        starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
-        self._triangles = np.concatenate(
-            [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
-        ).astype(np.int32)
-        self._nodes: FloatArray = np.concatenate([placed.vertices for placed in scene.organs])
-        self._velocities: FloatArray = np.zeros_like(self._nodes)
-        self._tool_positions: FloatArray = np.zeros((len(scene.tools), 3))
-        self._tool_orientations: FloatArray = np.zeros((len(scene.tools), 4))
-        self._motions: Motions | None = None
-        self._time = 0.0
-        self._volumes = Volumes(scene)
-        self._rest: FloatArray | None = None
-        self.reset()
+
+    @property
+    def scene(self) -> Scene:
+        """What is in it, with the present tools."""
+        tools = self.worlds.tools_of(0)
+        if tools is not self._scene.tools:
+            self._scene = replace(self.worlds.scene, tools=tools)
+        return self._scene
 
     def reset(self, seed: int | None = None) -> None:
         """Start again: organs at rest, tools where the scene has them, no contact, time zero.
@@ -171,14 +175,7 @@ class Simulation:
                 two simulations of one scene, go on identically to the last bit.
         """
         self._check_open()
-        if self._rest is None:
-            self._rest = self._settle()
-        self._set_nodes(self._rest, np.zeros_like(self._rest))
-        for index, placed in enumerate(self.scene.tools):
-            self.place_tool(placed.position, placed.orientation, index=index)
-        self._model.reset()
-        self._motions = None
-        self._time = 0.0
+        self.worlds.reset()
 
     def place_tool(self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0) -> None:
         """Put a tool somewhere at once. Its flags are cleared and the organs feel nothing of the way.
@@ -192,16 +189,7 @@ class Simulation:
             ValueError: If an argument is malformed or not finite; the tool then stays where it was.
         """
         self._check_open()
-        new_position, new_orientation = (
-            as_vector3(position, "position"),
-            as_quaternion(orientation, "orientation"),
-        )
-        self._tool_positions, self._tool_orientations = self._tool_positions.copy(), self._tool_orientations.copy()
-        self._tool_positions[index] = new_position
-        self._tool_orientations[index] = new_orientation
-        self._model.forget(index)
-        if self._tools is not None:
-            self._tools.place(index, new_position, new_orientation)
+        self.worlds.place_tool(index, as_vector3(position, "position"), as_quaternion(orientation, "orientation"))
 
     def set_tools(self, tools: Sequence[PlacedTool]) -> None:
         """Exchange the tools' shapes and friction. Everything starts again, as after `reset`.
@@ -215,17 +203,10 @@ class Simulation:
         self._check_open()
         if len(tools) != len(self.scene.tools):
             raise ValueError(f"tools must be {len(self.scene.tools)}, as in the scene, got {len(tools)}")
-        if tuple(tools) != self.scene.tools:
-            self.scene = replace(self.scene, tools=tuple(tools))
-            if self._tools is not None:
-                # Bullet cannot exchange the shape of a body.
-                self._world.close()
-                self._world = bullet = BulletWorld(self.scene, with_tools=True)
-                self._tools = bullet.tools
-            self._model = ContactModel(
-                self.scene, self._world.inverse_masses, self._first_step, keeps_apart=self.contact == "flags"
-            )
-        self.reset()
+        if tuple(tools) == self.scene.tools:
+            self.worlds.reset()
+        else:
+            self.worlds.exchange_tools(tools)
 
     def step(
         self, linear_velocity: ArrayLike = (0.0, 0.0, 0.0), angular_velocity: ArrayLike = (0.0, 0.0, 0.0)
@@ -244,41 +225,59 @@ class Simulation:
             SimulationDiverged: If positions are no longer finite, or an organ has turned inside out.
         """
         self._check_open()
-        shape = self._tool_positions.shape
+        shape = self.worlds.state.tool_positions.shape[1:]
         linear = _as_velocities(linear_velocity, "linear_velocity", shape)
         angular = _as_velocities(angular_velocity, "angular_velocity", shape)
-        motions = self._move_tools(linear, angular)
-        tools, model = self._tools, self._model
-        if tools is not None:
-            for index in range(shape[0]):
-                tools.move(index, motions.positions[index], motions.orientations[index], linear[index], angular[index])
-        self._advance(motions, respond=tools is None)
-        if tools is not None:
-            impulses = [tools.impulse(index, linear[index], angular[index]) for index in range(shape[0])]
-            model.wrenches = np.array([np.concatenate(pair) for pair in impulses]) / self.dt
-            model.nodal_impulses = np.full_like(self._nodes, np.nan)
-        self._tool_positions, self._tool_orientations = motions.positions, motions.orientations
-        self._motions = motions
-        self._time = float(later(self._time, 1, self.dt))
-        report = Report(
-            scene=self.scene,
-            motions=motions,
-            loads=model.wrenches,
-            nodal_impulses=model.nodal_impulses,
-            ground_force=model.ground_force,
-            all_contacts=tuple(tuple(detector.contacts for detector in row) for row in model.detectors),
-            table=model.contact_table() if tools is None else None,
-            penetration=model.penetration,
-            residual=model.residual,
-            queries=model.queries,
-            reach=model.reach,
-            crossings=model.crossings,
-            crossed_for=model.crossed_for,
-        )
+        self.worlds.move(linear, angular)
+        if self.worlds.state.diverged[0]:
+            raise SimulationDiverged(self.worlds.why_diverged(0))
+        return self.tell()
+
+    def tell(self) -> Report:
+        """Report of the last step, to the listeners too; who has the worlds stepped otherwise calls it after each step.
+
+        Returns:
+            What happened.
+        """
+        report = self._report()
         # A copy: who listens may stop listening.
         for listener in tuple(self.listeners):
             listener(report)
         return report
+
+    def _report(self) -> Report:
+        worlds, scene = self.worlds, self.scene
+        contact, result = worlds.contacts[0], worlds.last.result[0]
+        wrenches, organs = worlds.last.wrenches[0] / self.dt, len(scene.organs)
+        found = [Contacts(memory.states, memory.triangle, memory.record) for memory in contact.memories]
+        count = int(result[contact_step.CONTACT_COUNT])
+        return Report(
+            scene=scene,
+            motions=self._motions(),
+            loads=wrenches[:-1],
+            nodal_impulses=worlds.last.impulses[0].copy(),
+            ground_force=-wrenches[-1, :3],
+            all_contacts=tuple(tuple(found[k : k + organs]) for k in range(0, len(found), organs)),
+            table=None if self.contact == "bullet" else contact_table(contact.workspace.constraints, count),
+            penetration=float(result[contact_step.PENETRATION]),
+            residual=float(result[contact_step.RESIDUAL]),
+            queries=int(result[contact_step.QUERIES]),
+            reach=float(contact.settings[contact_step.MEAN_EDGE]),
+            crossings=int(result[contact_step.CROSSINGS]),
+            crossed_for=float(result[contact_step.CROSSED_FOR]),
+        )
+
+    def _motions(self) -> Motions:
+        """How the tools moved in the last step."""
+        last = self.worlds.last
+        return Motions(
+            last.start_positions[0].copy(),
+            last.start_orientations[0].copy(),
+            last.positions[0].copy(),
+            last.orientations[0].copy(),
+            last.linear[0].copy(),
+            last.angular[0].copy(),
+        )
 
     def pressures(self) -> Pressures:
         """The contact pressures of the last step; zero with `contact="bullet"`.
@@ -288,21 +287,19 @@ class Simulation:
         Raises:
             RuntimeError: If no step has been made since the last `reset`, `restore` or exchange of tools.
         """
-        if self._motions is None:
+        if not self.worlds.has_stepped[0]:
             raise RuntimeError("there are no pressures before the first step")
-        return self._model.pressures(self._motions)
+        pressures = [values[0].copy() for values in self.worlds.node_pressures]
+        faces = []
+        for placed, values in zip(self.scene.tools, pressures, strict=True):
+            face, areas = placed.tool.face, placed.tool.areas
+            faces.append(np.bincount(face, values * areas) / np.bincount(face, areas))
+        return Pressures(float(max(map(np.max, pressures))), np.concatenate(faces), tuple(pressures))
 
     def save(self) -> SimulationState:
         """Everything needed to go on from here later, as arrays of its own."""
         self._check_open()
-        return SimulationState(
-            nodes=self._nodes.copy(),
-            node_velocities=self._velocities.copy(),
-            tool_positions=self._tool_positions.copy(),
-            tool_orientations=self._tool_orientations.copy(),
-            contact=self._model.save(),
-            time=self._time,
-        )
+        return SimulationState.of_world(self.worlds.save())
 
     def restore(self, state: SimulationState) -> None:
         """Go back to a saved state, of this simulation or another of the same scene.
@@ -314,91 +311,75 @@ class Simulation:
             ValueError: If the state is of a scene with other nodes or tools, or not finite; nothing has then changed.
         """
         self._check_open()
-        for name, mine in (
-            ("nodes", self._nodes),
-            ("node_velocities", self._velocities),
-            ("tool_positions", self._tool_positions),
-            ("tool_orientations", self._tool_orientations),
-        ):
-            theirs = getattr(state, name)
-            if theirs.shape != mine.shape:
-                raise ValueError(f"state must have {name} of shape {mine.shape}, got {theirs.shape}")
-            if not np.isfinite(theirs).all():
-                raise ValueError(f"state must have finite {name}")
-        mine_flags = [[detector.flags.shape for detector in row] for row in self._model.detectors]
-        their_flags = [[flags.shape for flags in row] for row in state.flags]
-        if their_flags != mine_flags:
-            raise ValueError(f"state must have flags of shapes {mine_flags}, got {their_flags}")
-        self._model.reset()
-        for index in range(len(self._tool_positions)):
-            self.place_tool(state.tool_positions[index], state.tool_orientations[index], index=index)
-        self._set_nodes(state.nodes, state.node_velocities)
-        self._model.restore(state.contact, self._nodes, self._velocities)
-        self._motions = None
-        self._time = state.time
+        self.worlds.restore(SimulationState.joined([state]))
 
     def close(self) -> None:
         """Free the engine. Closing twice is allowed; anything else afterwards is a RuntimeError."""
-        self._world.close()
+        self.worlds.close()
         self._closed = True
 
     @property
     def nodes(self) -> FloatArray:
         """(V, 3) positions of all organs' nodes (a copy) [u]."""
-        return self._nodes.copy()
+        nodes: FloatArray = self.worlds.state.nodes[0].copy()
+        return nodes
 
     @property
     def node_velocities(self) -> FloatArray:
         """(V, 3) velocities of all organs' nodes, contact impulses included (a copy) [u/s]."""
-        return self._velocities.copy()
+        velocities: FloatArray = self.worlds.state.velocities[0].copy()
+        return velocities
 
     @property
     def node_masses(self) -> FloatArray:
         """(V,) masses of all organs' nodes [kg]; infinite for a fixed node."""
-        with np.errstate(divide="ignore"):
-            return 1.0 / self._world.inverse_masses
+        masses: FloatArray = self.worlds.node_masses[0]
+        return masses
 
     @property
     def volume(self) -> float:
         """What all organs together enclose now [u3]."""
-        return float(self._volumes.measure(self._nodes[None]).sum())
+        return float(self.worlds.volumes.sum())
 
     @property
     def triangles(self) -> NDArray[np.int32]:
         """(T, 3) of all organs, counter-clockwise from outside (a copy)."""
-        return self._triangles.copy()
+        return self.worlds.triangles
 
     @property
     def tool_position(self) -> FloatArray:
         """(3,) of the first tool (a copy) [u]."""
-        position: FloatArray = self._tool_positions[0].copy()
-        return position
+        value: FloatArray = self.tool_positions[0]
+        return value
 
     @property
     def tool_orientation(self) -> FloatArray:
         """(4,) of the first tool, quaternion xyzw (a copy)."""
-        orientation: FloatArray = self._tool_orientations[0].copy()
-        return orientation
+        value: FloatArray = self.tool_orientations[0]
+        return value
 
     @property
     def tool_positions(self) -> FloatArray:
         """(N, 3) of all tools (a copy) [u]."""
-        return self._tool_positions.copy()
+        values: FloatArray = self.worlds.tool_positions[0]
+        return values
 
     @property
     def tool_orientations(self) -> FloatArray:
         """(N, 4) of all tools (a copy)."""
-        return self._tool_orientations.copy()
+        values: FloatArray = self.worlds.tool_orientations[0]
+        return values
 
     @property
     def tool_forces(self) -> FloatArray:
         """(N, 3) on all tools in the last step (a copy) [kg u/s2]."""
-        return self._model.wrenches[:, :3].copy()
+        forces: FloatArray = self.worlds.state.tool_forces[0].copy()
+        return forces
 
     @property
     def dt(self) -> float:
         """Length of a step [s]."""
-        return self.scene.dt
+        return self.worlds.dt
 
     def __reduce__(self) -> Any:
         raise TypeError(NO_COPY.format(type(self).__name__))
@@ -406,65 +387,11 @@ class Simulation:
     @property
     def time(self) -> float:
         """Since the reset [s]."""
-        return self._time
+        return float(self.worlds.times[0])
 
     def _check_open(self) -> None:
         if self._closed:
             raise RuntimeError("this simulation is closed; make a new one")
-
-    def _move_tools(self, linear: FloatArray, angular: FloatArray) -> Motions:
-        positions, orientations = self._tool_positions, self._tool_orientations
-        turned = orientations
-        if any(map(any, angular.tolist())):
-            turned = turned_by(orientations, angular, self.dt)
-        return Motions(positions, orientations, positions + linear * self.dt, turned, linear, angular)
-
-    def _advance(self, motions: Motions | None, *, respond: bool) -> None:
-        """Step the organs and resolve contact with the ground and, if `respond`, with the tools."""
-        try:
-            nodes, velocities = self._world.step(self._nodes, self._velocities)
-        except FloatingPointError:
-            raise SimulationDiverged(f"positions are not finite after {self._time + self.dt:.4f} s") from None
-        resolved = self._model.resolve(self._nodes, nodes, velocities, motions if respond else None)
-        if motions is not None and not respond:
-            self._model.observe(resolved[0], motions)
-        self._nodes, self._velocities = resolved
-        if self._volumes.inside_out(self._nodes[None]).any():
-            raise SimulationDiverged(self._volumes.tell(self._volumes.measure(self._nodes[None])[0]))
-
-    def _set_nodes(self, nodes: FloatArray, velocities: FloatArray) -> None:
-        # Kernels take one type of array.
-        self._nodes = np.array(nodes, dtype=np.float64, order="C")
-        self._velocities = np.array(velocities, dtype=np.float64, order="C")
-        self._world.set_state(self._nodes, self._velocities)
-
-    def _settle(self) -> FloatArray:
-        """Let the organs come to rest on the ground, and return where their nodes are then.
-
-        Kinetic damping: whenever the kinetic energy has passed a maximum, all velocities are set to zero. That takes
-        the energy out of every mode of motion near its passage through equilibrium, slow ones and fast ones alike.
-        """
-        masses = np.where(np.isfinite(self.node_masses), self.node_masses, 0.0)
-        energy_before, speeds = 0.0, None
-        for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
-            try:
-                self._advance(None, respond=True)
-            except SimulationDiverged as error:
-                raise SimulationDiverged(f"organs do not come to rest: {error}") from None
-            energy = float(masses @ (self._velocities**2).sum(axis=1))
-            if energy < energy_before:
-                if np.abs(self._velocities).max() < SETTLED_SPEED:
-                    break
-                self._set_nodes(self._nodes, np.zeros_like(self._nodes))
-                energy = 0.0
-            energy_before = energy
-        else:
-            speeds = np.abs(self._velocities).max(axis=1)
-        volumes = self._volumes.measure(self._nodes[None])[0]
-        if self._volumes.collapsed(self._nodes[None]).any():
-            raise SimulationDiverged(f"organs do not come to rest: {self._volumes.tell(volumes)}")
-        warn_of_rest(self.scene, self._nodes, volumes, self._volumes.initial, speeds)
-        return self._nodes
 
 
 def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> FloatArray:

@@ -57,6 +57,7 @@ class Volumes:
 
     Attributes:
         organs: The scene's.
+        triangles: (T, 3) of all organs, organ after organ.
         initial: (O,) of the O organs as the scene has them, undeformed [u3].
     """
 
@@ -69,7 +70,7 @@ class Volumes:
         self.organs: tuple[PlacedOrgan, ...] = scene.organs
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
         surfaces = [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
-        self._triangles = np.concatenate(surfaces).astype(np.int32)
+        self.triangles: NDArray[np.int32] = np.concatenate(surfaces).astype(np.int32)
         self._ends = np.cumsum([len(placed.organ.triangles) for placed in scene.organs])
         self.initial: FloatArray = np.array([placed.organ.volume for placed in scene.organs])
 
@@ -83,7 +84,7 @@ class Volumes:
             (W, O) [u3].
         """
         volumes = np.empty((len(nodes), len(self._ends)))
-        enclosed_volumes(np.ascontiguousarray(nodes), self._triangles, self._ends, volumes)
+        enclosed_volumes(np.ascontiguousarray(nodes), self.triangles, self._ends, volumes)
         return volumes
 
     def inside_out(self, nodes: FloatArray) -> NDArray[np.bool_]:

@@ -1,29 +1,58 @@
-"""What a task needs of physics: some worlds of one scene, moved on together by one control step at a time."""
+"""W worlds of one scene: engines integrate the organs; tools, contact, loads, settling and states are here, for all."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeAlias, cast, get_args
 
+import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from spatula_env.engines import choose_engine
-from spatula_env.sim.drive import restrain
-from spatula_env.sim.simulation import Simulation, SimulationDiverged
+from spatula_env._warnings import warn
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
+from spatula_env.contact import step as contact_step
+from spatula_env.contact.flags import FIRST_STEP_CODES
+from spatula_env.contact.structures import Memory, OrganRoom, surface_list, tool_shape, world_list
+from spatula_env.contact.world import Workspace, World, scene_skin
+from spatula_env.engines import choose_engine, load_engine
+from spatula_env.geometry.checks import check_count
+from spatula_env.geometry.transforms import as_quaternion
+from spatula_env.sim import step
+from spatula_env.sim.clock import later
+from spatula_env.sim.collisions import Collisions
+from spatula_env.sim.engine import PRECISIONS, BlockEngine, ContactName, Engine, EngineOptions
+from spatula_env.sim.report import LONGEST_CROSSED
+from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
+from spatula_env.sim.selection import one_each, refuse, rows_of, world_indices
+from spatula_env.sim.threads import share_out
+from spatula_env.sim.volumes import Volumes
 
 if TYPE_CHECKING:
-    from spatula_env.scenes import Scene
-    from spatula_env.sim.batch import BatchContactName
-    from spatula_env.sim.simulation import ContactName, SimulationState
+    from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-Steer = Callable[[int, int], tuple[FloatArray, FloatArray]]
+    from spatula_env.contact.flags import FirstStep
+    from spatula_env.contact.world import Multipliers, NearMemory
+    from spatula_env.geometry import Tool
+    from spatula_env.scenes import PlacedTool, Scene
+    from spatula_env.sim.engine import CollidingEngine, Precision, VaryingEngine
+
+Steer: TypeAlias = Callable[[int, int], tuple[FloatArray, FloatArray]]
 """Tells for a world and a physics step of a control step how its tools are to move: linear (N, 3) [u/s] and angular
-(N, 3) [rad/s] velocities, contiguous."""
-IntArray = NDArray[np.int64]
+(N, 3) [rad/s] velocities."""
+
+SETTLED_SPEED = 1e-3
+"""An organ none of whose nodes is faster is at rest [u/s]."""
+
+LONGEST_SETTLING = 4.0
+"""Settling ends after this time even if something still moves [s]."""
+
+NO_COPY = "a {} can be neither copied nor pickled: make another one of its scene, and restore there what save() gives"
+
+
+class SimulationDiverged(RuntimeError):
+    """Positions are no longer finite, or an organ has turned inside out; reset() or restore() makes it usable again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,342 +96,792 @@ class Loads:
     diverged: BoolArray
 
 
-class Worlds(Protocol):
-    """W worlds of a scene with N tools and V nodes in all."""
+@dataclass(frozen=True)
+class WorldMemory:
+    """What the contact model remembers of one world from step to step.
+
+    Attributes:
+        flags: Of each tool (outer) and organ (inner).
+        multipliers: From which solves start.
+        ledger: Of the energy that the tools put in.
+        near: Of organs that are near themselves or each other.
+    """
+
+    flags: tuple[NDArray[np.bool_], ...]
+    multipliers: Multipliers
+    ledger: FloatArray
+    near: NearMemory
+
+
+@dataclass(frozen=True)
+class WorldsState:
+    """All that decides how n worlds go on; made by `Worlds.save`.
+
+    Attributes:
+        nodes: (n, V, 3) [u].
+        node_velocities: (n, V, 3) [u/s].
+        tool_positions: (n, N, 3) of the N tools [u].
+        tool_orientations: (n, N, 4).
+        tool_forces: (n, N, 3) on each tool in the last physics step [kg u/s2].
+        times: (n,) [s].
+        memories: (n,) of the contact model.
+        inner: (n,) what the engine has beside the surface nodes; None where it has nothing.
+    """
+
+    nodes: FloatArray
+    node_velocities: FloatArray
+    tool_positions: FloatArray
+    tool_orientations: FloatArray
+    tool_forces: FloatArray
+    times: FloatArray
+    memories: tuple[WorldMemory, ...]
+    inner: tuple[Any, ...] | None = None
+
+    def rows(self, rows: IntArray) -> WorldsState:
+        """The states of some of the n worlds, by indices (k,)."""
+        taken: dict[str, Any] = {}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            taken[each.name] = tuple(value[k] for k in rows.tolist()) if isinstance(value, tuple) else value
+            if isinstance(value, np.ndarray):
+                taken[each.name] = value[rows]
+        return WorldsState(**taken)
+
+
+class Worlds:
+    """W worlds of one scene, which differ in state, tools, friction and, if the engine can do it, in parameters.
+
+    Everything is in scene units. What happens in a world does not depend, to the last bit, on which others there are.
+
+    Example:
+        >>> import numpy as np
+        >>> from spatula_env import scenes
+        >>> from spatula_env.sim.worlds import Worlds
+        >>> worlds = Worlds(scenes.seed(), 16)
+        >>> loads = worlds.advance(np.tile([0.0, 0.0, -5.0], (16, 1, 1)), steps=12)
+        >>> loads.forces.shape
+        (16, 1, 3)
+
+    Attributes:
+        engine: What integrates the organs.
+        contact: What resolves contact.
+        contacts: The contact of each world.
+        state: Arrays that kernels work on: positions and velocities of nodes and tools, W first; not to be written.
+        last: How the last physics step went; see `step.LastStep`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        count: int,
+        *,
+        engine: str | None = "batch",
+        contact: ContactName = "flags",
+        first_step: FirstStep = "inside",
+        precision: Precision = "single",
+        parallel: bool | None = None,
+    ) -> None:
+        """Load a scene into every world, its organs at rest.
+
+        Args:
+            scene: What is in it.
+            count: Number of worlds W.
+            engine: What integrates the organs, a name in `engines.ENGINES`. None: that of `Simulation`.
+            contact: What resolves contact; see `Simulation`.
+            first_step: What the flags method's first step looks for; see `FlaggedDetector`.
+            precision: In which an engine that has the choice integrates, "single" or "double". Contact is always
+                double.
+            parallel: Whether worlds are shared out among threads, in blocks; by default if Numba has more than one.
+                `numba.set_num_threads` says how many are used.
+
+        Raises:
+            ValueError: If an argument is not as it should be, or the engine does not have that contact.
+            ImportError: If PyBullet is asked for and is not installed; says what to install.
+            SimulationDiverged: If an organ collapses under its own weight.
+
+        Warns:
+            SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and of what
+                else in the scene is not as it is likely to be meant.
+        """
+        for name, value, allowed in (
+            ("contact", contact, get_args(ContactName)),
+            ("precision", precision, PRECISIONS),
+            ("first_step", first_step, FIRST_STEP_CODES),
+        ):
+            if value not in allowed:
+                raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+        check_count(count, "worlds", 1)
+        name = choose_engine(engine, contact)
+        kind = load_engine(name)
+        if contact not in kind.abilities.contacts:
+            had = " or ".join(map(repr, kind.abilities.contacts))
+            raise ValueError(f"contact must be {had} with engine {name!r}, got {contact!r}")
+        warn_of_scene(scene)
+        self._scene, self.contact, self._first_step = scene, contact, first_step
+        threads = numba.get_num_threads()
+        self._parallel = threads > 1 if parallel is None else bool(parallel)
+        self.engine: Engine = kind(scene, count, EngineOptions(contact, precision, threads if self._parallel else 1))
+        try:
+            self._put_together(count)
+        except BaseException:
+            self.engine.close()
+            raise
+
+    def _put_together(self, count: int) -> None:
+        scene, engine = self._scene, self.engine
+        self._blocks: BlockEngine | None = engine if isinstance(engine, BlockEngine) else None
+        self._lanes = 1 if self._blocks is None else self._blocks.lanes
+        self._volumes = Volumes(scene)
+        vertices = np.concatenate([placed.vertices for placed in scene.organs])
+        nodes, tools = (count, len(vertices), 3), (count, len(scene.tools), 3)
+        self.state = step.State(
+            nodes=np.zeros(nodes),
+            velocities=np.zeros(nodes),
+            tool_positions=np.zeros(tools),
+            tool_orientations=np.zeros((*tools[:2], 4)),
+            tool_forces=np.zeros(tools),
+            diverged=np.zeros(count, dtype=np.bool_),
+        )
+        self._times = np.zeros(count)
+        self._has_stepped = np.zeros(count, dtype=np.bool_)
+        self._skin = scene_skin(scene)
+        self._equip(scene.tools)
+        # Worlds of a scene are alike, so one settles for all; but an engine's own contact keeps traces of what was.
+        first = np.arange(1 if self._collisions is None else count)
+        self._rest = np.repeat(vertices[None], count, axis=0)
+        self._set_nodes(first, self._rest[first], np.zeros_like(self._rest[first]), (None,) * len(first))
+        speeds = self._come_to_rest(first, ":")
+        self._rest[:] = self.state.nodes[:1]
+        self._rest_inner = list(self.engine.save(first[:1]) * count)
+        volumes = self._volumes.measure(self._rest[:1])[0]
+        warn_of_rest(scene, self._rest[0], volumes, self._volumes.initial, None if speeds is None else speeds[0])
+        self.reset()
+
+    def _equip(self, tools: Sequence[PlacedTool]) -> None:
+        """Prepare contact with some tools in every world; worlds of a block share their workspace."""
+        scene, count = self._scene, self.count
+        organs = [placed.organ for placed in scene.organs]
+        surfaces = surface_list([np.array(organ.triangles) for organ in organs])
+        shapes, inverse_masses = [tool_shape(placed.tool) for placed in tools], self.engine.inverse_masses
+        self._tools = [tuple(tools)] * count
+        self.contacts: list[World] = []
+        for w in range(count):
+            if w % self._lanes == 0:
+                workspace = Workspace()
+                rooms = [[OrganRoom(len(organ.vertices), len(organ.triangles)) for organ in organs] for _ in tools]
+            memories = [
+                Memory(len(placed.tool.nodes), room) for placed, row in zip(tools, rooms, strict=True) for room in row
+            ]
+            keeps_apart = self.contact == "flags" and self._first_step != "off"
+            self.contacts.append(
+                World(scene, shapes, memories, surfaces, self._skin, inverse_masses[w], workspace, keeps_apart)
+            )
+            self.contacts[w].friction[:] = [placed.friction for placed in tools]
+        nodes, (_, tool_count, _) = self.state.nodes.shape[1:], self.state.tool_positions.shape
+        most_nodes, most_faces = (
+            max(len(getattr(placed.tool, name)) for placed in tools) for name in ("nodes", "face_normals")
+        )
+        of_tools, blocks = (count, tool_count), (-(-count // self._lanes),)
+        self._sums = step.Sums(
+            forces=np.zeros((*of_tools, 3)),
+            torques=np.zeros((*of_tools, 3)),
+            peak_forces=np.zeros(of_tools),
+            penetrations=np.zeros(count),
+            residuals=np.zeros(count),
+            ground_forces=np.zeros((count, 3)),
+            peak_pressures=np.zeros(count),
+            overpressures=np.zeros(count),
+            restrained=np.zeros(count),
+            crossed_for=np.zeros(count),
+            face_pressures=np.zeros((*of_tools, most_faces)),
+            node_pressures=np.zeros((*of_tools, most_nodes)),
+        )
+        self.last = step.LastStep(
+            start_positions=np.zeros((*blocks, tool_count, 3)),
+            start_orientations=np.zeros((*blocks, tool_count, 4)),
+            positions=np.zeros((*blocks, tool_count, 3)),
+            orientations=np.zeros((*blocks, tool_count, 4)),
+            linear=np.zeros((*blocks, tool_count, 3)),
+            angular=np.zeros((*blocks, tool_count, 3)),
+            nodes=np.zeros((*blocks, *nodes)),
+            impulses=np.zeros((*blocks, *nodes)),
+            wrenches=np.zeros((*blocks, tool_count + 1, 6)),
+            result=np.zeros((*blocks, contact_step.RESULT_LENGTH)),
+        )
+        first_step = "off" if self.contact == "second_step" else self._first_step
+        self._drive = step.Drive(
+            linear=np.zeros((*of_tools, 3)),
+            angular=np.zeros((*of_tools, 3)),
+            pressure_limits=np.zeros(count),
+            force_limits=np.zeros(count),
+        )
+        contacts = world_list([contact.structure for contact in self.contacts])
+        mode = contact_step.SECOND_STEP if first_step == "off" else contact_step.FLAGS
+        parts = (mode, FIRST_STEP_CODES[first_step], self.dt, self.state, self._drive, self._sums, self.last)
+        self._coupling = step.make_coupling(contacts, self.contact != "bullet", *parts)
+        self._settling = step.make_coupling(contacts, False, *parts)
+        self._collisions: Collisions | None = None
+        if self.contact == "bullet":
+            colliding = cast("CollidingEngine", self.engine)
+            self._collisions = Collisions(
+                scene, colliding, self.contacts, self._coupling, self.state, self._sums, self.last
+            )
 
     @property
     def scene(self) -> Scene:
-        """The scene that all of them show."""
+        """The scene that all worlds show; parameters and tools of some may have been changed since."""
+        return self._scene
 
     @property
     def count(self) -> int:
         """W."""
+        return len(self._times)
+
+    @property
+    def dt(self) -> float:
+        """Length of a physics step [s]."""
+        return self._scene.dt
 
     @property
     def nodes(self) -> FloatArray:
         """(W, V, 3) positions of the organs' nodes (a copy) [u]."""
+        return self.state.nodes.copy()
+
+    @property
+    def node_velocities(self) -> FloatArray:
+        """(W, V, 3) of the organs' nodes, contact impulses included (a copy) [u/s]."""
+        return self.state.velocities.copy()
+
+    @property
+    def node_masses(self) -> FloatArray:
+        """(W, V) of the organs' nodes [kg]; infinite for a fixed node."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1.0 / self.engine.inverse_masses)
 
     @property
     def triangles(self) -> NDArray[np.int32]:
         """(T, 3) of all organs, counter-clockwise from outside (a copy)."""
+        return self._volumes.triangles.copy()
+
+    @property
+    def volumes(self) -> FloatArray:
+        """(W, O) what each organ encloses now [u3]."""
+        return self._volumes.measure(self.state.nodes)
 
     @property
     def tool_positions(self) -> FloatArray:
         """(W, N, 3) (a copy) [u]."""
+        return self.state.tool_positions.copy()
 
     @property
     def tool_orientations(self) -> FloatArray:
         """(W, N, 4) quaternions xyzw (a copy)."""
+        return self.state.tool_orientations.copy()
 
     @property
     def times(self) -> FloatArray:
         """(W,) since each world's reset (a copy) [s]."""
+        return self._times.copy()
 
-    def nodes_of(self, worlds: IntArray) -> FloatArray:
-        """(n, V, 3) positions of the organs' nodes in some worlds (n,), others not being looked at (a copy) [u]."""
+    @property
+    def node_pressures(self) -> tuple[FloatArray, ...]:
+        """(W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)]."""
+        pressures = self._sums.node_pressures * ~self.state.diverged[:, None, None]
+        return tuple(pressures[:, k, : len(placed.tool.nodes)] for k, placed in enumerate(self._scene.tools))
 
-    def times_of(self, worlds: IntArray) -> FloatArray:
-        """(n,) since the reset of each of some worlds (n,), others not being looked at (a copy) [s]."""
+    @property
+    def has_stepped(self) -> BoolArray:
+        """(W,) whether a step has been made since the last `reset` or `restore` (a copy)."""
+        return self._has_stepped.copy()
 
-    def reset(self, worlds: IntArray) -> None:
+    def why_diverged(self, world: int) -> str:
+        """What has become of a world that has diverged, in words."""
+        nodes = self.state.nodes[world : world + 1]
+        if np.isfinite(nodes).all() and self._volumes.collapsed(nodes).any():
+            return self._volumes.tell(self._volumes.measure(nodes)[0])
+        return f"positions are not finite after {self._times[world] + self.dt:.4f} s"
+
+    def nodes_of(self, worlds: ArrayLike) -> FloatArray:
+        """(n, V, 3) positions of the organs' nodes in some worlds (n,), or where a mask (W,) is true (a copy) [u]."""
+        return self.state.nodes[world_indices(worlds, self.count)]
+
+    def times_of(self, worlds: ArrayLike) -> FloatArray:
+        """(n,) since the reset of each of some worlds (n,), or of those where a mask (W,) is true (a copy) [s]."""
+        return self._times[world_indices(worlds, self.count)]
+
+    def tools_of(self, world: int) -> tuple[PlacedTool, ...]:
+        """(N,) the tools of a world, with its friction; placed as they are after a reset."""
+        return self._tools[world]
+
+    def reset(self, worlds: ArrayLike | None = None) -> None:
         """Start some worlds again: organs at rest, tools where the scene has them, no contact, time zero.
 
         Args:
-            worlds: (n,) which.
-        """
+            worlds: (n,) which, or (W,) a mask; all by default.
 
-    def place_tools(self, positions: FloatArray, orientations: FloatArray, worlds: IntArray) -> None:
+        Raises:
+            ValueError: If there is no such world, or one is named twice.
+        """
+        indices = world_indices(worlds, self.count, once=True)
+        inner = [self._rest_inner[w] for w in indices.tolist()]
+        self._set_nodes(indices, self._rest[indices], np.zeros_like(self._rest[indices]), inner)
+        placed = self._scene.tools
+        self._put_tools(indices, [tool.position for tool in placed], [tool.orientation for tool in placed])
+        self._forget(indices)
+        self._times[indices] = 0.0
+
+    def settle(self, worlds: ArrayLike | None = None) -> None:
+        """Let the organs of some worlds come to rest under their present parameters, and reset these worlds.
+
+        From then on `reset` puts the organs there.
+
+        Args:
+            worlds: (n,) which, or (W,) a mask; all by default.
+
+        Raises:
+            SimulationDiverged: If positions are no longer finite, or an organ collapses; nothing has then changed.
+
+        Warns:
+            SceneWarning: If organs do not come to rest.
+        """
+        indices = world_indices(worlds, self.count)
+        before = self.save()
+        self.reset(indices)
+        try:
+            speeds = self._come_to_rest(indices, " in worlds {worlds}: in world {world}")
+            self._rest[indices] = self.state.nodes[indices]
+            for w, inner in zip(indices.tolist(), self.engine.save(indices), strict=True):
+                self._rest_inner[w] = inner
+        finally:
+            self.restore(before)
+        self.reset(indices)
+        if speeds is not None:
+            moving = np.flatnonzero(speeds.max(axis=1))
+            warn(
+                f"the organs of {len(moving)} of {len(indices)} worlds, world {indices[moving[0]]} the first, have not "
+                f"come to rest: they still moved at up to {speeds.max():.2g} u/s when settling was ended"
+            )
+
+    def _come_to_rest(self, indices: IntArray, where: str) -> FloatArray | None:
+        """Let the organs of some worlds (n,) come to rest on the ground, from where they are.
+
+        Kinetic damping: whenever the kinetic energy has passed a maximum, all velocities are set to zero. That takes
+        the energy out of every mode of motion near its passage through equilibrium, slow ones and fast ones alike.
+
+        Args:
+            indices: Which worlds.
+            where: To go into an error, with the fields `worlds` and `world`.
+
+        Returns:
+            (n, V) at which nodes still moved when settling was ended, in worlds where they did [u/s]; None if nowhere.
+
+        Raises:
+            SimulationDiverged: If organs do not come to rest.
+        """
+        state = self.state
+        masses = 1.0 / np.where(self.engine.inverse_masses > 0.0, self.engine.inverse_masses, np.inf)[indices]
+        energy_before, settled = np.zeros(len(indices)), np.zeros(len(indices), dtype=np.bool_)
+        # The others wait meanwhile.
+        waiting = np.setdiff1d(np.arange(self.count), indices)
+        state.diverged[waiting] = True
+        speeds = None
+        for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
+            self._advance(1, 1.0, with_tools=False)
+            self._check_settling(indices[state.diverged[indices]], where)
+            velocities = state.velocities[indices]
+            energy = np.einsum("wv,wva,wva->w", masses, velocities, velocities)
+            past = (energy <= energy_before) & ~settled
+            settled |= past & (np.abs(velocities).max(axis=(1, 2)) < SETTLED_SPEED)
+            if settled.all():
+                break
+            stopped = indices[past]
+            state.velocities[stopped] = 0.0
+            self.engine.halt(state.nodes[stopped], stopped)
+            energy[past] = 0.0
+            energy_before = energy
+        else:
+            speeds = np.abs(state.velocities[indices]).max(axis=2) * ~settled[:, None]
+        self._check_settling(indices[self._volumes.collapsed(state.nodes[indices]).any(axis=1)], where)
+        state.diverged[waiting] = False
+        return speeds
+
+    def _check_settling(self, bad: IntArray, where: str) -> None:
+        """Give settling up if something has gone wrong in some worlds."""
+        if len(bad):
+            told = where.format(worlds=bad.tolist(), world=bad[0])
+            raise SimulationDiverged(f"organs do not come to rest{told} {self.why_diverged(int(bad[0]))}")
+
+    def place_tools(
+        self, positions: ArrayLike, orientations: ArrayLike | None = None, worlds: ArrayLike | None = None
+    ) -> None:
         """Put the tools of some worlds somewhere at once; flags are cleared and organs feel nothing of the way.
 
         Args:
             positions: (n, N, 3) [u].
-            orientations: (n, N, 4) unit quaternions xyzw.
-            worlds: (n,) which.
-        """
+            orientations: (n, N, 4) unit quaternions xyzw; as they are by default.
+            worlds: (n,) which, or (W,) a mask; all by default.
 
-    def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: IntArray) -> None:
+        Raises:
+            ValueError: If an argument is malformed, not finite or not a unit quaternion; nothing has then changed.
+        """
+        indices, count = world_indices(worlds, self.count), len(self._scene.tools)
+        new_positions = rows_of(positions, "positions", (len(indices), count, 3), indices)
+        new_orientations = self.state.tool_orientations[indices]
+        if orientations is not None:
+            new_orientations = rows_of(orientations, "orientations", (len(indices), count, 4), indices)
+            for row, world in zip(new_orientations, indices.tolist(), strict=True):
+                row[:] = [as_quaternion(orientation, f"orientations of world {world}") for orientation in row]
+        self._put_tools(indices, new_positions, new_orientations)
+        self._clear_flags(indices)
+
+    def place_tool(self, index: int, position: FloatArray, orientation: FloatArray) -> None:
+        """Put one tool somewhere in all worlds, as `place_tools` does with all of them.
+
+        Args:
+            index: Which of the scene's tools.
+            position: (3,) [u].
+            orientation: (4,) unit quaternion xyzw.
+        """
+        every, positions, orientations = np.arange(self.count), self.tool_positions, self.tool_orientations
+        positions[:, index], orientations[:, index] = position, orientation
+        self._put_tools(every, positions, orientations)
+        self._clear_flags(every, [index])
+
+    def set_parameters(
+        self,
+        *,
+        gravity: ArrayLike | None = None,
+        stiffness: ArrayLike | None = None,
+        mass_scale: ArrayLike | None = None,
+        friction: ArrayLike | None = None,
+        worlds: ArrayLike | None = None,
+    ) -> None:
+        """Change in what some worlds differ from others. Organs stay where they are; see also `settle`.
+
+        Args:
+            gravity: Downward acceleration [u/s2].
+            stiffness: Factor on the stiffness of all links, from 0 to less than 2.
+            mass_scale: Factor on all masses of the organs.
+            friction: Coefficient of all tools.
+            worlds: (n,) which, or (W,) a mask; all by default. Values are one for all of them or (n,).
+
+        Raises:
+            ValueError: If a value is not allowed, or the engine's worlds cannot differ in it; nothing has then changed.
+        """
+        indices = world_indices(worlds, self.count)
+        new_friction = None
+        if friction is not None:
+            new_friction = one_each(friction, "friction", indices)
+            refuse(new_friction < 0.0, indices, "friction", "zero or more", new_friction)
+        if any(value is not None for value in (gravity, stiffness, mass_scale)):
+            if not self.engine.abilities.varies:
+                raise ValueError(f"gravity, stiffness and mass_scale must be None with {type(self.engine).__name__}")
+            varying = cast("VaryingEngine", self.engine)
+            varying.set_parameters(gravity=gravity, stiffness=stiffness, mass_scale=mass_scale, worlds=indices)
+            gravities, inverse_masses = varying.gravity, self.engine.inverse_masses
+            for w in indices.tolist():
+                if gravity is not None:
+                    self.contacts[w].settings[contact_step.GRAVITY] = gravities[w]
+                if mass_scale is not None:
+                    self.contacts[w].set_inverse_masses(inverse_masses[w])
+        if new_friction is not None:
+            for row, w in enumerate(indices.tolist()):
+                self._change_tools(w, [replace(placed, friction=float(new_friction[row])) for placed in self._tools[w]])
+
+    def set_tools(self, tools: Sequence[Tool], worlds: ArrayLike | None = None, index: int = 0) -> None:
+        """Give some worlds another tool, where the old one was. Its flags are cleared.
+
+        Args:
+            tools: One for all of these worlds, or one each; with as many contact nodes as the scene's.
+            worlds: (n,) which, or (W,) a mask; all by default.
+            index: Which of the scene's tools.
+
+        Raises:
+            ValueError: If a tool does not fit; nothing has then changed.
+        """
+        indices = world_indices(worlds, self.count)
+        if len(tools) not in (1, len(indices)):
+            raise ValueError(f"tools must be 1 or {len(indices)}, one for each world; got {len(tools)}")
+        wanted = len(self._scene.tools[index].tool.nodes)
+        for tool in tools:
+            if len(tool.nodes) != wanted:
+                raise ValueError(f"tools must have {wanted} contact nodes, as the scene's; got {len(tool.nodes)}")
+        for row, w in enumerate(indices.tolist()):
+            changed = list(self._tools[w])
+            changed[index] = replace(changed[index], tool=tools[row if len(tools) > 1 else 0])
+            self._change_tools(w, changed)
+        self._clear_flags(indices, [index])
+
+    def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: ArrayLike | None = None) -> None:
         """Change the tools of some worlds. Flags are cleared.
 
         Args:
             friction: (n,) factor on the scene's coefficients between tools and organs.
             tool_size: (n,) factor on the lengths of the scene's tools.
-            worlds: (n,) which.
+            worlds: (n,) which, or (W,) a mask; all by default.
         """
+        indices = world_indices(worlds, self.count)
+        for row, w in enumerate(indices.tolist()):
+            size, factor = float(tool_size[row]), float(friction[row])
+            changed = [
+                replace(placed, tool=placed.tool.scaled(size), friction=placed.friction * factor)
+                for placed in self._scene.tools
+            ]
+            self._change_tools(w, changed)
+        self._clear_flags(indices)
+
+    def exchange_tools(self, tools: Sequence[PlacedTool]) -> None:
+        """Give all worlds other tools, of any shape, in the places of the scene's. All starts again, as after `reset`.
+
+        Args:
+            tools: As many as there are.
+        """
+        self._scene = replace(self._scene, tools=tuple(tools))
+        self._equip(tools)
+        if self._collisions is not None:
+            for w in range(self.count):
+                self._collisions.set_tools(tools, w)
+        self.reset()
+
+    def _change_tools(self, world: int, tools: Sequence[PlacedTool]) -> None:
+        """Give a world other tools and their friction, where the old ones were."""
+        before, self._tools[world] = self._tools[world], tuple(tools)
+        for index, (old, new) in enumerate(zip(before, tools, strict=True)):
+            if new.tool != old.tool:
+                self.contacts[world].set_tool(index, tool_shape(new.tool))
+        self.contacts[world].friction[:] = [placed.friction for placed in tools]
+        if self._collisions is not None and self._tools[world] != before:
+            at, state = np.array([world]), self.state
+            inner = self.engine.save(at)
+            self._collisions.set_tools(tools, world)
+            self._set_nodes(at, state.nodes[at], state.velocities[at], inner)
+            self._put_tools(at, state.tool_positions[at], state.tool_orientations[at])
 
     def advance(
         self,
-        linear_velocities: FloatArray,
-        angular_velocities: FloatArray,
-        steps: int,
-        pressure_limits: FloatArray | None = None,
-        force_limits: FloatArray | None = None,
+        linear_velocities: ArrayLike,
+        angular_velocities: ArrayLike | None = None,
+        steps: int = 1,
+        pressure_limits: ArrayLike | None = None,
+        force_limits: ArrayLike | None = None,
+        steer: Steer | None = None,
+        after_step: Callable[[], object] | None = None,
     ) -> Loads:
         """Move all worlds on by some physics steps, the tools moving with constant velocity.
 
         Args:
             linear_velocities: (W, N, 3) [u/s].
-            angular_velocities: (W, N, 3) world frame [rad/s].
+            angular_velocities: (W, N, 3) world frame [rad/s]; none by default.
             steps: How many.
-            pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; None: none is counted.
+            pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; by default none is counted.
             force_limits: (W,) tools that have met more in a physics step do not push on in the next one, see
-                `drive.restrain` [kg u/s2]; None: they always do.
+                `drive.restrain` [kg u/s2]; by default they always do.
+            steer: Is asked before every physics step how the tools are to move, in place of the velocities.
+            after_step: Called after every physics step. What it raises ends the control step.
 
         Returns:
-            What the tools felt. A world that diverges leaves the others alone; it waits to be reset.
-        """
+            What the tools felt. A world that diverges, as an organ in it has turned inside out or
+            positions are not finite, leaves the others alone; it waits to be reset.
 
-    def save(self, worlds: IntArray) -> Any:
-        """The state of some worlds, as arrays of its own; it can be pickled.
+        Raises:
+            ValueError: If a velocity is malformed or not finite; nothing has then changed.
+        """
+        shape, every = self.state.tool_positions.shape, np.arange(self.count)
+        linear = rows_of(linear_velocities, "linear_velocities", shape, every)
+        angular = np.zeros(shape)
+        if angular_velocities is not None:
+            angular = rows_of(angular_velocities, "angular_velocities", shape, every)
+        if not isinstance(steps, int | np.integer) or steps < 1:
+            raise ValueError(f"steps must be an integer, 1 or more, got {steps!r}")
+        pressures, forces = (
+            np.inf if value is None else rows_of(value, name, (self.count,), every)
+            for name, value in (("pressure_limits", pressure_limits), ("force_limits", force_limits))
+        )
+        self.move(linear, angular, int(steps), pressures, forces, steer, after_step)
+        return self._loads(int(steps))
+
+    def move(
+        self,
+        linear: FloatArray,
+        angular: FloatArray,
+        steps: int = 1,
+        pressure_limits: FloatArray | float = np.inf,
+        force_limits: FloatArray | float = np.inf,
+        steer: Steer | None = None,
+        after_step: Callable[[], object] | None = None,
+    ) -> None:
+        """Do what `advance` does, without looking at arguments and without telling what the tools felt."""
+        drive, state = self._drive, self.state
+        drive.linear[:], drive.angular[:] = linear, angular
+        drive.pressure_limits[:], drive.force_limits[:] = pressure_limits, force_limits
+        for array in self._sums:
+            array[:] = 0.0
+        # An engine that can is let through all steps at once, where nobody is to be asked or told in between.
+        alone = self._blocks is not None and steer is None and after_step is None
+        for index in range(1 if alone else steps):
+            if steer is not None:
+                for w in np.flatnonzero(~state.diverged).tolist():
+                    drive.linear[w], drive.angular[w] = steer(w, index)
+            count = steps if alone else 1
+            self._advance(count, 1.0 / steps)
+            going = ~state.diverged
+            self._times[going] = later(self._times[going], count, self.dt)
+            self._has_stepped |= going
+            if not going.any():
+                break
+            if after_step is not None:
+                after_step()
+
+    def _advance(self, steps: int, share: float, *, with_tools: bool = True) -> None:
+        """Take all worlds through physics steps, each a share of a control step, with their tools or without."""
+        state, lanes = self.state, self._lanes
+        coupling = self._coupling if with_tools else self._settling
+        collisions = self._collisions if with_tools else None
+        if self._blocks is not None:
+            engine = self._blocks
+
+            def work(block: int) -> None:
+                engine.advance_blocks(block, block + 1, coupling, steps, share)
+
+        else:
+            free_nodes, free_velocities = state.nodes.copy(), state.velocities.copy()
+            if collisions is not None:
+                collisions.begin(share)
+            self.engine.advance(free_nodes, free_velocities, state.diverged)
+
+            def work(block: int) -> None:
+                step.couple_blocks(block, block + 1, lanes, coupling, share, free_nodes, free_velocities)
+
+        going = range(-(-self.count // lanes))
+        if state.diverged.any():
+            going = np.unique(np.flatnonzero(~state.diverged) // lanes).tolist()
+        threads = numba.get_num_threads() if self._parallel else 1
+        if min(len(going), threads) <= 1:
+            for block in going:
+                work(block)
+        else:
+            share_out(lambda index: work(going[index]), len(going), threads)
+        if collisions is not None:
+            collisions.finish()
+        state.diverged[:] |= self._volumes.inside_out(state.nodes).any(axis=1)
+
+    def _loads(self, steps: int) -> Loads:
+        """What the tools felt in so many steps."""
+        sums, ok = self._sums, ~self.state.diverged
+        told = {name: values * ok.reshape(-1, *[1] * (values.ndim - 1)) for name, values in sums._asdict().items()}
+        for name in ("forces", "torques", "ground_forces", "face_pressures"):
+            told[name] /= steps
+        del told["node_pressures"]
+        return Loads(
+            mean_pressures=told.pop("face_pressures").max(axis=(1, 2)),
+            tangled=told.pop("crossed_for") > LONGEST_CROSSED,
+            flags=self._flags(),
+            node_pressures=self.node_pressures,
+            diverged=~ok,
+            **told,
+        )
+
+    def _flags(self) -> tuple[BoolArray, ...]:
+        """(W, n) for each tool: which of its contact nodes are in contact with any organ."""
+        organs, ok = len(self._scene.organs), ~self.state.diverged
+        found = [[memory.states[0] for memory in contact.memories] for contact in self.contacts]
+        return tuple(
+            np.array([np.any(flags[k : k + organs], axis=0) for flags in found]) & ok[:, None]
+            for k in range(0, organs * len(self._scene.tools), organs)
+        )
+
+    def save(self, worlds: ArrayLike | None = None) -> WorldsState:
+        """Everything needed to go on from here later, as arrays of its own.
 
         Args:
-            worlds: (n,) which.
-
-        Returns:
-            A `batch.BatchState` of n worlds, or n states of simulations.
+            worlds: (n,) which, or (W,) a mask; all by default.
         """
+        indices, state = world_indices(worlds, self.count), self.state
+        return WorldsState(
+            nodes=state.nodes[indices],
+            node_velocities=state.velocities[indices],
+            tool_positions=state.tool_positions[indices],
+            tool_orientations=state.tool_orientations[indices],
+            tool_forces=state.tool_forces[indices],
+            times=self._times[indices],
+            memories=tuple(
+                WorldMemory(
+                    flags=tuple(memory.states[0].copy() for memory in contact.memories),
+                    multipliers=contact.copy_multipliers(),
+                    ledger=contact.ledger.copy(),
+                    near=contact.copy_near(),
+                )
+                for contact in (self.contacts[w] for w in indices.tolist())
+            ),
+            inner=self.engine.save(indices),
+        )
 
-    def restore(self, state: Any, worlds: IntArray) -> None:
-        """Go back to a saved state, of these worlds or of others with the same tools.
+    def restore(self, state: WorldsState, worlds: ArrayLike | None = None) -> None:
+        """Go back to a saved state, of these worlds or others of the same scene. Parameters stay as they are.
 
         Args:
             state: What `save` returned for n worlds.
-            worlds: (n,) which worlds get it.
+            worlds: (n,) which worlds get it, or (W,) a mask; all by default.
 
         Raises:
-            ValueError: If it does not fit the scene or is not finite.
+            ValueError: If the state is of another number of worlds, or does not fit the scene or is not finite, or a
+                world is named twice; nothing has then changed.
         """
+        indices, mine = world_indices(worlds, self.count, once=True), self.state
+        for name, array in (
+            ("nodes", mine.nodes),
+            ("node_velocities", mine.velocities),
+            ("tool_positions", mine.tool_positions),
+            ("tool_orientations", mine.tool_orientations),
+            ("tool_forces", mine.tool_forces),
+        ):
+            rows_of(getattr(state, name), f"state.{name}", (len(indices), *array.shape[1:]), indices)
+        wanted = [memory.states[0].shape for memory in self.contacts[0].memories]
+        for remembered in state.memories:
+            if [flags.shape for flags in remembered.flags] != wanted:
+                raise ValueError(f"state must have flags of shapes {wanted}, got {[f.shape for f in remembered.flags]}")
+        self._put_tools(indices, state.tool_positions, state.tool_orientations)
+        self._set_nodes(indices, state.nodes, state.node_velocities, state.inner or (None,) * len(indices))
+        self._forget(indices)
+        self._times[indices] = state.times
+        mine.tool_forces[indices] = state.tool_forces
+        for w, remembered in zip(indices.tolist(), state.memories, strict=True):
+            contact = self.contacts[w]
+            for memory, flags in zip(contact.memories, remembered.flags, strict=True):
+                memory.states[0] = flags
+            contact.restore_multipliers(remembered.multipliers)
+            contact.restore_near(remembered.near, mine.nodes[w])
+            contact.ledger[:] = remembered.ledger
+            contact.admit_energy(mine.nodes[w], mine.velocities[w])
 
     def close(self) -> None:
         """Free what the engine holds. Closing twice is allowed."""
+        self.engine.close()
 
+    def _set_nodes(self, indices: IntArray, nodes: FloatArray, velocities: FloatArray, inner: Sequence[Any]) -> None:
+        self.state.nodes[indices], self.state.velocities[indices] = nodes, velocities
+        self.engine.restore(self.state.nodes[indices], self.state.velocities[indices], inner, indices)
 
-class SeparateWorlds:
-    """Simulations of one scene, stepped one after the other.
+    def _put_tools(self, indices: IntArray, positions: ArrayLike, orientations: ArrayLike) -> None:
+        self.state.tool_positions[indices], self.state.tool_orientations[indices] = positions, orientations
+        if self._collisions is not None:
+            self._collisions.place(indices)
 
-    Attributes:
-        simulations: The W simulations.
-    """
+    def _clear_flags(self, indices: IntArray, tools: Sequence[int] | None = None) -> None:
+        """Forget where some tools touch, in some worlds, and what they felt; all tools by default."""
+        organs = len(self._scene.organs)
+        for tool in range(len(self._scene.tools)) if tools is None else tools:
+            self.state.tool_forces[indices, tool] = 0.0
+            for w in indices.tolist():
+                for memory in self.contacts[w].memories[tool * organs : (tool + 1) * organs]:
+                    memory.states[:] = False
 
-    def __init__(self, simulations: Sequence[Simulation]) -> None:
-        """Take over simulations of one scene.
+    def _forget(self, indices: IntArray) -> None:
+        """Forget all contacts of some worlds, and that they diverged."""
+        self._clear_flags(indices)
+        for w in indices.tolist():
+            self.contacts[w].forget_solves()
+        self.state.diverged[indices] = self._has_stepped[indices] = False
 
-        Args:
-            simulations: At least one; `close` closes them.
-        """
-        self.simulations = tuple(simulations)
-        self._scene = self.simulations[0].scene
-        self._diverged = np.zeros(len(self.simulations), dtype=np.bool_)
-
-    @property
-    def scene(self) -> Scene:
-        """See `Worlds`; simulations may have got other tools since."""
-        return self._scene
-
-    @property
-    def count(self) -> int:
-        """See `Worlds`."""
-        return len(self.simulations)
-
-    @property
-    def nodes(self) -> FloatArray:
-        """See `Worlds`."""
-        return np.stack([simulation.nodes for simulation in self.simulations])
-
-    @property
-    def triangles(self) -> NDArray[np.int32]:
-        """See `Worlds`."""
-        return self.simulations[0].triangles
-
-    @property
-    def tool_positions(self) -> FloatArray:
-        """See `Worlds`."""
-        return np.stack([simulation.tool_positions for simulation in self.simulations])
-
-    @property
-    def tool_orientations(self) -> FloatArray:
-        """See `Worlds`."""
-        return np.stack([simulation.tool_orientations for simulation in self.simulations])
-
-    @property
-    def times(self) -> FloatArray:
-        """See `Worlds`."""
-        return np.array([simulation.time for simulation in self.simulations])
-
-    def nodes_of(self, worlds: IntArray) -> FloatArray:
-        """See `Worlds`."""
-        return np.stack([self.simulations[world].nodes for world in worlds.tolist()])
-
-    def times_of(self, worlds: IntArray) -> FloatArray:
-        """See `Worlds`."""
-        return np.array([self.simulations[world].time for world in worlds.tolist()])
-
-    def reset(self, worlds: IntArray) -> None:
-        """See `Worlds`."""
-        for world in worlds.tolist():
-            self.simulations[world].reset()
-            self._diverged[world] = False
-
-    def place_tools(self, positions: FloatArray, orientations: FloatArray, worlds: IntArray) -> None:
-        """See `Worlds`."""
-        for row, world in enumerate(worlds.tolist()):
-            for index, (position, orientation) in enumerate(zip(positions[row], orientations[row], strict=True)):
-                self.simulations[world].place_tool(position, orientation, index=index)
-
-    def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: IntArray) -> None:
-        """See `Worlds`."""
-        for row, world in enumerate(worlds.tolist()):
-            tools = tuple(
-                replace(placed, tool=placed.tool.scaled(tool_size[row]), friction=placed.friction * friction[row])
-                for placed in self.scene.tools
-            )
-            self.simulations[world].set_tools(tools)
-
-    def advance(
-        self,
-        linear_velocities: FloatArray,
-        angular_velocities: FloatArray,
-        steps: int,
-        pressure_limits: FloatArray | None = None,
-        force_limits: FloatArray | None = None,
-        steer: Steer | None = None,
-    ) -> Loads:
-        """See `Worlds`; with `steer` the velocities are asked anew before every physics step."""
-        tools = self._scene.tools
-        count = (self.count, len(tools))
-        loads = Loads(
-            forces=np.zeros((*count, 3)),
-            torques=np.zeros((*count, 3)),
-            peak_forces=np.zeros(count),
-            flags=tuple(np.zeros((self.count, len(placed.tool.nodes)), dtype=np.bool_) for placed in tools),
-            penetrations=np.zeros(self.count),
-            residuals=np.zeros(self.count),
-            ground_forces=np.zeros((self.count, 3)),
-            peak_pressures=np.zeros(self.count),
-            mean_pressures=np.zeros(self.count),
-            overpressures=np.zeros(self.count),
-            node_pressures=tuple(np.zeros((self.count, len(placed.tool.nodes))) for placed in tools),
-            restrained=np.zeros(self.count),
-            tangled=np.zeros(self.count, dtype=np.bool_),
-            diverged=self._diverged,
-        )
-        endless = np.full(self.count, np.inf)
-        pressure_limits = endless if pressure_limits is None else pressure_limits
-        force_limits = endless if force_limits is None else force_limits
-        for world in np.flatnonzero(~self._diverged).tolist():
-            try:
-                self._advance(
-                    world,
-                    linear_velocities[world],
-                    angular_velocities[world],
-                    steps,
-                    pressure_limits[world],
-                    force_limits[world],
-                    loads,
-                    steer,
-                )
-            except SimulationDiverged:
-                self._diverged[world] = True
-                for name, values in vars(loads).items():
-                    if name != "diverged":
-                        for array in values if isinstance(values, tuple) else (values,):
-                            array[world] = 0
-        return Loads(**{**vars(loads), "diverged": self._diverged.copy()})
-
-    def _advance(
-        self,
-        world: int,
-        asked_linear: FloatArray,
-        asked_angular: FloatArray,
-        steps: int,
-        pressure_limit: float,
-        force_limit: float,
-        loads: Loads,
-        steer: Steer | None,
-    ) -> None:
-        simulation = self.simulations[world]
-        reports, pressures = [], []
-        asked_linear, asked_angular = np.ascontiguousarray(asked_linear), np.ascontiguousarray(asked_angular)
-        linear, angular = np.empty_like(asked_linear), np.empty_like(asked_angular)
-        restrained = 0
-        for step in range(steps):
-            if steer is not None:
-                asked_linear, asked_angular = steer(world, step)
-            restrained += restrain(
-                simulation.tool_positions,
-                asked_linear,
-                asked_angular,
-                simulation.tool_forces,
-                force_limit,
-                linear,
-                angular,
-            )
-            reports.append(simulation.step(linear, angular))
-            pressures.append(simulation.pressures())
-        # Reduced all at once: a little of NumPy after every step adds up.
-        wrenches = np.array([report.loads for report in reports])
-        mean = wrenches.mean(axis=0)
-        loads.forces[world], loads.torques[world] = mean[:, :3], mean[:, 3:]
-        loads.peak_forces[world] = np.sqrt((wrenches[:, :, :3] ** 2).sum(axis=2).max(axis=0))
-        loads.ground_forces[world] = np.array([report.ground_force for report in reports]).mean(axis=0)
-        loads.residuals[world] = max(report.residual for report in reports)
-        peaks = np.array([pressure.peak for pressure in pressures])
-        loads.peak_pressures[world] = peaks.max()
-        loads.mean_pressures[world] = np.array([pressure.faces for pressure in pressures]).mean(axis=0).max()
-        loads.overpressures[world] = np.maximum(peaks - pressure_limit, 0.0).sum() * simulation.dt
-        loads.restrained[world] = restrained / steps
-        report = reports[-1]
-        loads.tangled[world] = report.tangled
-        loads.penetrations[world] = report.penetration
-        for flags, contacts in zip(loads.flags, report.all_contacts, strict=True):
-            flags[world] = np.any([found.flags for found in contacts], axis=0)
-        for on_nodes, last in zip(loads.node_pressures, pressures[-1].nodes, strict=True):
-            on_nodes[world] = last
-
-    def save(self, worlds: IntArray) -> tuple[SimulationState, ...]:
-        """See `Worlds`."""
-        return tuple(self.simulations[world].save() for world in worlds.tolist())
-
-    def restore(self, state: tuple[SimulationState, ...], worlds: IntArray) -> None:
-        """See `Worlds`."""
-        for world, saved in zip(worlds.tolist(), state, strict=True):
-            self.simulations[world].restore(saved)
-            self._diverged[world] = False
-
-    def close(self) -> None:
-        """See `Worlds`."""
-        for simulation in self.simulations:
-            simulation.close()
-
-
-def make_worlds(scene: Scene, count: int, engine: str | None = "batch", contact: ContactName = "flags") -> Worlds:
-    """Load many worlds of a scene, all at rest.
-
-    Args:
-        scene: What is in each.
-        count: How many.
-        engine: "batch": all of them in compiled code, in step. "bullet": as many simulations with PyBullet. None: that
-            of `Simulation`.
-        contact: What resolves contact; see `Simulation`.
-
-    Returns:
-        The worlds.
-
-    Raises:
-        ValueError: If `engine` is not one of those, or `contact` is not one of the engine's.
-        ImportError: If PyBullet is asked for and is not installed; says what to install.
-    """
-    engine = choose_engine(engine, contact)
-    if engine == "batch":
-        from spatula_env.sim.batch import BatchSimulation
-
-        # It says itself what it does not have.
-        return BatchSimulation(scene, count, contact=cast("BatchContactName", contact))
-    simulations: list[Simulation] = []
-    try:
-        for _ in range(count):
-            simulations.append(Simulation(scene, engine="bullet", contact=contact))
-    except BaseException:
-        for simulation in simulations:
-            simulation.close()
-        raise
-    return SeparateWorlds(simulations)
+    def __reduce__(self) -> Any:
+        raise TypeError(NO_COPY.format(type(self).__name__))

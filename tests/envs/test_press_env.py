@@ -392,14 +392,15 @@ def test_the_life_of_an_environment_is_watched() -> None:
 
 
 def test_a_breakdown_of_physics_asks_for_a_reset(env: PressEnv, monkeypatch: pytest.MonkeyPatch) -> None:
-    def break_down(*_: object) -> None:
-        raise SimulationDiverged("positions are not finite")
+    def break_down(positions: np.ndarray, velocities: np.ndarray, diverged: np.ndarray) -> None:
+        diverged[:] = True
 
     expected = rollout(env, random_actions(2), seed=1)
     env.reset(seed=0)
     with monkeypatch.context() as patch:
-        patch.setattr(env.simulation, "step", break_down)
-        with pytest.raises(SimulationDiverged):
+        patch.setattr(env.simulation.worlds, "_blocks", None)
+        patch.setattr(env.simulation.worlds.engine, "advance", break_down)
+        with pytest.raises(SimulationDiverged, match=r"physics broke down within 0.05 s after 0.0000 s; call reset"):
             env.step(STILL)
     with pytest.raises(ResetNeeded):
         env.step(STILL)

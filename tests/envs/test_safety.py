@@ -163,17 +163,12 @@ def test_info_tells_how_deep_contact_was_left(contact: str) -> None:
     assert (max(residuals) < 1e-4) == (contact == "flags")
 
 
-def test_info_tells_the_greatest_residual_of_the_physics_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = PressEnv(engine="bullet")
-    step, reported = env.simulation.step, []
-
-    def listen(*arguments: Any, **options: Any) -> Any:
-        report = step(*arguments, **options)
-        reported.append(report.residual)
-        return report
-
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+def test_info_tells_the_greatest_residual_of_the_physics_steps(engine: str) -> None:
+    env = PressEnv(engine=engine)
+    reported: list[float] = []
     env.reset(seed=0, options={"goal": GOAL, "tool_position": ABOVE})
-    monkeypatch.setattr(env.simulation, "step", listen)
+    env.simulation.listeners.append(lambda report: reported.append(report.residual))
     for _ in range(10):
         reported.clear()
         residual = env.step(DOWN)[4]["residual"]

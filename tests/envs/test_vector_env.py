@@ -25,7 +25,6 @@ from vector_helpers import (
 )
 
 from spatula_env.envs import PressEnv, PressVectorEnv, SpatulaVectorEnv
-from spatula_env.sim.simulation import SimulationDiverged
 
 MODES = [mode.name.lower() for mode in AutoresetMode]
 TOLERANCE = {"bullet": 0.0, "batch": 1e-5}
@@ -469,12 +468,12 @@ def test_a_breakdown_of_all_worlds_is_survived() -> None:
 @pytest.mark.bullet
 def test_a_simulation_that_diverges_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     def break_down(*_: object) -> None:
-        raise SimulationDiverged("positions are not finite")
+        raise FloatingPointError("positions are not finite")
 
     env = make(engine="bullet")
     env.reset(seed=0)
     with monkeypatch.context() as patch:
-        patch.setattr(env.worlds.simulations[2], "step", break_down)
+        patch.setattr(env.worlds.engine.loaded[2], "step", break_down)
         with pytest.warns(RuntimeWarning, match=r"worlds \[2\]"):
             assert env.step(DOWN)[3].tolist() == [False, False, True]
     env.step(DOWN)

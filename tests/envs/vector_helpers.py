@@ -14,7 +14,8 @@ from gymnasium.wrappers import TimeLimit
 
 import spatula_env
 from spatula_env.envs import PressEnv, vector
-from spatula_env.sim.worlds import Loads, Worlds, make_worlds
+from spatula_env.sim.engine import ContactName
+from spatula_env.sim.worlds import Loads, Worlds
 
 gym.register_envs(spatula_env)
 
@@ -51,7 +52,7 @@ class LentWorlds:
         self._broken -= set(worlds.tolist())
         self._worlds.reset(worlds)
 
-    def advance(self, linear: np.ndarray, angular: np.ndarray, steps: int, *limits: np.ndarray | None) -> Loads:
+    def advance(self, linear: np.ndarray, angular: np.ndarray, steps: int, *limits: Any) -> Loads:
         loads = self._worlds.advance(linear, angular, steps, *limits)
         if self.breaking is not None:
             self._broken.add(self.breaking)
@@ -69,16 +70,16 @@ def lending() -> Iterator[None]:
     """Let vector environments share worlds, which take long to make with Bullet."""
     kept: dict[Any, Worlds] = {}
 
-    def lend(scene: Any, count: int, engine: str, contact: str) -> LentWorlds:
+    def lend(scene: Any, count: int, *, engine: str, contact: ContactName) -> LentWorlds:
         key = (count, engine, contact)
         if key not in kept:
-            kept[key] = make_worlds(scene, count, engine, contact)
+            kept[key] = Worlds(scene, count, engine=engine, contact=contact)
         worlds = LentWorlds(kept[key])
         worlds.reset(np.arange(count))
         return worlds
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(vector, "make_worlds", lend)
+        patch.setattr(vector, "Worlds", lend)
         yield
     for worlds in kept.values():
         worlds.close()

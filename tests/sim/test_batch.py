@@ -351,8 +351,8 @@ def test_bad_input_is_named_and_changes_nothing(batch, call, message):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"worlds": 0}, "worlds must be an integer, 1 or more, got 0"),
-        ({"worlds": 2, "contact": "bullet"}, "contact must be one of"),
+        ({"worlds": 0}, "worlds must be an integer of at least 1, got 0"),
+        ({"worlds": 2, "contact": "bullet"}, "contact must be 'flags' or 'second_step' with engine 'batch'"),
         ({"worlds": 2, "first_step": "never"}, "first_step must be one of"),
         ({"worlds": 2, "dtype": np.int32}, "dtype must be float32 or float64, got int32"),
     ],

@@ -56,7 +56,7 @@ def test_nodes_move_as_in_bullet(name):
         velocities = np.random.default_rng(1).normal(size=body.vertices.shape)
         velocities[body.inverse_masses == 0.0] = 0.0
         positions = body.vertices
-        world.set_state(positions, velocities)
+        world.set_state(positions)
         for batch in (double, single):
             batch.set_state(body.vertices, velocities)
         for step in range(40):
@@ -372,7 +372,7 @@ def test_read_only_arguments_are_taken():
 @PRECISIONS
 @pytest.mark.parametrize("worlds", [1, 8, 40])
 def test_vectors_do_not_straddle_cache_lines(worlds, dtype):
-    arrays = BatchBody(soft_body(BALL), worlds, dtype=dtype).arrays
-    for name in ("positions", "velocities", "stiffness"):
-        assert arrays[name].ctypes.data % 64 == 0
-        assert arrays[name].flags.c_contiguous
+    blocks = BatchBody(soft_body(BALL), worlds, dtype=dtype).blocks
+    for array in (blocks.positions, blocks.velocities, blocks.stiffness):
+        assert array.ctypes.data % 64 == 0
+        assert array.flags.c_contiguous

@@ -11,7 +11,7 @@ from spatula_env import scenes
 from spatula_env.arrays import FloatArray
 from spatula_env.sim.batch import BatchSimulation
 from spatula_env.sim.drive import restrain
-from spatula_env.sim.worlds import make_worlds
+from spatula_env.sim.worlds import Worlds
 
 vectors = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 APART = np.array([[0.2, 0.0, 0.0], [-0.3, 0.4, 1.2]])
@@ -93,7 +93,7 @@ def test_a_tool_is_stopped_within_a_physics_step(engine: str) -> None:
     scene = scenes.seed()
     down = np.tile([0.0, 0.0, -5.0], (2, 1, 1))
     limits = np.array([200.0, 1e12])
-    worlds = make_worlds(scene, 2, engine)
+    worlds = Worlds(scene, 2, engine=engine)
     try:
         start = worlds.tool_positions
         loads = worlds.advance(down, np.zeros_like(down), 240, None, limits)

@@ -91,7 +91,7 @@ def test_a_dropped_simulation_disconnects_its_client():
     import pybullet
 
     simulation = Simulation(scenes.seed(), engine="bullet")
-    client = simulation._world._client
+    client = simulation.worlds.engine.loaded[0]._client
     assert pybullet.isConnected(client)
     del simulation
     gc.collect()

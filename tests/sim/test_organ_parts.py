@@ -230,6 +230,6 @@ def test_loading_a_file_of_several_parts_says_so(tmp_path):
 def test_bullet_is_given_nothing_to_draw():
     # With the organ's own surface it would look for the nearest triangle of every vertex: minutes, for a fine one.
     simulation = Simulation(scene(BALLS), engine="bullet")
-    world = simulation._world
+    (world,) = simulation.worlds.engine.loaded
     assert [world._bullet.getMeshData(body, -1, physicsClientId=world._client)[0] for body in world._bodies] == [3, 3]
     simulation.close()

@@ -18,7 +18,6 @@ from spatula_env.sim import SceneWarning, SimulationDiverged
 from spatula_env.sim.batch import BatchSimulation
 from spatula_env.sim.scene_checks import deformation_of
 from spatula_env.sim.volumes import COLLAPSED, Volumes
-from spatula_env.sim.worlds import SeparateWorlds
 
 EARTH = 9.81 / 0.02
 """Gravity on earth [u/s2]."""
@@ -85,10 +84,6 @@ def test_in_many_worlds_only_that_one_has_diverged():
     assert batch.advance(still, steps=3).diverged.tolist() == [False, True, False]
     batch.reset([1])
     assert not batch.advance(still).diverged.any()
-    simulations = [Simulation(FREE, engine="batch") for _ in range(2)]
-    simulations[1].restore(squashed(simulations[1], -1.0))
-    worlds = SeparateWorlds(simulations)
-    assert worlds.advance(still[:2], still[:2], 2).diverged.tolist() == [False, True]
 
 
 def test_collapse_while_settling_is_an_error_and_not_a_start():
@@ -128,7 +123,7 @@ def test_an_organ_that_loses_its_shape_is_told_with_figures(engine):
 
 
 def test_settling_that_is_ended_is_told_with_the_sag(monkeypatch):
-    monkeypatch.setattr("spatula_env.sim.simulation.LONGEST_SETTLING", 0.05)
+    monkeypatch.setattr("spatula_env.sim.worlds.LONGEST_SETTLING", 0.05)
     (told,) = warnings_of(replace(on_the_ground(icosphere(3.0, 2)), ground=None))
     # It has fallen for twelve steps of 1/240 s.
     fallen = 10.0 / 240.0**2 * 12 * 13 / 2
@@ -138,7 +133,7 @@ def test_settling_that_is_ended_is_told_with_the_sag(monkeypatch):
 
 def test_many_worlds_whose_settling_is_ended_are_counted(monkeypatch):
     batch = BatchSimulation(scenes.seed(), 3)
-    monkeypatch.setattr("spatula_env.sim.batch.LONGEST_SETTLING", 0.02)
+    monkeypatch.setattr("spatula_env.sim.worlds.LONGEST_SETTLING", 0.02)
     batch.set_parameters(gravity=20.0, worlds=[1, 2])
     with pytest.warns(SceneWarning, match="the organs of 2 of 2 worlds, world 1 the first, have not come to rest"):
         batch.settle([1, 2])

@@ -1,0 +1,175 @@
+"""What an engine is: it integrates the organs of W worlds of a scene. All else is `worlds.Worlds`.
+
+Ground, tools and what organs do to each other are not its business, but for an engine that has a contact algorithm of
+its own. The organs' vertices are its surface nodes, counted through organ after organ: V in all. Whatever nodes it has
+besides are its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from spatula_env.arrays import BoolArray, FloatArray, IntArray
+    from spatula_env.scenes import PlacedTool, Scene
+
+ContactName = Literal["flags", "second_step", "bullet"]
+"""What resolves contact between tools and organs; see `Simulation`."""
+
+Precision = Literal["single", "double"]
+"""In which an engine that has the choice integrates the organs."""
+
+PRECISIONS = {"single": np.float32, "double": np.float64}
+"""Types of numbers by the name of the precision."""
+
+
+@dataclass(frozen=True)
+class EngineOptions:
+    """What an engine is told beside the scene.
+
+    Attributes:
+        contact: What resolves contact, one of the engine's `Abilities.contacts`.
+        precision: For an engine that has the choice.
+        threads: How many threads worlds are shared out among.
+    """
+
+    contact: ContactName = "flags"
+    precision: Precision = "single"
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What an engine can do.
+
+    Attributes:
+        contacts: What can resolve contact with it. An engine with "bullet" is a `CollidingEngine`.
+        restores_exactly: Whether a state goes on, when it is restored, as it would have gone on without. Where not, an
+            environment that is saved is put to its own state, so that both go on alike.
+        varies: Whether worlds can differ in gravity, stiffness and mass; it is then a `VaryingEngine`.
+    """
+
+    contacts: tuple[ContactName, ...] = ("flags", "second_step")
+    restores_exactly: bool = True
+    varies: bool = False
+
+
+class Engine(Protocol):
+    """Soft organs that fall, stretch and swing, in W worlds of a scene."""
+
+    abilities: ClassVar[Abilities]
+
+    def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
+        """Put the scene's organs into W worlds, at rest in their initial shape."""
+
+    @property
+    def inverse_masses(self) -> FloatArray:
+        """(W, V) of the surface nodes [1/kg]; zero for a node that is held fixed."""
+
+    def advance(self, positions: FloatArray, velocities: FloatArray, diverged: BoolArray) -> None:
+        """Advance all worlds by one physics step, from where contact has put them after the last one.
+
+        Args:
+            positions: (W, V, 3) of the surface nodes at the start of the step; written, at its end [u].
+            velocities: (W, V, 3) of them; written [u/s].
+            diverged: (W,) worlds to leave alone; written, true where positions or velocities are no longer finite.
+        """
+
+    def halt(self, positions: FloatArray, worlds: IntArray) -> None:
+        """Set the velocities of all nodes of some worlds to zero, inner nodes included.
+
+        Args:
+            positions: (n, V, 3) where the surface nodes are [u].
+            worlds: (n,) which worlds.
+        """
+
+    def save(self, worlds: IntArray) -> tuple[Any, ...]:
+        """(n,) what the surface nodes do not tell of the state of some worlds (n,), such as inner nodes.
+
+        Arrays of its own, that can be pickled; None where the surface nodes tell all.
+        """
+
+    def restore(self, positions: FloatArray, velocities: FloatArray, inner: Sequence[Any], worlds: IntArray) -> None:
+        """Put some worlds into a state; what follows depends on nothing that was before.
+
+        Args:
+            positions: (n, V, 3) of the surface nodes [u].
+            velocities: (n, V, 3) of them [u/s].
+            inner: (n,) what `save` gave; None: what goes with these surface nodes at rest.
+            worlds: (n,) which worlds.
+        """
+
+    def close(self) -> None:
+        """Free what the engine holds. Closing twice is allowed."""
+
+
+@runtime_checkable
+class BlockEngine(Protocol):
+    """An engine that takes blocks of worlds through several physics steps, contact included, with no Python between.
+
+    Attributes:
+        lanes: Worlds in a block.
+    """
+
+    lanes: int
+
+    def advance_blocks(self, first: int, end: int, coupling: Any, steps: int, share: float) -> None:
+        """Take the worlds of some blocks through physics steps. Other blocks may be taken at the same time.
+
+        Args:
+            first: Index of the first block.
+            end: Index after the last one.
+            coupling: `step.Coupling` of the worlds, for `step.couple_worlds`, which follows each step of the engine.
+            steps: How many physics steps.
+            share: Of the control step that one of them is.
+        """
+
+
+class VaryingEngine(Engine, Protocol):
+    """An engine whose worlds can differ in gravity, stiffness and mass."""
+
+    @property
+    def gravity(self) -> FloatArray:
+        """(W,) downward acceleration [u/s2]."""
+
+    def set_parameters(
+        self,
+        *,
+        gravity: ArrayLike | None,
+        stiffness: ArrayLike | None,
+        mass_scale: ArrayLike | None,
+        worlds: IntArray,
+    ) -> None:
+        """Change parameters of some worlds; see `Worlds.set_parameters`."""
+
+
+class CollidingEngine(Engine, Protocol):
+    """An engine that can resolve the contact of tools by an algorithm of its own."""
+
+    def set_tools(self, tools: Sequence[PlacedTool], world: int) -> None:
+        """Exchange the tools of a world. The state of its organs is lost: `restore` follows."""
+
+    def place_tools(self, positions: FloatArray, orientations: FloatArray, world: int) -> None:
+        """Put the tools of a world somewhere, at rest: positions (N, 3) [u] and orientations (N, 4)."""
+
+    def move_tools(
+        self, positions: FloatArray, orientations: FloatArray, linear: FloatArray, angular: FloatArray, world: int
+    ) -> None:
+        """Give the tools of a world the poses (N, 3) [u], (N, 4) of the end of the coming step, and their velocities.
+
+        Args:
+            positions: (N, 3) [u].
+            orientations: (N, 4).
+            linear: (N, 3) [u/s].
+            angular: (N, 3) [rad/s].
+            world: Which world.
+        """
+
+    def tool_impulses(self, linear: FloatArray, angular: FloatArray, world: int) -> FloatArray:
+        """(N, 6) what the organs gave tools of these velocities in the last step [kg u/s, kg u2/s2]."""

@@ -1,0 +1,72 @@
+"""Which worlds are meant, and numbers for them: checks of arguments."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from spatula_env.arrays import BoolArray, FloatArray, IntArray
+
+
+def world_indices(worlds: ArrayLike | None, count: int, *, once: bool = False) -> IntArray:
+    """Indices of worlds.
+
+    Args:
+        worlds: (n,) indices, or (count,) a mask; None: all.
+        count: How many worlds there are.
+        once: Whether each is to be named once, as they are written to.
+
+    Raises:
+        ValueError: If there are no such worlds, or one is named twice.
+    """
+    if worlds is None:
+        return np.arange(count)
+    array = np.asarray(worlds)
+    if array.dtype == np.bool_ and array.shape == (count,):
+        return np.flatnonzero(array)
+    if array.size == 0:
+        return np.zeros(0, dtype=np.int64)
+    allowed = f"indices in 0..{count - 1} or a mask of shape ({count},)"
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"worlds must be {allowed}, got {worlds!r}")
+    if array.min() < 0 or array.max() >= count:
+        raise ValueError(f"worlds must be {allowed}, got {array.tolist()}")
+    if once and len(np.unique(array)) < len(array):
+        raise ValueError(f"worlds must be named once each, got {array.tolist()}")
+    return array.astype(np.int64)
+
+
+def one_each(value: ArrayLike, name: str, worlds: IntArray) -> FloatArray:
+    """A finite number for each of some worlds (n,), from one for all of them or one each."""
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape not in ((), (len(worlds),)):
+        raise ValueError(f"{name} must be a number or have shape ({len(worlds)},), got {array.shape}")
+    array = np.broadcast_to(array, (len(worlds),))
+    refuse(~np.isfinite(array), worlds, name, "finite", array)
+    return array
+
+
+def rows_of(value: ArrayLike, name: str, shape: tuple[int, ...], worlds: IntArray) -> FloatArray:
+    """Finite numbers of a shape, a row for each of some worlds; an array of its own."""
+    try:
+        array = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be numbers of shape {shape}, got {value!r}") from error
+    if array.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    bad = ~np.isfinite(array).reshape(len(array), -1).all(axis=1)
+    if bad.any():
+        raise ValueError(f"{name} must be finite, in world {worlds[int(np.argmax(bad))]} they are not")
+    return array
+
+
+def refuse(bad: BoolArray, worlds: IntArray, name: str, allowed: str, values: FloatArray | None = None) -> None:
+    """Raise a ValueError that names the first world with a bad value, if there is one."""
+    if bad.any():
+        first = int(np.argmax(bad))
+        got = "" if values is None else f", got {values[first]:g}"
+        raise ValueError(f"{name} must be {allowed}, in world {worlds[first]} it is not{got}")

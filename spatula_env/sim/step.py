@@ -1,0 +1,302 @@
+"""What follows an engine's step in each world: move the tools, resolve contact, add up loads.
+
+Contact differs from world to world and is resolved world by world, in double precision, whichever engine has moved the
+organs. Worlds come in blocks, which share a workspace: a block's worlds are taken one after the other, on one thread.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.experimental import structref
+
+from spatula_env._kernels import inline_kernel, kernel
+from spatula_env.contact.motion import turn_by
+from spatula_env.contact.pressure import tool_pressures
+from spatula_env.contact.step import CONTACT_COUNT, CROSSED_FOR, PENETRATION, RESIDUAL, resolve_step
+from spatula_env.sim.drive import restrain
+
+
+class State(NamedTuple):
+    """How W worlds are.
+
+    Attributes:
+        nodes: (W, V, 3) [u].
+        velocities: (W, V, 3) of the nodes [u/s].
+        tool_positions: (W, N, 3) [u].
+        tool_orientations: (W, N, 4).
+        tool_forces: (W, N, 3) on each tool in the last step [kg u/s2].
+        diverged: (W,) worlds that are left alone.
+    """
+
+    nodes: np.ndarray
+    velocities: np.ndarray
+    tool_positions: np.ndarray
+    tool_orientations: np.ndarray
+    tool_forces: np.ndarray
+    diverged: np.ndarray
+
+
+class Drive(NamedTuple):
+    """How the tools of W worlds are to move.
+
+    Attributes:
+        linear: (W, N, 3) [u/s].
+        angular: (W, N, 3) [rad/s].
+        pressure_limits: (W,) from which on pressure is overpressure [kg/(u s2)].
+        force_limits: (W,) see `drive.restrain` [kg u/s2].
+    """
+
+    linear: np.ndarray
+    angular: np.ndarray
+    pressure_limits: np.ndarray
+    force_limits: np.ndarray
+
+
+class Sums(NamedTuple):
+    """What is added up over the steps of a control step in W worlds: `worlds.Loads`, with sums in place of averages.
+
+    Attributes:
+        forces: (W, N, 3).
+        torques: (W, N, 3).
+        peak_forces: (W, N).
+        penetrations: (W,) of the last step.
+        residuals: (W,).
+        ground_forces: (W, 3).
+        peak_pressures: (W,).
+        overpressures: (W,).
+        restrained: (W,).
+        crossed_for: (W,) how long organs have crossed after the last step [s].
+        face_pressures: (W, N, F), F the faces of the tool with the most: normal force on each face by its area.
+        node_pressures: (W, N, n), n the contact nodes of the tool with the most: of the last step.
+    """
+
+    forces: np.ndarray
+    torques: np.ndarray
+    peak_forces: np.ndarray
+    penetrations: np.ndarray
+    residuals: np.ndarray
+    ground_forces: np.ndarray
+    peak_pressures: np.ndarray
+    overpressures: np.ndarray
+    restrained: np.ndarray
+    crossed_for: np.ndarray
+    face_pressures: np.ndarray
+    node_pressures: np.ndarray
+
+
+class LastStep(NamedTuple):
+    """How the last step went of the world of each of B blocks that came last: of the only one, where blocks have one.
+
+    Attributes:
+        start_positions: (B, N, 3) of the tools [u].
+        start_orientations: (B, N, 4).
+        positions: (B, N, 3) at the end [u].
+        orientations: (B, N, 4).
+        linear: (B, N, 3) the tools' velocities [u/s].
+        angular: (B, N, 3) [rad/s].
+        nodes: (B, V, 3) at the end [u].
+        impulses: (B, V, 3) what the tools gave the nodes [kg u/s].
+        wrenches: (B, N + 1, 6) what the organs gave the tools, and the ground [kg u/s, kg u2/s2].
+        result: (B, 6) by the column names of `contact.step`.
+    """
+
+    start_positions: np.ndarray
+    start_orientations: np.ndarray
+    positions: np.ndarray
+    orientations: np.ndarray
+    linear: np.ndarray
+    angular: np.ndarray
+    nodes: np.ndarray
+    impulses: np.ndarray
+    wrenches: np.ndarray
+    result: np.ndarray
+
+
+@structref.register
+class CouplingType(types.StructRef):
+    """Numba type of `Coupling`."""
+
+
+class Coupling(structref.StructRefProxy):
+    """All that is between the engine and the tools: a structure, which a kernel takes in no time.
+
+    Fields:
+        contacts: `WorldContacts` of each of the W worlds.
+        with_tools: Whether tools count, or only the ground.
+        mode: See `contact.step.resolve_step`.
+        first_step: Code of the detectors' first step.
+        dt: Length of a step [s].
+        state: `State` of the worlds; written.
+        drive: `Drive`, what the tools are to do.
+        sums: `Sums`, added to.
+        last: `LastStep`; written, and a workspace of each block.
+    """
+
+
+structref.define_proxy(
+    Coupling,
+    CouplingType,
+    ["contacts", "with_tools", "mode", "first_step", "dt", "state", "drive", "sums", "last"],
+)
+
+
+@kernel()
+def make_coupling(
+    contacts: Any,
+    with_tools: bool,
+    mode: int,
+    first_step: int,
+    dt: float,
+    state: State,
+    drive: Drive,
+    sums: Sums,
+    last: LastStep,
+) -> Any:
+    """A `Coupling` of these fields."""
+    return Coupling(contacts, with_tools, mode, first_step, dt, state, drive, sums, last)
+
+
+@inline_kernel
+def drive_tools(
+    state: State, drive: Drive, sums: Sums, last: LastStep, dt: float, block: int, w: int, share: float
+) -> None:
+    """Write what the tools of a world of a block do in the coming step; see `couple_worlds`."""
+    positions, orientations = state.tool_positions[w], state.tool_orientations[w]
+    linear, angular = last.linear[block], last.angular[block]
+    if restrain(
+        positions, drive.linear[w], drive.angular[w], state.tool_forces[w], drive.force_limits[w], linear, angular
+    ):
+        sums.restrained[w] += share
+    for k in range(positions.shape[0]):
+        for axis in range(3):
+            last.start_positions[block, k, axis] = positions[k, axis]
+            last.positions[block, k, axis] = positions[k, axis] + linear[k, axis] * dt
+        for entry in range(4):
+            last.start_orientations[block, k, entry] = orientations[k, entry]
+        turn_by(orientations[k], angular[k], dt, last.orientations[block, k])
+
+
+@inline_kernel
+def add_loads(
+    contact: Any, state: State, drive: Drive, sums: Sums, last: LastStep, dt: float, block: int, w: int
+) -> None:
+    """Add what the tools of a world felt in the step that has just been made, and move them to its end."""
+    positions, orientations, wrenches = last.positions[block], last.orientations[block], last.wrenches[block]
+    tool_count, push_count = positions.shape[0], int(last.result[block, CONTACT_COUNT])
+    greatest = 0.0
+    for k in range(tool_count):
+        squared = 0.0
+        for axis in range(3):
+            force = wrenches[k, axis] / dt
+            sums.forces[w, k, axis] += force
+            sums.torques[w, k, axis] += wrenches[k, 3 + axis] / dt
+            state.tool_forces[w, k, axis] = force
+            squared += wrenches[k, axis] ** 2
+        sums.peak_forces[w, k] = max(sums.peak_forces[w, k], np.sqrt(squared) / dt)
+        if squared > 0.0:
+            greatest = max(greatest, tool_pressures(
+                contact, k, push_count, positions[k], orientations[k], sums.node_pressures[w, k],
+                sums.face_pressures[w, k],
+            ))  # fmt: skip
+        else:
+            sums.node_pressures[w, k] = 0.0
+    sums.peak_pressures[w] = max(sums.peak_pressures[w], greatest)
+    sums.overpressures[w] += max(greatest - drive.pressure_limits[w], 0.0) * dt
+    for k in range(tool_count):
+        for axis in range(3):
+            state.tool_positions[w, k, axis] = positions[k, axis]
+        for entry in range(4):
+            state.tool_orientations[w, k, entry] = orientations[k, entry]
+
+
+@inline_kernel
+def couple_worlds(
+    coupling: Any,
+    block: int,
+    first: int,
+    end: int,
+    share: float,
+    free_nodes: np.ndarray,
+    free_velocities: np.ndarray,
+) -> None:
+    """Finish a physics step in the worlds of a block, after the engine's.
+
+    Args:
+        coupling: `Coupling` of the worlds; written.
+        block: Index of the block.
+        first: Its first world.
+        end: The world after its last one.
+        share: Of the control step that the physics step is.
+        free_nodes: (n, V, 3) or more: of the worlds from `first` on, without contact [u].
+        free_velocities: (n, V, 3) or more [u/s].
+    """
+    # Taking what is in a structure out of it counts references: once here, not for every world.
+    contacts, state, drive, sums, last = (
+        coupling.contacts, coupling.state, coupling.drive, coupling.sums, coupling.last,
+    )  # fmt: skip
+    with_tools, mode, first_step, dt = coupling.with_tools, coupling.mode, coupling.first_step, coupling.dt
+    resolved, wrenches, result = last.nodes[block], last.wrenches[block], last.result[block]
+    ground = last.positions.shape[1] if with_tools else 0
+    for w in range(first, end):
+        if state.diverged[w]:
+            continue
+        if with_tools:
+            drive_tools(state, drive, sums, last, dt, block, w, share)
+        status = resolve_step(
+            contacts[w], with_tools, mode, first_step, True, last.start_positions[block],
+            last.start_orientations[block], last.positions[block], last.orientations[block], last.linear[block],
+            last.angular[block], state.nodes[w], free_nodes[w - first], free_velocities[w - first], resolved,
+            state.velocities[w], last.impulses[block], wrenches, result,
+        )  # fmt: skip
+        if status != 0:
+            state.diverged[w] = True
+            continue
+        for i in range(resolved.shape[0]):
+            for axis in range(3):
+                state.nodes[w, i, axis] = resolved[i, axis]
+        sums.penetrations[w], sums.crossed_for[w] = result[PENETRATION], result[CROSSED_FOR]
+        sums.residuals[w] = max(sums.residuals[w], result[RESIDUAL])
+        for axis in range(3):
+            sums.ground_forces[w, axis] -= wrenches[ground, axis] / dt
+        if with_tools:
+            add_loads(contacts[w], state, drive, sums, last, dt, block, w)
+
+
+# Compiled when first called: what a coupling is made of is told by what it holds.
+@kernel(nogil=True)
+def couple_blocks(
+    first_block: int,
+    end_block: int,
+    lanes: int,
+    coupling: Any,
+    share: float,
+    free_nodes: np.ndarray,
+    free_velocities: np.ndarray,
+) -> None:
+    """Finish a physics step in the worlds of some blocks of so many lanes; see `couple_worlds`.
+
+    Args:
+        first_block: Index of the first block.
+        end_block: Index after the last one.
+        lanes: Worlds in a block.
+        coupling: See there.
+        share: See there.
+        free_nodes: (W, V, 3) of all worlds, without contact [u].
+        free_velocities: (W, V, 3) [u/s].
+    """
+    for block in range(first_block, end_block):
+        first = block * lanes
+        end = min(first + lanes, free_nodes.shape[0])
+        couple_worlds(coupling, block, first, end, share, free_nodes[first:end], free_velocities[first:end])
+
+
+@kernel(nogil=True)
+def drive_worlds(coupling: Any, share: float) -> None:
+    """Write what the tools do in the coming step, in blocks of one world, for an engine that has the tools itself."""
+    state, drive, sums, last = coupling.state, coupling.drive, coupling.sums, coupling.last
+    for w in range(state.diverged.shape[0]):
+        if not state.diverged[w]:
+            drive_tools(state, drive, sums, last, coupling.dt, w, w, share)
