@@ -244,8 +244,8 @@ def test_a_fingerprint_is_the_same_in_every_process():
     script = """
 from spatula_env._kernel_cache import fingerprint
 from spatula_env.contact.step import resolve_step
-from spatula_env.sim.batch_engine import advance_blocks
-print(fingerprint(resolve_step), fingerprint(advance_blocks))
+from spatula_env.sim.batch_engine import run_block
+print(fingerprint(resolve_step), fingerprint(run_block))
 """
     said = {
         subprocess.run(

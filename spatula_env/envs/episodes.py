@@ -18,7 +18,7 @@ from spatula_env.envs.observations import FrameMemory, Observation, ObservationB
 from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import COST_PRESSURE, Safety
 from spatula_env.envs.settings import Definition, EnvSettings
-from spatula_env.envs.snapshots import EpisodesState, restore_physics, save_physics
+from spatula_env.envs.snapshots import EpisodesState, joined, save_physics
 from spatula_env.envs.start_options import check_free, chosen_starts
 from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
@@ -388,7 +388,7 @@ class Episodes:
         """Go back, in some worlds (n,), to what `save` returned for n worlds."""
         # Tools before contact: exchanging them clears its memory.
         self._variation.restore(state.drawn, state.generators, worlds)
-        restore_physics(self.worlds, physics, worlds)
+        self.worlds.restore(joined(physics), worlds)
         every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
         for mine, saved in (
             (self._counters(), state.counters),

@@ -114,7 +114,7 @@ class EnvState:
         }
         return replace(
             self,
-            physics=_joined(self.physics).rows(chosen),
+            physics=joined(self.physics).rows(chosen),
             episodes=EpisodesState(**taken, situation=episodes.situation.rows(chosen)),
             generators=_take(self.generators, chosen),
             seeds=tuple(self.seeds[row] for row in chosen.tolist()),
@@ -152,7 +152,7 @@ def check_fits(state: EnvState, name: str, settings: EnvSettings, setting: Setti
 
 
 def save_physics(physics: Worlds, worlds: IntArray) -> WorldsState:
-    """The state of the physics in some worlds (n,), from where it goes on exactly as after `restore_physics`.
+    """The state of the physics in some worlds (n,), from where it goes on exactly as when it is restored.
 
     What PyBullet has computed cannot be read to the last bit: its velocities keep rounding errors of all that was
     before. So a simulation of PyBullet is put to its own state, which clears them, and both go on alike. That changes
@@ -164,13 +164,9 @@ def save_physics(physics: Worlds, worlds: IntArray) -> WorldsState:
     return state
 
 
-def restore_physics(physics: Worlds, state: Physics, worlds: IntArray) -> None:
-    """Put some worlds (n,) to a state of n worlds."""
-    physics.restore(_joined(state), worlds)
-
-
-def _joined(state: Physics) -> WorldsState:
-    return SimulationState.joined(state) if isinstance(state, tuple) else state
+def joined(physics: Physics) -> WorldsState:
+    """The state of n worlds, however it was saved."""
+    return SimulationState.joined(physics) if isinstance(physics, tuple) else physics
 
 
 def _take(tree: Any, rows: IntArray) -> Any:

@@ -20,6 +20,7 @@ import gymnasium
 import yaml
 
 import spatula_env
+from spatula_env import engines
 from spatula_env.changes import with_changes
 from spatula_env.learning.ranges import Checked, Count, Natural, NotNegative, Positive, Share, one_of
 
@@ -30,7 +31,7 @@ gymnasium.register_envs(spatula_env)
 
 ENVIRONMENT_KEYS = ("id", "kwargs")
 
-ENGINES = ("batch", "bullet")
+ENGINES = tuple(sorted(engines.ENGINES))
 """What can integrate organs while agents learn."""
 
 Engine = Annotated[str, one_of(ENGINES)]

@@ -22,17 +22,7 @@ BatchState = WorldsState
 
 
 class BatchSimulation(Worlds):
-    """`Worlds` with the engine "batch".
-
-    Example:
-        >>> import numpy as np
-        >>> from spatula_env import scenes
-        >>> from spatula_env.sim.batch import BatchSimulation
-        >>> worlds = BatchSimulation(scenes.seed(), 16)
-        >>> loads = worlds.advance(np.tile([0.0, 0.0, -5.0], (16, 1, 1)), steps=12)
-        >>> loads.forces.shape
-        (16, 1, 3)
-    """
+    """`Worlds` with the engine "batch", in a precision that is told by a type of numbers."""
 
     def __init__(
         self,
@@ -44,15 +34,15 @@ class BatchSimulation(Worlds):
         dtype: DTypeLike = np.float32,
         parallel: bool | None = None,
     ) -> None:
-        """Load a scene into every world, its organs at rest.
+        """Load a scene into every world, its organs at rest; see `Worlds`.
 
         Args:
             scene: What is in it.
             worlds: Number of worlds W.
-            contact: "flags" or "second_step"; see `Simulation`.
-            first_step: What the flags method's first step looks for; see `FlaggedDetector`.
-            dtype: In which organs are integrated, float32 or float64. Contact is always float64.
-            parallel: See `Worlds`.
+            contact: "flags" or "second_step".
+            first_step: What the flags method's first step looks for.
+            dtype: In which organs are integrated, float32 or float64.
+            parallel: Whether worlds are shared out among threads.
 
         Raises:
             ValueError: If an argument is not as it should be.

@@ -28,36 +28,33 @@ if TYPE_CHECKING:
 
 # Compiled when first called, which for the two precisions is rarely both of them.
 @kernel(nogil=True)
-def advance_blocks(first_block: int, end_block: int, blocks: Blocks, coupling: Any, steps: int, share: float) -> None:
-    """Take the worlds of some blocks through physics steps, block after block. Others may be taken at the same time.
+def run_block(block: int, blocks: Blocks, coupling: Any, steps: int, share: float) -> None:
+    """Take the worlds of a block through physics steps.
 
     Args:
-        first_block: Index of the first one.
-        end_block: Index after the last one.
+        block: Index of the block.
         blocks: Of the body in all worlds.
         coupling: `Coupling` of the worlds; see `step.couple_worlds`.
         steps: How many physics steps.
         share: Of the control step that one of them is.
     """
-    positions, velocities, finite = blocks.positions, blocks.velocities, blocks.finite
-    state = coupling.state
+    state, positions, velocities, finite = coupling.state, blocks.positions, blocks.velocities, blocks.finite
     nodes, node_velocities, diverged = state.nodes, state.velocities, state.diverged
     lanes, node_count = positions.shape[3], nodes.shape[1]
-    free_nodes, free_velocities = np.empty((lanes, node_count, 3)), np.empty((lanes, node_count, 3))
-    for block in range(first_block, end_block):
-        first = block * lanes
-        end = min(first + lanes, nodes.shape[0])
-        for _ in range(steps):
-            advance_block(blocks, block)
-            # All worlds at once: what stands side by side in memory are the worlds.
-            read_block(positions[block], free_nodes[: end - first])
-            read_block(velocities[block], free_velocities[: end - first])
-            for w in range(first, end):
-                if finite[block, w - first] != 0.0:
-                    diverged[w] = True
-            couple_worlds(coupling, block, first, end, share, free_nodes, free_velocities)
-            write_block(positions[block], nodes[first:end])
-            write_block(velocities[block], node_velocities[first:end])
+    first = block * lanes
+    end = min(first + lanes, nodes.shape[0])
+    free_nodes, free_velocities = np.empty((end - first, node_count, 3)), np.empty((end - first, node_count, 3))
+    for _ in range(steps):
+        advance_block(blocks, block)
+        # All worlds at once: what stands side by side in memory are the worlds.
+        read_block(positions[block], free_nodes)
+        read_block(velocities[block], free_velocities)
+        for w in range(first, end):
+            if finite[block, w - first] != 0.0:
+                diverged[w] = True
+        couple_worlds(coupling, block, first, end, share, free_nodes, free_velocities)
+        write_block(positions[block], nodes[first:end])
+        write_block(velocities[block], node_velocities[first:end])
 
 
 class BatchEngine:
@@ -113,9 +110,9 @@ class BatchEngine:
         positions[going], velocities[going] = self._body.get_state(going)
         diverged |= ~self._body.finite
 
-    def advance_blocks(self, first: int, end: int, coupling: Any, steps: int, share: float) -> None:
+    def run_block(self, block: int, coupling: Any, steps: int, share: float) -> None:
         """See `engine.BlockEngine`."""
-        advance_blocks(first, end, self._body.blocks, coupling, steps, share)
+        run_block(block, self._body.blocks, coupling, steps, share)
 
     def halt(self, positions: FloatArray, worlds: IntArray) -> None:
         """See `engine.Engine`."""

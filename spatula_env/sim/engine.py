@@ -119,12 +119,11 @@ class BlockEngine(Protocol):
 
     lanes: int
 
-    def advance_blocks(self, first: int, end: int, coupling: Any, steps: int, share: float) -> None:
-        """Take the worlds of some blocks through physics steps. Other blocks may be taken at the same time.
+    def run_block(self, block: int, coupling: Any, steps: int, share: float) -> None:
+        """Take the worlds of a block through physics steps. Other blocks may be taken at the same time.
 
         Args:
-            first: Index of the first block.
-            end: Index after the last one.
+            block: Index of the block.
             coupling: `step.Coupling` of the worlds, for `step.couple_worlds`, which follows each step of the engine.
             steps: How many physics steps.
             share: Of the control step that one of them is.

@@ -253,7 +253,7 @@ class Simulation:
         count = int(result[contact_step.CONTACT_COUNT])
         return Report(
             scene=scene,
-            motions=self._motions(),
+            motions=Motions(*(values[0].copy() for values in worlds.last[:6])),
             loads=wrenches[:-1],
             nodal_impulses=worlds.last.impulses[0].copy(),
             ground_force=-wrenches[-1, :3],
@@ -265,18 +265,6 @@ class Simulation:
             reach=float(contact.settings[contact_step.MEAN_EDGE]),
             crossings=int(result[contact_step.CROSSINGS]),
             crossed_for=float(result[contact_step.CROSSED_FOR]),
-        )
-
-    def _motions(self) -> Motions:
-        """How the tools moved in the last step."""
-        last = self.worlds.last
-        return Motions(
-            last.start_positions[0].copy(),
-            last.start_orientations[0].copy(),
-            last.positions[0].copy(),
-            last.orientations[0].copy(),
-            last.linear[0].copy(),
-            last.angular[0].copy(),
         )
 
     def pressures(self) -> Pressures:

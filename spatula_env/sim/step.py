@@ -90,6 +90,8 @@ class Sums(NamedTuple):
 class LastStep(NamedTuple):
     """How the last step went of the world of each of B blocks that came last: of the only one, where blocks have one.
 
+    The first six are the fields of `contact.model.Motions`.
+
     Attributes:
         start_positions: (B, N, 3) of the tools [u].
         start_orientations: (B, N, 4).
@@ -267,30 +269,22 @@ def couple_worlds(
 
 # Compiled when first called: what a coupling is made of is told by what it holds.
 @kernel(nogil=True)
-def couple_blocks(
-    first_block: int,
-    end_block: int,
-    lanes: int,
-    coupling: Any,
-    share: float,
-    free_nodes: np.ndarray,
-    free_velocities: np.ndarray,
+def couple_block(
+    block: int, lanes: int, coupling: Any, share: float, free_nodes: np.ndarray, free_velocities: np.ndarray
 ) -> None:
-    """Finish a physics step in the worlds of some blocks of so many lanes; see `couple_worlds`.
+    """Finish a physics step in the worlds of a block of so many lanes; see `couple_worlds`.
 
     Args:
-        first_block: Index of the first block.
-        end_block: Index after the last one.
+        block: Index of the block.
         lanes: Worlds in a block.
         coupling: See there.
         share: See there.
         free_nodes: (W, V, 3) of all worlds, without contact [u].
         free_velocities: (W, V, 3) [u/s].
     """
-    for block in range(first_block, end_block):
-        first = block * lanes
-        end = min(first + lanes, free_nodes.shape[0])
-        couple_worlds(coupling, block, first, end, share, free_nodes[first:end], free_velocities[first:end])
+    first = block * lanes
+    end = min(first + lanes, free_nodes.shape[0])
+    couple_worlds(coupling, block, first, end, share, free_nodes[first:end], free_velocities[first:end])
 
 
 @kernel(nogil=True)

@@ -250,11 +250,11 @@ class Worlds:
         first = np.arange(1 if self._collisions is None else count)
         self._rest = np.repeat(vertices[None], count, axis=0)
         self._set_nodes(first, self._rest[first], np.zeros_like(self._rest[first]), (None,) * len(first))
-        speeds = self._come_to_rest(first, ":")
+        speeds, moving = self._come_to_rest(first, ":")
         self._rest[:] = self.state.nodes[:1]
         self._rest_inner = list(self.engine.save(first[:1]) * count)
         volumes = self._volumes.measure(self._rest[:1])[0]
-        warn_of_rest(scene, self._rest[0], volumes, self._volumes.initial, None if speeds is None else speeds[0])
+        warn_of_rest(scene, self._rest[0], volumes, self._volumes.initial, speeds[0] if moving[0] else None)
         self.reset()
 
     def _equip(self, tools: Sequence[PlacedTool]) -> None:
@@ -272,9 +272,9 @@ class Worlds:
             memories = [
                 Memory(len(placed.tool.nodes), room) for placed, row in zip(tools, rooms, strict=True) for room in row
             ]
-            keeps_apart = self.contact == "flags" and self._first_step != "off"
+            apart = self.contact == "flags"
             self.contacts.append(
-                World(scene, shapes, memories, surfaces, self._skin, inverse_masses[w], workspace, keeps_apart)
+                World(scene, shapes, memories, surfaces, self._skin, inverse_masses[w], workspace, apart)
             )
             self.contacts[w].friction[:] = [placed.friction for placed in tools]
         nodes, (_, tool_count, _) = self.state.nodes.shape[1:], self.state.tool_positions.shape
@@ -448,21 +448,20 @@ class Worlds:
         before = self.save()
         self.reset(indices)
         try:
-            speeds = self._come_to_rest(indices, " in worlds {worlds}: in world {world}")
+            speeds, moving = self._come_to_rest(indices, " in worlds {worlds}: in world {world}")
             self._rest[indices] = self.state.nodes[indices]
             for w, inner in zip(indices.tolist(), self.engine.save(indices), strict=True):
                 self._rest_inner[w] = inner
         finally:
             self.restore(before)
         self.reset(indices)
-        if speeds is not None:
-            moving = np.flatnonzero(speeds.max(axis=1))
+        if moving.any():
             warn(
-                f"the organs of {len(moving)} of {len(indices)} worlds, world {indices[moving[0]]} the first, have not "
-                f"come to rest: they still moved at up to {speeds.max():.2g} u/s when settling was ended"
+                f"the organs of {moving.sum()} of {len(indices)} worlds, world {indices[moving][0]} the first, have "
+                f"not come to rest: they still moved at up to {speeds[moving].max():.2g} u/s when settling was ended"
             )
 
-    def _come_to_rest(self, indices: IntArray, where: str) -> FloatArray | None:
+    def _come_to_rest(self, indices: IntArray, where: str) -> tuple[FloatArray, BoolArray]:
         """Let the organs of some worlds (n,) come to rest on the ground, from where they are.
 
         Kinetic damping: whenever the kinetic energy has passed a maximum, all velocities are set to zero. That takes
@@ -473,7 +472,7 @@ class Worlds:
             where: To go into an error, with the fields `worlds` and `world`.
 
         Returns:
-            (n, V) at which nodes still moved when settling was ended, in worlds where they did [u/s]; None if nowhere.
+            (n, V) how fast nodes moved when settling was ended [u/s], and (n,) whether they had not come to rest.
 
         Raises:
             SimulationDiverged: If organs do not come to rest.
@@ -484,7 +483,6 @@ class Worlds:
         # The others wait meanwhile.
         waiting = np.setdiff1d(np.arange(self.count), indices)
         state.diverged[waiting] = True
-        speeds = None
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
             self._advance(1, 1.0, with_tools=False)
             self._check_settling(indices[state.diverged[indices]], where)
@@ -499,11 +497,9 @@ class Worlds:
             self.engine.halt(state.nodes[stopped], stopped)
             energy[past] = 0.0
             energy_before = energy
-        else:
-            speeds = np.abs(state.velocities[indices]).max(axis=2) * ~settled[:, None]
         self._check_settling(indices[self._volumes.collapsed(state.nodes[indices]).any(axis=1)], where)
         state.diverged[waiting] = False
-        return speeds
+        return np.abs(state.velocities[indices]).max(axis=2), ~settled
 
     def _check_settling(self, bad: IntArray, where: str) -> None:
         """Give settling up if something has gone wrong in some worlds."""
@@ -741,7 +737,7 @@ class Worlds:
             engine = self._blocks
 
             def work(block: int) -> None:
-                engine.advance_blocks(block, block + 1, coupling, steps, share)
+                engine.run_block(block, coupling, steps, share)
 
         else:
             free_nodes, free_velocities = state.nodes.copy(), state.velocities.copy()
@@ -750,7 +746,7 @@ class Worlds:
             self.engine.advance(free_nodes, free_velocities, state.diverged)
 
             def work(block: int) -> None:
-                step.couple_blocks(block, block + 1, lanes, coupling, share, free_nodes, free_velocities)
+                step.couple_block(block, lanes, coupling, share, free_nodes, free_velocities)
 
         going = range(-(-self.count // lanes))
         if state.diverged.any():
