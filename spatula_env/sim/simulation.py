@@ -13,6 +13,7 @@ from spatula_env.contact.flags import Contacts
 from spatula_env.contact.model import ContactMemory, Motions, Pressures
 from spatula_env.contact.pressure import contact_table
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
+from spatula_env.sim.engine import ContactName
 from spatula_env.sim.report import Report
 from spatula_env.sim.worlds import NO_COPY, SimulationDiverged, WorldMemory, Worlds, WorldsState
 
@@ -24,9 +25,9 @@ if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray
     from spatula_env.contact.flags import FirstStep
     from spatula_env.scenes import PlacedTool, Scene
-    from spatula_env.sim.engine import ContactName, Precision
+    from spatula_env.sim.engine import Precision
 
-__all__ = ["Simulation", "SimulationDiverged", "SimulationState"]
+__all__ = ["ContactName", "Simulation", "SimulationDiverged", "SimulationState"]
 
 
 @dataclass(frozen=True)
