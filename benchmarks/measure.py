@@ -7,41 +7,15 @@ import json
 import os
 import platform
 import sys
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-import numpy as np
-
 from spatula_env.engines import bullet_hint, bullet_is_there, bullet_version
 
 Name = TypeVar("Name", bound=str)
-
-
-def median_microseconds(call: Callable[[], object], repeats: int, before: Callable[[], object] | None = None) -> float:
-    """The median time of a call.
-
-    Args:
-        call: What is timed.
-        repeats: How often; some more calls come first and do not count.
-        before: Called before each, untimed.
-
-    Returns:
-        Median [us].
-    """
-    times = []
-    for index in range(repeats + max(repeats // 10, 3)):
-        if before is not None:
-            before()
-        start = time.perf_counter_ns()
-        call()
-        elapsed = time.perf_counter_ns() - start
-        if index >= max(repeats // 10, 3):
-            times.append(elapsed)
-    return float(np.median(times)) / 1e3
 
 
 def machine() -> dict[str, Any]:

@@ -58,7 +58,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Episodes:
-    """What came of some episodes.
+    """The result of some episodes.
 
     Attributes:
         success: Whether each succeeded.

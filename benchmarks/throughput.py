@@ -150,7 +150,7 @@ class Side(Protocol):
 
 @dataclass(frozen=True)
 class Timing:
-    """What came of a side's turns.
+    """The result of a side's turns.
 
     Attributes:
         side: Whose.

@@ -1,4 +1,4 @@
-"""What came of the tests in all environments: `python scripts/summarize_tests.py FOLDER`, from pytest's files in it.
+"""The results of the tests in all environments: `python scripts/summarize_tests.py FOLDER`, from pytest's files in it.
 
 A test counts as skipped only if no environment has run it.
 """

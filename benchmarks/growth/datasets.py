@@ -60,7 +60,7 @@ def episodes_of(env: Any, played: list[Played], first: int = 0) -> Iterator[data
 
     Args:
         env: That was played in.
-        played: What came of it.
+        played: The result.
         first: Seed of the first.
     """
     recorder = data.EpisodeRecorder(env, states=False)

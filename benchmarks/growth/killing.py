@@ -39,7 +39,7 @@ LONGEST_WAIT = 0.3
 
 @dataclass(frozen=True)
 class Killing:
-    """What came of it.
+    """The result.
 
     Attributes:
         kills: How many programs were killed.

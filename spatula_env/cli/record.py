@@ -197,7 +197,7 @@ def _on_page(chosen: argparse.Namespace) -> RecordingSummary:
 
 
 def _report(chosen: argparse.Namespace, summary: RecordingSummary) -> int:
-    """Tell what came of it; returns the exit status."""
+    """Tell the result; returns the exit status."""
     if chosen.json:
         result = asdict(summary)
         print_json({"dataset": result.pop("dataset_id"), **result})

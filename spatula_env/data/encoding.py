@@ -22,8 +22,6 @@ ONE_CHUNK = 1 << 20
 """Arrays up to this size are one chunk, longer ones several of about this size [bytes]."""
 FORMAT = "v110"
 """The oldest HDF5 that reads the files. Older formats need half as much again for short episodes."""
-LARGEST_ATTRIBUTE = 1 << 15
-"""Of which HDF5 takes somewhat more [bytes]."""
 LEAF = "value"
 """What a value is called that has the name of a group: an `info` with both "reward" and "reward/term"."""
 

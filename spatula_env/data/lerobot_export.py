@@ -3,7 +3,7 @@
 LeRobot needs Python 3.12 or later and a torch of its own choice, so it wants an environment of its own; what is
 exported needs no physics there.
 
-Frame t of an episode has observation t, action t, and what came of that action: reward, whether the episode is over,
+Frame t of an episode has observation t, action t, and the results of that action: reward, whether the episode is over,
 whether the goal has been reached. The last observation of an episode, on which nobody acted, is not in there.
 """
 

@@ -71,7 +71,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What came of an episode.
+    """The result of an episode.
 
     Attributes:
         task: The environment's id.
@@ -118,7 +118,7 @@ def run_episode(actor: Actor, *, seed: int = 0, size: int = 360, stride: int = 2
         stride: Control steps between two pictures.
 
     Returns:
-        What came of it.
+        The result.
     """
     # The module's name before the colon makes Gymnasium import it, which registers the task.
     env = gymnasium.make(

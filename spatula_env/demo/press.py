@@ -88,7 +88,7 @@ class Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class PressResult:
-    """What came of a case. Lengths are in u, forces in N; `force_scale` leads back to scene units.
+    """The result of a case. Lengths are in u, forces in N; `force_scale` leads back to scene units.
 
     "The last steps" are the last `WINDOW` ones. The residual is the height of the organ's surface over the tool's
     lower face, measured in every fifth of them with vertical rays from above over the tool's footprint; where a ray

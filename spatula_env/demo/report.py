@@ -116,7 +116,7 @@ def as_document(
 
     Args:
         results: Of the comparison.
-        episode: What came of the episode, if there was one.
+        episode: The result of the episode, if there was one.
         pictures: Names of the files beside this one.
     """
     scene = scenes.seed()

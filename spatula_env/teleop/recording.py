@@ -27,7 +27,7 @@ TRACK_TIME = 300.0
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What came of a recording.
+    """The result of a recording.
 
     Attributes:
         dataset_id: Of the dataset.
@@ -100,7 +100,7 @@ def record(
         **teleop: For `FalconTeleop`: mode, intervention ….
 
     Returns:
-        What came of it. When the device is lost, the episode that was running is lost with it and nothing else.
+        The result. When the device is lost, the episode that was running is lost with it and nothing else.
 
     Raises:
         ImportError: If Minari is missing.
@@ -181,7 +181,7 @@ def record_into(
         after_step: Called after every reset and step.
 
     Returns:
-        What came of it.
+        The result.
 
     Raises:
         DatasetWriteError: If an episode could not be written; those before it are intact.

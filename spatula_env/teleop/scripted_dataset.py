@@ -73,7 +73,7 @@ HANDS: Mapping[str, Hand] = MappingProxyType(
 
 @dataclass(frozen=True)
 class ScriptedDataset:
-    """What came of making a dataset.
+    """The result of making a dataset.
 
     Attributes:
         recording: See `RecordingSummary`; nothing was recorded if all episodes were there already.

@@ -163,11 +163,12 @@ def test_an_actor_that_has_imitated_explores_little():
 def test_a_clone_of_the_expert_is_better_than_chance(tmp_path, capsys):
     file = tmp_path / "press_sac.yaml"
     file.write_text(
-        f"environment: {{id: {PRESS}, parts: [tool_position, contact_force, contact_depth, error, goal]}}\n"
+        f"environment: {{id: {PRESS}, kwargs: {{max_episode_steps: 60}}, "
+        "parts: [tool_position, contact_force, contact_depth, error, goal]}\n"
         "algorithm: sac\nhyperparameters: {buffer_size: 1}\nnetwork: {layers: [64, 64]}\n"
     )
     arguments = ["--config", str(file), "--expert", "6", "--gradient-steps", "1500", "--output", str(tmp_path / "run")]
-    assert main([*arguments, "--rounds", "1"]) == 0
+    assert main([*arguments, "--rounds", "1", "--noise", "0.1"]) == 0
     told = capsys.readouterr().out
     assert "6 demonstrations" in told
     assert "round 1: " in told

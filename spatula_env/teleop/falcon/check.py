@@ -73,7 +73,7 @@ class CheckStep:
     Attributes:
         name: ``"found"``, ``"firmware"``, ``"packets"``, ``"homed"``, ``"frames"`` or ``"force"``.
         passed: Whether it went well; None if it was left out.
-        message: What came of it, for the operator.
+        message: The result, for the operator.
     """
 
     name: str

@@ -32,7 +32,7 @@ HANG = "Hang the weight of {grams:g} g to the grip now, and let it come to rest.
 
 @dataclass(frozen=True)
 class Weighing:
-    """What came of it.
+    """The result of weighing.
 
     Attributes:
         grip: What the motors were asked for to bear the grip alone [N].

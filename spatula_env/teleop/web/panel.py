@@ -58,7 +58,6 @@ class Panel:
         self._roles: tuple[str, ...] = ()
         self._buttons: tuple[tuple[str, str], ...] = ()
         self._reading = Reading(0.0, 0.0, 0.0)
-        self._opening_set = 0.0
         self._write()
         self._measure()
 
