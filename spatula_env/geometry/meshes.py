@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,12 @@ def seed_sphere(radius: float = 3.0, node_count: int = 328) -> Organ:
     """
     check_positive(radius, "radius")
     check_count(node_count, "node_count", 4)
+    return _seed_sphere(float(radius), int(node_count))
+
+
+@lru_cache(maxsize=8)
+def _seed_sphere(radius: float, node_count: int) -> Organ:
+    """`seed_sphere`, kept: its hull takes longer than all else of a scene that is made, and scenes are made again."""
     index = np.arange(node_count)
     mirrored = np.zeros(node_count)
     for bit in range(int(node_count - 1).bit_length()):
