@@ -160,11 +160,12 @@ def test_clients_that_are_held_are_counted() -> None:
 
 
 @pytest.mark.parametrize("engine", [pytest.param("bullet", marks=pytest.mark.bullet), "batch"])
-def test_memory_is_watched(engine: str) -> None:
-    steps = 20 if engine == "bullet" else 640
+def test_memory_is_watched(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory, "SAMPLES", 5)
+    steps = 10 if engine == "bullet" else 320
     found = memory.run_long(engine, steps, show=False)
     assert found.steps == steps
-    assert len(found.memory) == (20 if engine == "bullet" else 10)
+    assert len(found.memory) == 5
     assert found.growth == pytest.approx(found.memory[-1] - found.memory[max(len(found.memory) // 10 - 1, 0)])
     assert found.peak_growth >= found.growth
     assert memory.LongRun(1, [1.0], 5.0, 6.0, 1.0).passed

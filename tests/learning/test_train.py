@@ -86,6 +86,25 @@ def _short_evaluations(monkeypatch):
     monkeypatch.setattr(Plan, "make", make_short)
 
 
+@pytest.fixture(scope="module")
+def demonstrations():
+    """What experts have shown in the tests of this file, by what was asked for."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def _demonstrations_are_made_once(demonstrations, monkeypatch):
+    collect = training.collect_successes
+
+    def collect_once(plan, **asked):
+        key = (repr(plan), repr(asked))
+        if key not in demonstrations:
+            demonstrations[key] = collect(plan, **asked)
+        return demonstrations[key]
+
+    monkeypatch.setattr(training, "collect_successes", collect_once)
+
+
 QUIET = ProgressView(quiet=True)
 
 
@@ -193,7 +212,7 @@ def test_all_random_numbers_go_on_where_they_were(tmp_path):
 
 
 def test_a_run_that_was_killed_goes_on(tmp_path):
-    config = small(total_steps=600, checkpoint_every=100, evaluation={"every": 80, "episodes": 1})
+    config = small(total_steps=480, checkpoint_every=80, evaluation={"every": 80, "episodes": 1})
     file, output = tmp_path / "config.yaml", tmp_path / "run"
     from spatula_env.learning.configuration import write_training
 
@@ -209,14 +228,14 @@ def test_a_run_that_was_killed_goes_on(tmp_path):
         process.wait()
     folder = output / "seed-0"
     reached = int(checkpoints_in(folder / "checkpoints")[-1].name.partition("-")[2])
-    assert 0 < reached < 600
+    assert 0 < reached < 480
     problems = readable(output)
     assert len(problems) > 8
     assert {str(file): problem for file, problem in problems.items() if problem} == {}
     assert find_saved(output).name == "best"
     assert command.main(["--resume", str(output), "--quiet"]) == 0
     summary = json.loads((output / "summary.json").read_text())
-    final = 600
+    final = 480
     assert summary["steps"] == [final]
     curve = [line["step"] for line in read_curve(folder / "curve.jsonl")]
     assert curve == sorted({*range(80, final + 1, 80), final})
