@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import warnings
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from spatula_env.learning import demonstrations
+from spatula_env.learning import cloning, demonstrations
 from spatula_env.learning.cloning import clone
 from spatula_env.learning.commands.clone import main
 from spatula_env.learning.configuration import training_from_mapping
@@ -160,11 +161,13 @@ def test_an_actor_that_has_imitated_explores_little():
     np.testing.assert_allclose(log_std.exp().detach(), 0.2, rtol=1e-5)
 
 
-def test_a_clone_of_the_expert_is_better_than_chance(tmp_path, capsys):
+def test_a_clone_of_the_expert_is_better_than_chance(tmp_path, capsys, monkeypatch):
+    # By then the expert has pressed.
+    monkeypatch.setattr(demonstrations, "collect_successes", partial(collect_successes, num_envs=6, steps=60))
+    monkeypatch.setattr(cloning, "collect", partial(collect, steps=60))
     file = tmp_path / "press_sac.yaml"
     file.write_text(
-        f"environment: {{id: {PRESS}, kwargs: {{max_episode_steps: 60}}, "
-        "parts: [tool_position, contact_force, contact_depth, error, goal]}\n"
+        f"environment: {{id: {PRESS}, parts: [tool_position, contact_force, contact_depth, error, goal]}}\n"
         "algorithm: sac\nhyperparameters: {buffer_size: 1}\nnetwork: {layers: [64, 64]}\n"
     )
     arguments = ["--config", str(file), "--expert", "6", "--gradient-steps", "1500", "--output", str(tmp_path / "run")]
