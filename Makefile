@@ -62,8 +62,9 @@ test-all:  ## All of the above, then what was skipped in all of them, and why
 
 RESULTS := build/test-results
 
-# $(1): the folder of the interpreter. What came of each test is written into a file with the name of the target.
-pytest = $(THREADS) $(1)/python -m pytest -rs --junitxml=$(RESULTS)/$@.xml
+# $(1): the folder of the interpreter. The result of each test is written into a file with the name of the target.
+# Python keeps what it has compiled, for the many processes that tests start, whatever is said outside.
+pytest = PYTHONDONTWRITEBYTECODE= $(THREADS) $(1)/python -m pytest -rs --junitxml=$(RESULTS)/$@.xml
 
 check: setup-test  ## Set up, then lint, check the format, the types and the spelling
 	$(BIN)/ruff check
