@@ -13,6 +13,7 @@ from spatula_env.cli.common import new_parser
 
 if TYPE_CHECKING:
     from spatula_env.cli.common import Parsers
+    from spatula_env.sim.engine import ContactName
 
 
 def add_parser(commands: Parsers) -> None:
@@ -113,8 +114,9 @@ def _simulation() -> None:
         simulation.step()
         simulation.pressures()
         simulation.close()
-    if bullet_is_there():
-        simulation = Simulation(scenes.seed(), engine="bullet")
+    contacts: tuple[ContactName, ...] = ("flags", "bullet")
+    for contact in contacts if bullet_is_there() else ():
+        simulation = Simulation(scenes.seed(), engine="bullet", contact=contact)
         simulation.step()
         simulation.close()
 

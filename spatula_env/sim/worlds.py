@@ -277,6 +277,9 @@ class Worlds:
                 World(scene, shapes, memories, surfaces, self._skin, inverse_masses[w], workspace, apart)
             )
             self.contacts[w].friction[:] = [placed.friction for placed in tools]
+        if self.engine.abilities.varies:
+            for contact, gravity in zip(self.contacts, cast("VaryingEngine", self.engine).gravity, strict=True):
+                contact.settings[contact_step.GRAVITY] = gravity
         nodes, (_, tool_count, _) = self.state.nodes.shape[1:], self.state.tool_positions.shape
         most_nodes, most_faces = (
             max(len(getattr(placed.tool, name)) for placed in tools) for name in ("nodes", "face_normals")

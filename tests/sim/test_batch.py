@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -346,6 +348,26 @@ def test_bad_input_is_named_and_changes_nothing(batch, call, message):
         before, (batch.nodes, batch.tool_positions, batch.tool_orientations, batch.times), strict=True
     ):
         np.testing.assert_array_equal(kept, now)
+
+
+def test_tools_that_are_exchanged_leave_parameters_as_they_are():
+    shown = []
+    for exchanges_first in (False, True):
+        worlds = BatchSimulation(SCENE, 2)
+        small = [replace(placed, tool=placed.tool.scaled(0.8)) for placed in SCENE.tools]
+        if exchanges_first:
+            worlds.exchange_tools(small)
+        worlds.set_parameters(gravity=[4.0, 12.0], mass_scale=[0.5, 2.0])
+        if not exchanges_first:
+            worlds.exchange_tools(small)
+        worlds.place_tools(np.tile([0.0, 0.0, 6.2], (2, 1, 1)))
+        loads = worlds.advance(np.tile([0.3, 0.0, -5.0], (2, 1, 1)), steps=60)
+        ledgers = [memory.ledger for memory in worlds.save().memories]
+        shown.append((worlds.nodes, loads.forces, ledgers))
+    for one, other in zip(*shown, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert shown[0][1][0, 0, 2] > 0.0
+    assert shown[0][1][0, 0, 2] != shown[0][1][1, 0, 2]
 
 
 @pytest.mark.parametrize(
