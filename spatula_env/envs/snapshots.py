@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env.envs.indices import indices_below
-from spatula_env.sim.simulation import SimulationState
-from spatula_env.sim.worlds import Worlds, WorldsState
+from spatula_env.sim.states import SimulationState, WorldsState
+from spatula_env.sim.worlds import Worlds
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.sim.worlds import WorldMemory, Worlds, WorldsState
+from spatula_env.sim.states import WorldMemory, WorldsState
+from spatula_env.sim.worlds import Worlds
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spatula_env.contact import step as contact_step
 from spatula_env.contact.flags import Contacts
-from spatula_env.contact.model import ContactMemory, Motions, Pressures
+from spatula_env.contact.model import Motions, Pressures
 from spatula_env.contact.pressure import contact_table
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.engine import ContactName
 from spatula_env.sim.report import Report
-from spatula_env.sim.worlds import NO_COPY, SimulationDiverged, WorldMemory, Worlds, WorldsState
+from spatula_env.sim.states import SimulationState
+from spatula_env.sim.worlds import NO_COPY, SimulationDiverged, Worlds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,78 +29,6 @@ if TYPE_CHECKING:
     from spatula_env.sim.engine import Precision
 
 __all__ = ["ContactName", "Simulation", "SimulationDiverged", "SimulationState"]
-
-
-@dataclass(frozen=True)
-class SimulationState:
-    """All that decides how a simulation goes on; made by `Simulation.save`.
-
-    Attributes:
-        nodes: (V, 3) [u].
-        node_velocities: (V, 3) [u/s].
-        tool_positions: (N, 3) of the N tools [u].
-        tool_orientations: (N, 4).
-        contact: What the contact model remembers, and the forces of the last step.
-        time: [s].
-        inner: What the engine has beside the surface nodes; None where it has nothing.
-    """
-
-    nodes: FloatArray
-    node_velocities: FloatArray
-    tool_positions: FloatArray
-    tool_orientations: FloatArray
-    contact: ContactMemory
-    time: float
-    inner: Any = None
-
-    @classmethod
-    def of_world(cls, state: WorldsState, world: int = 0) -> SimulationState:
-        """The state of one of n worlds, from that of all of them."""
-        memory, tools = state.memories[world], len(state.tool_positions[world])
-        organs = len(memory.flags) // tools
-        forces = state.tool_forces[world]
-        return cls(
-            nodes=state.nodes[world],
-            node_velocities=state.node_velocities[world],
-            tool_positions=state.tool_positions[world],
-            tool_orientations=state.tool_orientations[world],
-            contact=ContactMemory(
-                flags=tuple(memory.flags[k : k + organs] for k in range(0, tools * organs, organs)),
-                multipliers=memory.multipliers,
-                ledger=memory.ledger,
-                wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
-                near=memory.near,
-            ),
-            time=float(state.times[world]),
-            inner=None if state.inner is None else state.inner[world],
-        )
-
-    @staticmethod
-    def joined(states: Sequence[SimulationState]) -> WorldsState:
-        """The state of n worlds, from those of each."""
-        return WorldsState(
-            nodes=np.stack([state.nodes for state in states]),
-            node_velocities=np.stack([state.node_velocities for state in states]),
-            tool_positions=np.stack([state.tool_positions for state in states]),
-            tool_orientations=np.stack([state.tool_orientations for state in states]),
-            tool_forces=np.stack([state.contact.wrenches[:, :3] for state in states]),
-            times=np.array([state.time for state in states]),
-            memories=tuple(
-                WorldMemory(
-                    flags=tuple(flags for row in state.contact.flags for flags in row),
-                    multipliers=state.contact.multipliers,
-                    ledger=state.contact.ledger,
-                    near=state.contact.near,
-                )
-                for state in states
-            ),
-            inner=tuple(state.inner for state in states),
-        )
-
-    @property
-    def flags(self) -> tuple[tuple[NDArray[np.bool_], ...], ...]:
-        """Contact flags of each tool (outer) and organ (inner)."""
-        return self.contact.flags
 
 
 class Simulation:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias, cast, get_args
 
 import numba
@@ -26,6 +26,7 @@ from spatula_env.sim.engine import PRECISIONS, BlockEngine, ContactName, Engine,
 from spatula_env.sim.report import LONGEST_CROSSED
 from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
 from spatula_env.sim.selection import one_each, refuse, rows_of, world_indices
+from spatula_env.sim.states import WorldMemory, WorldsState
 from spatula_env.sim.threads import share_out
 from spatula_env.sim.volumes import Volumes
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from spatula_env.contact.flags import FirstStep
-    from spatula_env.contact.world import Multipliers, NearMemory
     from spatula_env.geometry import Tool
     from spatula_env.scenes import PlacedTool, Scene
     from spatula_env.sim.engine import CollidingEngine, Precision, VaryingEngine
@@ -94,58 +94,6 @@ class Loads:
     restrained: FloatArray
     tangled: BoolArray
     diverged: BoolArray
-
-
-@dataclass(frozen=True)
-class WorldMemory:
-    """What the contact model remembers of one world from step to step.
-
-    Attributes:
-        flags: Of each tool (outer) and organ (inner).
-        multipliers: From which solves start.
-        ledger: Of the energy that the tools put in.
-        near: Of organs that are near themselves or each other.
-    """
-
-    flags: tuple[NDArray[np.bool_], ...]
-    multipliers: Multipliers
-    ledger: FloatArray
-    near: NearMemory
-
-
-@dataclass(frozen=True)
-class WorldsState:
-    """All that decides how n worlds go on; made by `Worlds.save`.
-
-    Attributes:
-        nodes: (n, V, 3) [u].
-        node_velocities: (n, V, 3) [u/s].
-        tool_positions: (n, N, 3) of the N tools [u].
-        tool_orientations: (n, N, 4).
-        tool_forces: (n, N, 3) on each tool in the last physics step [kg u/s2].
-        times: (n,) [s].
-        memories: (n,) of the contact model.
-        inner: (n,) what the engine has beside the surface nodes; None where it has nothing.
-    """
-
-    nodes: FloatArray
-    node_velocities: FloatArray
-    tool_positions: FloatArray
-    tool_orientations: FloatArray
-    tool_forces: FloatArray
-    times: FloatArray
-    memories: tuple[WorldMemory, ...]
-    inner: tuple[Any, ...] | None = None
-
-    def rows(self, rows: IntArray) -> WorldsState:
-        """The states of some of the n worlds, by indices (k,)."""
-        taken: dict[str, Any] = {}
-        for each in fields(self):
-            value = getattr(self, each.name)
-            taken[each.name] = tuple(value[k] for k in rows.tolist()) if isinstance(value, tuple) else value
-            if isinstance(value, np.ndarray):
-                taken[each.name] = value[rows]
-        return WorldsState(**taken)
 
 
 class Worlds:

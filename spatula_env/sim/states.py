@@ -1,0 +1,139 @@
+"""What decides how worlds go on, to be kept and put back: of many worlds together, or of one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from spatula_env.contact.model import ContactMemory
+
+if TYPE_CHECKING:
+    from spatula_env.arrays import BoolArray, FloatArray, IntArray
+    from spatula_env.contact.world import Multipliers, NearMemory
+
+
+@dataclass(frozen=True)
+class WorldMemory:
+    """What the contact model remembers of one world from step to step.
+
+    Attributes:
+        flags: Of each tool (outer) and organ (inner).
+        multipliers: From which solves start.
+        ledger: Of the energy that the tools put in.
+        near: Of organs that are near themselves or each other.
+    """
+
+    flags: tuple[BoolArray, ...]
+    multipliers: Multipliers
+    ledger: FloatArray
+    near: NearMemory
+
+
+@dataclass(frozen=True)
+class WorldsState:
+    """All that decides how n worlds go on; made by `Worlds.save`.
+
+    Attributes:
+        nodes: (n, V, 3) [u].
+        node_velocities: (n, V, 3) [u/s].
+        tool_positions: (n, N, 3) of the N tools [u].
+        tool_orientations: (n, N, 4).
+        tool_forces: (n, N, 3) on each tool in the last physics step [kg u/s2].
+        times: (n,) [s].
+        memories: (n,) of the contact model.
+        inner: (n,) what the engine has beside the surface nodes; None where it has nothing.
+    """
+
+    nodes: FloatArray
+    node_velocities: FloatArray
+    tool_positions: FloatArray
+    tool_orientations: FloatArray
+    tool_forces: FloatArray
+    times: FloatArray
+    memories: tuple[WorldMemory, ...]
+    inner: tuple[Any, ...] | None = None
+
+    def rows(self, rows: IntArray) -> WorldsState:
+        """The states of some of the n worlds, by indices (k,)."""
+        taken: dict[str, Any] = {}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            taken[each.name] = tuple(value[k] for k in rows.tolist()) if isinstance(value, tuple) else value
+            if isinstance(value, np.ndarray):
+                taken[each.name] = value[rows]
+        return WorldsState(**taken)
+
+
+@dataclass(frozen=True)
+class SimulationState:
+    """All that decides how a simulation goes on; made by `Simulation.save`.
+
+    Attributes:
+        nodes: (V, 3) [u].
+        node_velocities: (V, 3) [u/s].
+        tool_positions: (N, 3) of the N tools [u].
+        tool_orientations: (N, 4).
+        contact: What the contact model remembers, and the forces of the last step.
+        time: [s].
+        inner: What the engine has beside the surface nodes; None where it has nothing.
+    """
+
+    nodes: FloatArray
+    node_velocities: FloatArray
+    tool_positions: FloatArray
+    tool_orientations: FloatArray
+    contact: ContactMemory
+    time: float
+    inner: Any = None
+
+    @classmethod
+    def of_world(cls, state: WorldsState, world: int = 0) -> SimulationState:
+        """The state of one of n worlds, from that of all of them."""
+        memory, tools = state.memories[world], len(state.tool_positions[world])
+        organs = len(memory.flags) // tools
+        forces = state.tool_forces[world]
+        return cls(
+            nodes=state.nodes[world],
+            node_velocities=state.node_velocities[world],
+            tool_positions=state.tool_positions[world],
+            tool_orientations=state.tool_orientations[world],
+            contact=ContactMemory(
+                flags=tuple(memory.flags[k : k + organs] for k in range(0, tools * organs, organs)),
+                multipliers=memory.multipliers,
+                ledger=memory.ledger,
+                wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
+                near=memory.near,
+            ),
+            time=float(state.times[world]),
+            inner=None if state.inner is None else state.inner[world],
+        )
+
+    @staticmethod
+    def joined(states: Sequence[SimulationState]) -> WorldsState:
+        """The state of n worlds, from those of each."""
+        return WorldsState(
+            nodes=np.stack([state.nodes for state in states]),
+            node_velocities=np.stack([state.node_velocities for state in states]),
+            tool_positions=np.stack([state.tool_positions for state in states]),
+            tool_orientations=np.stack([state.tool_orientations for state in states]),
+            tool_forces=np.stack([state.contact.wrenches[:, :3] for state in states]),
+            times=np.array([state.time for state in states]),
+            memories=tuple(
+                WorldMemory(
+                    flags=tuple(flags for row in state.contact.flags for flags in row),
+                    multipliers=state.contact.multipliers,
+                    ledger=state.contact.ledger,
+                    near=state.contact.near,
+                )
+                for state in states
+            ),
+            inner=tuple(state.inner for state in states),
+        )
+
+    @property
+    def flags(self) -> tuple[tuple[BoolArray, ...], ...]:
+        """Contact flags of each tool (outer) and organ (inner)."""
+        return self.contact.flags
