@@ -20,7 +20,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 
 class KernelCache(FunctionCache):
-    """What is kept of one kernel."""
+    """The cache of one kernel."""
 
     def __init__(self, function: Callable[..., object]) -> None:
         """Find what there is.
@@ -36,7 +36,7 @@ class KernelCache(FunctionCache):
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was compiled for a signature, None if there is none, or nothing that can be read; see Numba."""
+        """The code compiled for a signature; None if there is none, or none that can be read. See Numba."""
         try:
             return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         # What is damaged, after a power cut for example, is read as bytes of anything: it may raise whatever it likes.

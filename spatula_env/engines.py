@@ -122,7 +122,7 @@ def import_bullet(wanted: str) -> Any:
 
 
 def bullet_hint() -> str:
-    """What to do to have PyBullet here: a sentence."""
+    """How to install PyBullet here, as a sentence."""
     found = bullet_distribution()
     if found is None:
         return (

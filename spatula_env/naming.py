@@ -98,7 +98,7 @@ def task_name(env_id: str) -> str:
 
 
 def find_spec(env_id: str) -> EnvSpec:
-    """What is registered under an id whose module has been imported.
+    """The specification registered under an id whose module has been imported.
 
     Raises:
         gymnasium.error.Error: If there is nothing.
@@ -107,7 +107,7 @@ def find_spec(env_id: str) -> EnvSpec:
 
 
 def vector_spec(env_id: str) -> EnvSpec:
-    """What gymnasium.make_vec makes many worlds of, for an environment of this package or one built on it.
+    """The specification that gymnasium.make_vec takes, for an environment of this package or one built on it.
 
     Args:
         env_id: An id whose module has been imported.

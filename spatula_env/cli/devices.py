@@ -271,7 +271,7 @@ def serve_page(
     Args:
         chosen: The command line, checked by `check_page`.
         recording: How episodes are recorded.
-        progress: Called after each episode with what became of it.
+        progress: Called after each episode with its fate.
         dataset: To which episodes are added; None: the page's own choice.
 
     Returns:

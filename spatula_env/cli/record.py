@@ -60,9 +60,7 @@ def add_parser(commands: Parsers) -> None:
         "--episodes", metavar="N", type=at_least(1), help="how many to add (default: 1; on the page: until Ctrl-C)"
     )
     count.add_argument("--total", metavar="N", type=at_least(1), help="add until the dataset has so many")
-    parser.add_argument(
-        "--attempts", metavar="N", type=at_least(1), help="end after so many tries, whatever came of them"
-    )
+    parser.add_argument("--attempts", metavar="N", type=at_least(1), help="end after so many tries, kept or not")
     parser.add_argument("--drop-failures", action="store_true", help="keep only episodes that reach their goal")
     parser.add_argument("--end-on-success", action="store_true", help="end an episode when its goal is reached")
     parser.add_argument(

@@ -217,7 +217,7 @@ def _check_array(name: str, values: NDArray[Any], shape: tuple[int, ...]) -> Non
 
 
 def _checked_header(header: Any) -> dict[str, Any]:
-    """What a file tells of its policy.
+    """Metadata of a policy's file.
 
     Raises:
         ValueError: If it is something else; says what.

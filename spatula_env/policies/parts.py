@@ -57,14 +57,14 @@ class PartSelection:
         return cls(kept, np.concatenate([np.arange(slices[name].start, slices[name].stop) for name in kept]))
 
     def space(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """What is left of the space of one world's observations."""
+        """Space of the selected parts of one world's observations."""
         if isinstance(space, spaces.Dict):
             return spaces.Dict({**space.spaces, ENTRY: self.space(space.spaces[ENTRY])})
         assert isinstance(space, spaces.Box)
         return spaces.Box(space.low[self.columns], space.high[self.columns], dtype=np.float32)
 
     def __call__(self, observation: Any) -> Any:
-        """What is left of an observation, or of many."""
+        """The selected parts of an observation, or of many."""
         if isinstance(observation, Mapping):
             return {**observation, ENTRY: observation[ENTRY][..., self.columns]}
         return observation[..., self.columns]

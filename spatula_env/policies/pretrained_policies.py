@@ -59,7 +59,7 @@ def load_pretrained(env_id: str) -> ExportedPolicy:
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """What the file beside exported weights says; nothing if there is none.
+    """Metadata in the file beside exported weights; none if there is no such file.
 
     Args:
         path: Of the weights, .npz.

@@ -47,7 +47,7 @@ class PartSpec:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What a task makes of a situation.
+    """A task's judgement of a situation.
 
     Attributes:
         terms: Reward terms before weighting, each (W,); the keys never change.
@@ -237,7 +237,7 @@ class Task(ABC):
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
     ) -> tuple[Mark, ...]:
-        """What shows a goal (G,) in a picture.
+        """Marks that show a goal (G,) in a picture.
 
         Args:
             goal: (G,).

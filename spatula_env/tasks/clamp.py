@@ -50,7 +50,7 @@ class ClampWeights(Weights):
 
 @dataclass(frozen=True)
 class ClampConfig(TaskConfig):
-    """What is asked with a clamp.
+    """Configuration of the clamp's task.
 
     Attributes:
         lift_range: Least and greatest height that the ridge is to be lifted by [m].

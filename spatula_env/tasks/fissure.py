@@ -54,7 +54,7 @@ class FissureWeights(Weights):
 
 @dataclass(frozen=True)
 class FissureConfig(TaskConfig):
-    """What is asked in a fissure.
+    """Configuration of the fissure's task.
 
     Attributes:
         place_limit: The target's middle lies within this distance of the fissure's, along it [m].

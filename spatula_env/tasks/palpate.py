@@ -56,7 +56,7 @@ class PalpateWeights(Weights):
 
 @dataclass(frozen=True)
 class PalpateConfig(TaskConfig):
-    """What is asked in a palpation.
+    """Configuration of a palpation.
 
     Attributes:
         middle_radius: The middle between the path's ends lies within this distance of the organ's axis [m].

@@ -41,7 +41,7 @@ class PressWeights(Weights):
 
 @dataclass(frozen=True)
 class PressConfig(TaskConfig):
-    """What is asked in a press.
+    """Configuration of a press.
 
     Attributes:
         center: Where the middle of goals and starts is, seen from above, from the organ's axis (x, y) [m]. A ring has

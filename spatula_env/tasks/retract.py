@@ -44,7 +44,7 @@ class RetractWeights(Weights):
 
 @dataclass(frozen=True)
 class RetractConfig(TaskConfig):
-    """What is asked in a retraction.
+    """Configuration of a retraction.
 
     Attributes:
         place_limit: The patch's middle lies within this distance of the fold's middle, along the fold [m].

@@ -69,7 +69,7 @@ class FirmwareError(DeviceError):
 
 @dataclass(frozen=True, eq=False)
 class DeviceSample:
-    """What a device measured at one moment.
+    """A device's measurement at one moment.
 
     Attributes:
         kind: ``"position"`` or ``"rate"``.

@@ -87,7 +87,7 @@ def record(
         options: Of every reset.
         policy: What acts while the operator does not.
         keep_failures: Whether episodes that do not reach their goal are added, too.
-        attempts: After so many tries recording ends, whatever came of them; None: it goes on.
+        attempts: After so many tries recording ends, kept or not; None: it goes on.
         end_on_success: Whether reaching the goal ends an episode.
         states: Whether the physics' state is recorded, so that a replay can be checked and shown without physics.
         state_dtype: How precisely; see `EpisodeRecorder`.
@@ -95,7 +95,7 @@ def record(
         description: Of the dataset.
         haptics: Whether what the haptic loop does is recorded at its own rate, in the folder `haptics` of the dataset,
             a file for each episode; see `spatula_env.teleop.haptics.track`.
-        progress: Called after each episode with what became of it, "recorded" or "discarded".
+        progress: Called after each episode with its fate, "recorded" or "discarded".
         after_step: Called with observation and info after every reset and step.
         **teleop: For `FalconTeleop`: mode, intervention ….
 
@@ -252,7 +252,7 @@ def next_seed(writer: DatasetWriter, least: int) -> int:
 
 
 def episode_attributes(env: FalconTeleop, summary: EpisodeSummary) -> dict[str, Any]:
-    """What a dataset tells of an episode beside what happened in it.
+    """Metadata of an episode in a dataset.
 
     Args:
         env: The environment with its device.

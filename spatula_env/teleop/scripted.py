@@ -72,7 +72,7 @@ class Tremor:
 
 
 class _Reaction:
-    """What a policy wants, late and with a tremor."""
+    """A policy's actions, delayed and with a tremor."""
 
     def __init__(
         self, policy: Policy, generator: np.random.Generator | None, delay: float, tremor: float, gain: float

@@ -416,7 +416,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         return rates
 
     def _extra_rates(self, sample: DeviceSample) -> FloatArray:
-        """What turns and opens, fractions of the greatest."""
+        """Rates of rotation and jaws, fractions of the greatest."""
         rates = np.zeros(len(self._extras))
         if isinstance(self.device, HasExtraRates):
             named = self.device.extra_rates()

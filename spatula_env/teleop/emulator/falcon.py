@@ -210,7 +210,7 @@ class FalconEmulator:
 
     @property
     def motor_force(self) -> Point:
-        """What the grip does to the hand now [N]."""
+        """Force of the grip on the hand now [N]."""
         with self._lock:
             self._catch_up()
             return self._motor_force()
@@ -361,7 +361,7 @@ class EmulatedTransport:
 
     @property
     def name(self) -> str:
-        """What to call the device."""
+        """Name of the device."""
         return self._emulator.name
 
     def bulk_write(self, data: bytes, timeout: float) -> int:

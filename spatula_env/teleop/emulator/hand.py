@@ -27,7 +27,7 @@ FREE = (False, False, False)
 
 @dataclass
 class Energies:
-    """What has been exchanged since the beginning [J].
+    """Energies exchanged since the beginning [J].
 
     For an `ElasticHand`: kinetic energy = motors + arm - dissipated - stops, to rounding.
 

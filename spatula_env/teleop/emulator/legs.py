@@ -90,7 +90,7 @@ def is_within_reach(grip: Point) -> bool:
 
 
 def encoder_counts(grip: Point) -> tuple[int, int, int]:
-    """What the encoders count, from their true zeros.
+    """Encoder counts, from their true zeros.
 
     Args:
         grip: The grip's middle [m].
@@ -110,7 +110,7 @@ def encoder_counts(grip: Point) -> tuple[int, int, int]:
 
 
 def grip_force(grip: Point, motors: tuple[int, int, int]) -> Point:
-    """What the grip does to the hand while the motors push.
+    """Force of the grip on the hand while the motors push.
 
     Args:
         grip: The grip's middle [m].

@@ -293,7 +293,7 @@ class Falcon(TeleopDevice):
         self._checked_loop().set_lights(lights)
 
     def state(self) -> ServoState:
-        """What the Falcon said last, in its own frame; also before it is homed.
+        """The Falcon's last answer, in its own frame; also before it is homed.
 
         Returns:
             The state.

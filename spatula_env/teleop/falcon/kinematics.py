@@ -248,7 +248,7 @@ def counts_to_angles(counts: tuple[int, int, int]) -> Vector:
 
 
 def angles_to_counts(angles: Vector) -> tuple[int, int, int]:
-    """What homed encoders count at some angles of the thighs.
+    """Counts of homed encoders at some angles of the thighs.
 
     Args:
         angles: The three angles [rad].

@@ -70,7 +70,7 @@ class PacketError(ValueError):
 
 @dataclass(frozen=True)
 class HostPacket:
-    """What the host asks of the Falcon.
+    """A packet that the host sends.
 
     Attributes:
         motors: Motor counts, each a 16-bit number.
@@ -114,7 +114,7 @@ class HostPacket:
 
 @dataclass(frozen=True)
 class DevicePacket:
-    """What the Falcon answers.
+    """A packet that the Falcon answers with.
 
     Attributes:
         encoders: Encoder counts, each a 16-bit number.

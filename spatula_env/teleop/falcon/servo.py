@@ -42,7 +42,7 @@ ZERO_PACKETS = 3
 
 @dataclass(frozen=True)
 class ServoState:
-    """What the Falcon said last.
+    """The Falcon's last answer.
 
     Attributes:
         time: When [s].
@@ -133,7 +133,7 @@ class ServoLoop:
 
     @property
     def state(self) -> ServoState:
-        """What the Falcon said last."""
+        """The Falcon's last answer."""
         return self._state
 
     def command(self, force: Vector) -> None:

@@ -223,7 +223,7 @@ class HapticDevice(TeleopDevice):
         self._open_runner().keep_track(seconds)
 
     def take_track(self) -> HapticTrack:
-        """What has been kept since the last time; the loop waits meanwhile, so best while there is no force."""
+        """The samples kept since the last call; the loop waits meanwhile, so best while there is no force."""
         return self._open_runner().take_track()
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ class PeriodHistogram:
             self.longest = period
 
     def quantile(self, share: float) -> float:
-        """What a share of the periods does not exceed, to the width of a bin [s]; 0 without any."""
+        """Quantile of the periods, to the width of a bin [s]; 0 without any."""
         wanted, seen = share * self.count, 0
         for index, number in enumerate(self._bins):
             seen += number

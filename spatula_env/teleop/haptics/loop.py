@@ -119,7 +119,7 @@ class HapticLoop:
         self._track = TrackRecorder(round(seconds / PERIOD)) if seconds > 0.0 else None
 
     def take_track(self) -> HapticTrack:
-        """What has been kept since the last time."""
+        """The samples kept since the last call."""
         recorder = self._track if self._track is not None else TrackRecorder(0)
         return recorder.take(self._names)
 

@@ -65,7 +65,7 @@ class EnergyAccount:
         self._trust = 1.0
 
     def allow(self, stored: float, step: float) -> float:
-        """What share of a force may be rendered.
+        """The share of a force that may be rendered.
 
         Args:
             stored: What the organ could give back if all of it were [J].

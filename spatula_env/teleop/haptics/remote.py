@@ -279,7 +279,7 @@ class RemoteLoop(Runner):
 def _serve(
     pipe: Connection, factory: Factory, settings: HapticSettings, exchange: bool, inbox: str, outbox: str
 ) -> None:
-    """What the process does."""
+    """Body of the process."""
     if hasattr(os, "setsid"):
         os.setsid()
     server = _Server(pipe, factory, settings, exchange, Board(CONTACT, inbox), Board(REPORT, outbox))

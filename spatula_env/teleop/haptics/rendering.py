@@ -247,7 +247,7 @@ def _limited(last: Vector, wanted: Vector, most: float) -> Vector:
 
 
 def _across(vector: Vector, normal: Vector) -> Vector:
-    """What of a vector is not along a unit vector."""
+    """The part of a vector that is perpendicular to a unit vector."""
     along = dot(vector, normal)
     return vector[0] - along * normal[0], vector[1] - along * normal[1], vector[2] - along * normal[2]
 

@@ -61,7 +61,7 @@ class Runner(ABC):
     @property
     @abstractmethod
     def force(self) -> Vector:
-        """What the hand was last made to feel [N]."""
+        """The force last rendered to the hand [N]."""
 
     @abstractmethod
     def calibrate(self, progress: Progress | None) -> None:

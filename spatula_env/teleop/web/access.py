@@ -79,7 +79,7 @@ class GuessLimit:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What becomes of a request.
+    """The verdict on a request.
 
     Attributes:
         status: OK to let it in, SEE_OTHER for the token was right, anything else is a refusal: BAD_REQUEST, FORBIDDEN,
@@ -125,7 +125,7 @@ class Doorkeeper:
         self._guesses = GuessLimit(clock)
 
     def address(self, port: int) -> str:
-        """What to open in a browser on this machine, with the token."""
+        """URL to open in a browser on this machine, with the token."""
         host = "127.0.0.1" if self.host in ("", "0.0.0.0") else "::1" if self.host == "::" else self.host
         shown = f"[{host}]" if ":" in host else host
         query = "" if self.token is None else "?" + urlencode({TOKEN: self.token})

@@ -119,7 +119,7 @@ class WebDevice(TeleopDevice):
 
     @property
     def url(self) -> str:
-        """What to open in a browser on this machine, with the token."""
+        """URL to open in a browser on this machine, with the token."""
         return self._opened().url
 
     def open(self) -> None:

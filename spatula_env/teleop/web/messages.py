@@ -113,7 +113,7 @@ class Malformed(ValueError):
 
 
 def read_message(raw: bytes | str) -> Message | None:
-    """What a page has said.
+    """A message from a page.
 
     Args:
         raw: As it came.

@@ -18,7 +18,7 @@ _REPLACING = threading.Lock()
 
 
 class Page:
-    """What browsers open; any number of them, and all see the same.
+    """A page that any number of browsers open; all see the same.
 
     Attributes:
         server: viser's, to put things on the page.

@@ -210,7 +210,7 @@ class PageServer:
             await self._draw(cast("ServerConnection", self._messages.guard(connection)))
 
     async def _listen(self, connection: ServerConnection) -> None:
-        """What a page's script says."""
+        """Take the messages of a page's script."""
         from websockets.exceptions import ConnectionClosed
 
         page = next(self._numbers)
@@ -232,7 +232,7 @@ class PageServer:
 
 
 def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str], bool, int | None] | None:
-    """What a page's script has said.
+    """Read a message of a page's script.
 
     Args:
         word: The message.

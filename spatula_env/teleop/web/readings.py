@@ -22,7 +22,7 @@ ROLE_COLORS = MappingProxyType({"goal": GOAL, "target": MARKER, "caution": CAUTI
 
 @dataclass(frozen=True)
 class Reading:
-    """What is measured at the end of a control step.
+    """Measurements at the end of a control step.
 
     Attributes:
         time: Since the episode began [s].
@@ -77,7 +77,7 @@ def in_words(value: float, unit: str, *, named: bool = True) -> str:
 
 
 def wanted_in_words(criterion: Criterion) -> str:
-    """What a criterion asks for."""
+    """The goal of a criterion, in words."""
     low, high, unit = criterion.low, criterion.high, criterion.unit
     if low == high:
         return in_words(low, unit)
@@ -105,7 +105,7 @@ def criteria_table(reading: Reading) -> str:
 
 
 def colors_in_words(roles: tuple[str, ...]) -> str:
-    """What the colours in the picture stand for, as HTML.
+    """Legend of the colours in the picture, as HTML.
 
     Args:
         roles: Of the marks that are there: "goal", and those of patches.

@@ -36,7 +36,7 @@ class RecordingOptions:
         description: Of the dataset.
         episodes: After so many the page ends; None: it goes on.
         total: It ends when the dataset has so many; None: it goes on.
-        attempts: It ends after so many tries, whatever came of them; None: it goes on.
+        attempts: It ends after so many tries, kept or not; None: it goes on.
         keep_failures: Whether episodes that do not reach their goal are added, too.
         end_on_success: Whether reaching the goal ends an episode.
         states: Whether the physics' state is recorded.
@@ -63,7 +63,7 @@ class RecordingOptions:
 
 
 class PageRecording:
-    """What a page records.
+    """Recording from a page.
 
     Attributes:
         options: How.
@@ -121,7 +121,7 @@ class PageRecording:
         return (self._dataset if own else DATASET).replace("{task}", task_name(env_id))
 
     def summary(self) -> RecordingSummary:
-        """What has come of it, for the dataset of the first task."""
+        """The summary, for the dataset of the first task."""
         name = self.dataset_id(self._first_id)
         return RecordingSummary(
             dataset_id=name,

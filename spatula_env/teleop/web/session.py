@@ -80,7 +80,7 @@ class WebSession:
             real_time: Whether simulated time passes as fast as real time, at most.
             root: Folder of all datasets, if `dataset` is an id; Minari's own by default.
             recording: How episodes are recorded; None: as they come.
-            progress: Called after each episode with what became of it, "recorded", "discarded" or "practice"; by the
+            progress: Called after each episode with its fate, "recorded", "discarded" or "practice"; by the
                 session's thread.
 
         Raises:
@@ -115,7 +115,7 @@ class WebSession:
 
     @property
     def url(self) -> str:
-        """What to open in a browser on this machine, with the token."""
+        """URL to open in a browser on this machine, with the token."""
         return self._device.url
 
     @property
@@ -394,7 +394,7 @@ class WebSession:
 
 
 class Asked:
-    """What the page's buttons have asked for last."""
+    """The last request of the page's buttons."""
 
     def __init__(self) -> None:
         """Nothing yet."""
@@ -403,7 +403,7 @@ class Asked:
 
     @property
     def what(self) -> str | None:
-        """What is asked for; None: nothing."""
+        """The request; None: there is none."""
         with self._condition:
             return self._what
 
@@ -415,7 +415,7 @@ class Asked:
             self._condition.notify_all()
 
     def take(self) -> str | None:
-        """What is asked for, and from now on nothing; but "quit" stays."""
+        """Take the request away and return it; but "quit" stays."""
         with self._condition:
             what = self._what
             if what != QUIT:
@@ -430,7 +430,7 @@ class Asked:
 
 
 class _Mishaps:
-    """What can go wrong without an end of the session: it is said on the page."""
+    """Errors that do not end the session: they are shown on the page."""
 
     def __init__(self, session: WebSession, *kinds: type[Exception]) -> None:
         self._session, self._kinds = session, kinds
