@@ -129,7 +129,7 @@ def test_the_passive_checker_finds_nothing_in_bullet(id: str) -> None:
 def test_observations_stay_in_their_space(make: Env, id: str, obs_mode: str) -> None:
     # Tools that turn as well go to more places.
     env = make(id, engine="batch", obs_mode=obs_mode, control="velocity_6d", **SMALL)
-    for observation, *_ in episode(env, actions_of(env, 12)):
+    for observation, *_ in episode(env, actions_of(env, 8)):
         assert env.observation_space.contains(observation)
         for name, values in arrays(observation).items():
             assert np.isfinite(values).all(), name
@@ -191,7 +191,7 @@ def test_results_are_arrays_of_their_own(make: Env, id: str) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_equal_seeds_give_equal_episodes_to_the_last_bit(make: Env, id: str, engine: str) -> None:
     env = make(id, engine=engine)
-    actions = actions_of(env, 6 if engine == "bullet" else 20)
+    actions = actions_of(env, 6 if engine == "bullet" else 12)
     first = episode(env, actions, seed=11)
     assert_alike(episode(env, actions, seed=11), first, 0.0)
     with gym.make(id, engine=engine) as other:
