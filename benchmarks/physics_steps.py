@@ -21,7 +21,10 @@ def look_after_every_step(worlds: Any, look: Callable[[Loads], None]) -> None:
     """
     advance = worlds.advance
 
-    def advance_and_look(linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any) -> Loads:
+    # Nobody steers these worlds, or listens to them.
+    def advance_and_look(
+        linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any, *nobody: None
+    ) -> Loads:
         parts = []
         for _ in range(steps):
             parts.append(advance(linear, angular, 1, pressure_limits, force_limits))

@@ -129,7 +129,9 @@ class Recorder:
         self.worst = 0.0
         advance = worlds.advance
 
-        def advance_and_keep(linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any) -> Any:
+        def advance_and_keep(
+            linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any, *nobody: None
+        ) -> Any:
             if force_limits is None:
                 self._keep(linear, angular)
             else:
