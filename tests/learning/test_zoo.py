@@ -52,7 +52,11 @@ def zoo_words(name, algorithm, folder):
     small = ["n_envs:2", "env_kwargs:dict(engine='batch', max_episode_steps=20" + (
         ", reward='sparse')" if name == "her" else ")"
     )]  # fmt: skip
-    small += ["n_steps:20", "batch_size:20"] if name == "ppo" else ["learning_starts:60", "buffer_size:1000"]
+    small += (
+        ["n_steps:20", "batch_size:20"]
+        if name == "ppo"
+        else ["learning_starts:60", "buffer_size:1000", "batch_size:16", "gradient_steps:1"]
+    )
     return [
         "--algo", algorithm, "--env", "Spatula/Press-v0",
         "--gym-packages", "spatula_env", "--conf-file", str(ROOT / "configs" / "rl_zoo3" / f"{name}.yml"),
