@@ -106,6 +106,16 @@ def pytest_configure(config: pytest.Config) -> None:
         config.addinivalue_line("filterwarnings", "ignore:PyBullet is not installed, so environments:UserWarning")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than cores, as tests of pages and of other processes wait much of their time.
+
+    Not in the first run, in which all workers compile the same kernels.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores + any((ROOT / "spatula_env").glob("*/__pycache__/*.nbi"))
+
+
 def _names_bullet(value: Any) -> bool:
     values = value.values() if isinstance(value, dict) else (value,)
     return any(isinstance(one, str) and one == "bullet" for one in values)
