@@ -36,6 +36,7 @@ from numba.extending import intrinsic
 from spatula_env._kernels import array_kernel, inline_kernel, kernel
 from spatula_env.geometry.checks import check_positive
 from spatula_env.sim.selection import one_each, refuse, world_indices
+from spatula_env.sim.soft_body import SWEEPS
 from spatula_env.sim.threads import share_out
 
 if TYPE_CHECKING:
@@ -44,9 +45,6 @@ if TYPE_CHECKING:
     from spatula_env.sim.soft_body import SoftBody
 
     FloatArray = NDArray[np.float64]
-
-SWEEPS = 20
-"""Over all links in a step, as PyBullet has it."""
 
 WIDE, NARROW = 16, 8
 """Worlds in a block, when there are many and when there are few. Sixteen numbers in single precision are as much as

@@ -15,7 +15,7 @@ import numpy as np
 from spatula_env._kernels import kernel
 from spatula_env.sim.batch_body import NARROW, WIDE, BatchBody, Blocks, advance_block, read_block, write_block
 from spatula_env.sim.engine import PRECISIONS, Abilities
-from spatula_env.sim.soft_body import join, soft_body
+from spatula_env.sim.soft_body import SWEEPS, join, soft_body
 from spatula_env.sim.step import couple_worlds
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class BatchEngine:
         lanes: Worlds in a block.
     """
 
-    abilities = Abilities(varies=True)
+    abilities = Abilities(varies=True, sweeps=SWEEPS)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`."""

@@ -35,7 +35,7 @@ from spatula_env.geometry.parts import Part, describe_parts, organ_parts
 from spatula_env.geometry.transforms import rotate
 from spatula_env.sim.engine import Abilities
 from spatula_env.sim.exchange import forces_of_changes, velocities_of_positions
-from spatula_env.sim.soft_body import node_masses
+from spatula_env.sim.soft_body import SWEEPS, node_masses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -319,7 +319,7 @@ class BulletEngine:
         loaded: (W,) PyBullet's worlds.
     """
 
-    abilities = Abilities(contacts=("flags", "second_step", "bullet"), restores_exactly=False)
+    abilities = Abilities(contacts=("flags", "second_step", "bullet"), restores_exactly=False, sweeps=SWEEPS)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`; what this raises is told by `BulletWorld`."""

@@ -53,11 +53,14 @@ class Abilities:
         restores_exactly: Whether a state goes on, when it is restored, as it would have gone on without. Where not, an
             environment that is saved is put to its own state, so that both go on alike.
         varies: Whether worlds can differ in gravity, stiffness and mass; it is then a `VaryingEngine`.
+        sweeps: Over what holds an organ together, in a step. A pull gets as many edges far, and a warning says so of
+            organs that have more across; None: there is no such limit.
     """
 
     contacts: tuple[ContactName, ...] = ("flags", "second_step")
     restores_exactly: bool = True
     varies: bool = False
+    sweeps: int | None = None
 
 
 class Engine(Protocol):

@@ -8,7 +8,6 @@ import numpy as np
 
 from spatula_env._warnings import warn
 from spatula_env.geometry.parts import describe_parts, organ_parts
-from spatula_env.sim.batch_body import SWEEPS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,22 +28,23 @@ GREATEST_DEFORMATION = 0.05
 """Nor does one whose nodes are farther, on average, from where they were in the organ, as a share of its extent."""
 
 
-def warn_of_scene(scene: Scene) -> None:
+def warn_of_scene(scene: Scene, sweeps: int | None = None) -> None:
     """Warn of what can be seen before anything moves.
 
     Args:
         scene: The scene.
+        sweeps: Of a step of the engine; see `engine.Abilities`.
 
     Warns:
         SceneWarning: Of parts of an organ that nothing holds, of organs far too large or smaller than every tool, and
             of surfaces too fine for the springs.
     """
     for placed in scene.organs:
-        for told in _doubts(scene, placed):
+        for told in _doubts(scene, placed, sweeps):
             warn(f"organ {placed.organ.name!r} {told}")
 
 
-def _doubts(scene: Scene, placed: PlacedOrgan) -> Iterator[str]:
+def _doubts(scene: Scene, placed: PlacedOrgan, sweeps: int | None) -> Iterator[str]:
     organ, length = placed.organ, scene.scale.length
     parts = organ_parts(organ)
     held = set(placed.fixed_nodes)
@@ -69,11 +69,11 @@ def _doubts(scene: Scene, placed: PlacedOrgan) -> Iterator[str]:
         )
     edges = organ.edge_lengths
     across = extent / float(np.median(edges))
-    if across > SWEEPS:
+    if sweeps is not None and across > sweeps:
         yield (
             f"has a surface too fine for springs: it is {across:.0f} edges of {np.median(edges):.3g} u across, and the "
-            f"{SWEEPS} sweeps of a step carry a pull over {SWEEPS} of them, so it is far softer than the scene's scale "
-            f"says; edges of at least {extent / SWEEPS:.2g} u are borne"
+            f"{sweeps} sweeps of a step carry a pull over {sweeps} of them, so it is far softer than the scene's scale "
+            f"says; edges of at least {extent / sweeps:.2g} u are borne"
         )
 
 

@@ -39,6 +39,9 @@ EDGE_STIFFNESS = 1.0
 BENDING_STIFFNESS = 0.5
 """The same of a link between nodes at graph distance two."""
 
+SWEEPS = 20
+"""Over all links in a step, as PyBullet has it: a pull gets about so many edges far."""
+
 SHUFFLE_SEED, SHUFFLE_FACTOR, SHUFFLE_SUMMAND, SHUFFLE_MODULUS = 243703, 1664525, 1013904223, 2**32
 """Bullet's linear congruential generator."""
 

@@ -164,7 +164,7 @@ class Worlds:
         if contact not in kind.abilities.contacts:
             had = " or ".join(map(repr, kind.abilities.contacts))
             raise ValueError(f"contact must be {had} with engine {name!r}, got {contact!r}")
-        warn_of_scene(scene)
+        warn_of_scene(scene, kind.abilities.sweeps)
         self._scene, self.contact, self._first_step = scene, contact, first_step
         threads = numba.get_num_threads()
         self._parallel = threads > 1 if parallel is None else bool(parallel)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 
 import spatula_env
 from spatula_env import Simulation, engines, scenes
-from spatula_env.sim import SimulationDiverged
+from spatula_env.geometry import icosphere
+from spatula_env.sim import SceneWarning, SimulationDiverged
 from spatula_env.sim.batch_engine import BatchEngine
 from spatula_env.sim.engine import Abilities, BlockEngine
 from spatula_env.sim.worlds import Worlds
@@ -76,7 +78,7 @@ def test_states_hold_what_is_inside_and_go_on_in_any_world() -> None:
     hold = np.zeros((3, 3), dtype=np.float32)
     expected = [many.step(hold)[0] for _ in range(5)]
     mask = np.array([False, True, False])
-    again, _ = many.reset(options={"reset_mask": mask}, seed=[0, 1, 2])
+    again, _ = many.reset(options={"reset_mask": mask}, seed=[0, 1, 2])  # type: ignore[arg-type]
     assert again[1].tolist() == start[1].tolist()
     many.restore(state, [1, 0])  # type: ignore[attr-defined]
     for observations in expected:
@@ -108,6 +110,16 @@ def test_an_engine_is_asked_only_for_what_it_can_do() -> None:
         worlds.set_parameters(gravity=1.0)
     worlds.set_parameters(friction=[0.1, 0.2])
     assert [worlds.tools_of(w)[0].friction for w in range(2)] == [0.1, 0.2]
+
+
+def test_a_fine_surface_is_doubted_only_where_pulls_do_not_get_through_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("spatula_env.sim.worlds.LONGEST_SETTLING", 0.05)
+    ball = scenes.PlacedOrgan(icosphere(3.0, 4), position=(0.0, 0.0, 3.0), mass=10.0)
+    scene = replace(scenes.seed(), organs=(ball,), ground=None)
+    Worlds(scene, 1, engine="mattress").close()
+    with pytest.warns(SceneWarning) as told:
+        Worlds(scene, 1, engine="batch").close()
+    assert "a surface too fine for springs: it is 26 edges" in str(told[0].message)
 
 
 def test_a_world_that_is_not_finite_leaves_the_others_alone() -> None:
