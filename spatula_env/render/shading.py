@@ -121,6 +121,41 @@ def _room(up: float, towards_key: float, lit: float) -> float:
 
 
 @inlined
+def _interpolate(functions: Floats, t: int, column: int, x: float, y: float) -> tuple[float, float, float]:
+    """Three shading functions of triangle t, from a column on, at sample coordinate (x, y)."""
+    first = functions[t, column] * x + functions[t, column + 1] * y + functions[t, column + 2]
+    second = functions[t, column + 3] * x + functions[t, column + 4] * y + functions[t, column + 5]
+    third = functions[t, column + 6] * x + functions[t, column + 7] * y + functions[t, column + 8]
+    return first, second, third
+
+
+@inlined
+def _add_light(total: Singles, pixel: int, weight: float, red: float, green: float, blue: float) -> None:
+    """Add light to a pixel."""
+    total[pixel, 0] += weight * red
+    total[pixel, 1] += weight * green
+    total[pixel, 2] += weight * blue
+
+
+@inlined
+def _fill_light(light: Floats, nx: float, ny: float, nz: float) -> float:
+    """The fill light on a surface with the normal n: it reaches all around."""
+    fill = 0.5 + 0.5 * (nx * light[FILL_DIRECTION] + ny * light[FILL_DIRECTION + 1] + nz * light[FILL_DIRECTION + 2])
+    return float(light[FILL] * fill * fill)
+
+
+@inlined
+def _ambient_light(light: Floats, view: Floats, up: float, pz: float) -> float:
+    """The ambient light at the height pz, where `up` is how much the surface faces up, from 0 to 1."""
+    ambient = light[AMBIENT]
+    if view[GROUND_SEEN] != 0.0:
+        # Near the ground, what faces down sees its own shadow.
+        away = 1.0 + max(pz - view[GROUND_HEIGHT], 0.0) * light[CLOSE]
+        ambient *= 1.0 - 0.65 * (1.0 - up) / (away * away)
+    return float(ambient)
+
+
+@inlined
 def _marks(
     functions: Floats, parameters: Floats, t: int, m: int, x: float, y: float, w: float, footprint: float
 ) -> tuple[float, float, float]:
@@ -128,9 +163,8 @@ def _marks(
 
     `w` is the depth there, and `footprint` how wide a sample is.
     """
-    u = w * (functions[t, MARK] * x + functions[t, MARK + 1] * y + functions[t, MARK + 2])
-    v = w * (functions[t, MARK + 3] * x + functions[t, MARK + 4] * y + functions[t, MARK + 5])
-    s = w * (functions[t, MARK + 6] * x + functions[t, MARK + 7] * y + functions[t, MARK + 8])
+    u, v, s = _interpolate(functions, t, MARK, x, y)
+    u, v, s = w * u, w * v, w * s
     streak = patch = vessel = 0.0
     if parameters[m, GRAIN] > 0.0:
         # Along x on every face of a box.
@@ -217,7 +251,6 @@ def shade(
     functions, owner, flags, parameters, view, light, map_depth, map_mesh, others = scene
     lx, ly, lz = light[KEY_DIRECTION], light[KEY_DIRECTION + 1], light[KEY_DIRECTION + 2]
     has_shadows = light[HAS_SHADOWS] != 0.0
-    has_ground = view[GROUND_SEEN] != 0.0
     for job in range(count):
         t = jobs[job, 0]
         pixel = jobs[job, 1]
@@ -225,13 +258,10 @@ def shade(
         m = owner[t]
         kind = flags[m]
         w = 1.0 / (functions[t, DEPTH] * x + functions[t, DEPTH + 1] * y + functions[t, DEPTH + 2])
-        red = w * (functions[t, COLOR] * x + functions[t, COLOR + 1] * y + functions[t, COLOR + 2])
-        green = w * (functions[t, COLOR + 3] * x + functions[t, COLOR + 4] * y + functions[t, COLOR + 5])
-        blue = w * (functions[t, COLOR + 6] * x + functions[t, COLOR + 7] * y + functions[t, COLOR + 8])
+        red, green, blue = _interpolate(functions, t, COLOR, x, y)
+        red, green, blue = w * red, w * green, w * blue
         if kind & UNLIT:
-            total[pixel, 0] += weight * red
-            total[pixel, 1] += weight * green
-            total[pixel, 2] += weight * blue
+            _add_light(total, pixel, weight, red, green, blue)
             continue
 
         streak = 0.0
@@ -248,9 +278,7 @@ def shade(
         px, py, pz = view[EYE] + w * vx, view[EYE + 1] + w * vy, view[EYE + 2] + w * vz
         scale = -1.0 / math.sqrt(vx * vx + vy * vy + vz * vz)
         vx, vy, vz = scale * vx, scale * vy, scale * vz
-        nx = functions[t, NORMAL] * x + functions[t, NORMAL + 1] * y + functions[t, NORMAL + 2]
-        ny = functions[t, NORMAL + 3] * x + functions[t, NORMAL + 4] * y + functions[t, NORMAL + 5]
-        nz = functions[t, NORMAL + 6] * x + functions[t, NORMAL + 7] * y + functions[t, NORMAL + 8]
+        nx, ny, nz = _interpolate(functions, t, NORMAL, x, y)
         scale = 1.0 / math.sqrt(max(nx * nx + ny * ny + nz * nz, 1e-300))
         nx, ny, nz = scale * nx, scale * ny, scale * nz
         n_l = nx * lx + ny * ly + nz * lz
@@ -268,16 +296,9 @@ def shade(
         key_red = key * max(n_l + parameters[m, WRAP], 0.0) * parameters[m, UNWRAP]
         key_green = key * max(n_l + parameters[m, WRAP + 1], 0.0) * parameters[m, UNWRAP + 1]
         key_blue = key * max(n_l + parameters[m, WRAP + 2], 0.0) * parameters[m, UNWRAP + 2]
-        fill = 0.5 + 0.5 * (
-            nx * light[FILL_DIRECTION] + ny * light[FILL_DIRECTION + 1] + nz * light[FILL_DIRECTION + 2]
-        )
-        fill = light[FILL] * fill * fill
+        fill = _fill_light(light, nx, ny, nz)
         up = 0.5 + 0.5 * nz
-        ambient = light[AMBIENT]
-        if has_ground:
-            # Near the ground, what faces down sees its own shadow.
-            away = 1.0 + max(pz - view[GROUND_HEIGHT], 0.0) * light[CLOSE]
-            ambient *= 1.0 - 0.65 * (1.0 - up) / (away * away)
+        ambient = _ambient_light(light, view, up, pz)
         sky_red = ambient * (_BOUNCE[0] + up * (_SKY[0] - _BOUNCE[0]))
         sky_green = ambient * (_BOUNCE[1] + up * (_SKY[1] - _BOUNCE[1]))
         sky_blue = ambient * (_BOUNCE[2] + up * (_SKY[2] - _BOUNCE[2]))
@@ -306,6 +327,4 @@ def shade(
         green += _KEY_COLOR[1] * shine + edge
         blue = blue * (_KEY_COLOR[2] * key_blue + _FILL_COLOR[2] * fill + sky_blue)
         blue += _KEY_COLOR[2] * shine + edge
-        total[pixel, 0] += weight * min(red, 1.0)
-        total[pixel, 1] += weight * min(green, 1.0)
-        total[pixel, 2] += weight * min(blue, 1.0)
+        _add_light(total, pixel, weight, min(red, 1.0), min(green, 1.0), min(blue, 1.0))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spatula_env.envs.steering import STEERING, Pilot, mean_of_track
+from spatula_env.geometry.checks import check_positive
 from spatula_env.tasks.plain import as_plain
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
 from spatula_env.teleop.haptics.device import HapticDevice
@@ -183,13 +184,11 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         device = self.device = _find_device(device)
         _check_choice(mode, "mode", MODES)
         _check_choice(intervention, "intervention", INTERVENTIONS)
-        if mode == "position" and device.kind != "position":
-            raise ValueError(f"mode must be 'rate' or 'auto' with the {device.name}, got {mode!r}")
+        _check_mode(mode, device)
         if motion_threshold is None:
             motion_threshold = 0.02 if device.kind == "position" else 0.1
         for name, value in (("scale", scale), ("motion_threshold", motion_threshold), ("release_time", release_time)):
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} must be positive and finite, got {value!r}")
+            check_positive(value, name)
         self.mode: Literal["position", "rate"] = device.kind if mode == "auto" else mode
         self.pressed: frozenset[str] = frozenset()
         self._scale = scale
@@ -207,18 +206,15 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._now = now if now is not None else device.now
         self._sleep: Callable[[float], None] = sleep if sleep is not None else getattr(device, "sleep", time.sleep)
         self._tap = EnvironmentTap(env)
-        control = self._tap.control
-        self._extras = control.names[3:]
-        self._extra = 0
+        self._extras, self._extra = self._tap.control.names[3:], 0
         self._operator = str(getattr(device, "operator", "human"))
         self._offset: FloatArray | None = None
         self._sample: DeviceSample | None = None
         self._track: list[NDArray[np.float32]] = []
-        self._lost = False
+        self._lost = self._acting = False
         self._told, self._pause = -math.inf, 0.0
         self._yields_until = -math.inf
         self._into: FloatArray = np.zeros(3)
-        self._acting = False
         self._still_for = math.inf
         self._due: float | None = None
 
@@ -560,6 +556,12 @@ def _find_device(device: TeleopDevice | str | None) -> TeleopDevice:
             "make the environment without FalconTeleop, and put that around it with a device"
         )
     return make_device(device) if isinstance(device, str) else device
+
+
+def _check_mode(mode: Mode, device: TeleopDevice) -> None:
+    """Raise a ValueError if a device without positions is to give them."""
+    if mode == "position" and device.kind != "position":
+        raise ValueError(f"mode must be 'rate' or 'auto' with the {device.name}, got {mode!r}")
 
 
 def _check_buttons(buttons: Mapping[str, str], device: TeleopDevice) -> None:
