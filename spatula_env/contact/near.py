@@ -2,9 +2,11 @@
 
 They are found once and stay valid while no vertex gets farther than its reach from where it was then. How far a vertex
 reaches is how far the step throws it, and a margin. Boxes around patches of triangles tell what is far apart. Patches
-that share a vertex overlap always; they are looked at only where the surface is folded: a surface whose normals all are
-within a cone does not meet itself (Volino and Magnenat-Thalmann, Computer Graphics Forum 13(3), 1994). They stay valid
-only while no such surface is folded, which a vertex can do within its reach.
+that share a vertex overlap always; they are looked at only where the surface around one of them is folded: a connected
+surface whose normals all are within a cone does not meet itself (Volino and Magnenat-Thalmann, Computer Graphics Forum
+13(3), 1994). Two patches by themselves are not enough: they may share a vertex alone, and a fold beside both brings
+them together though neither is folded. Pairs stay valid only while no such surface is folded, which a vertex can do
+within its reach.
 """
 
 from __future__ import annotations
@@ -353,6 +355,19 @@ def _is_flat(cones: np.ndarray, p: int, q: int) -> bool:
     return bool(np.arccos(min(max(along, -1.0), 1.0)) + cones[p, 3] + cones[q, 3] <= 2.0 * FLAT)
 
 
+@inline_kernel
+def _find_folded(skin: Any, near: Any, moved: np.ndarray) -> None:
+    """Write which patches are not flat with all of their neighbours; mark those that were flat as if they had moved."""
+    starts, neighbours, cones, folded = skin.neighbour_starts, skin.neighbours, near.cones, near.folded
+    for p in range(moved.shape[0]):
+        is_folded = False
+        for m in range(starts[p], starts[p + 1]):
+            is_folded |= not _is_flat(cones, p, neighbours[m])
+        # Its neighbours were not looked at.
+        moved[p] |= is_folded and not folded[p]
+        folded[p] = is_folded
+
+
 @array_kernel
 def _sort_along_x(order: np.ndarray, boxes: np.ndarray) -> None:
     """Sort patches by where their boxes begin; they are nearly in order from the last time."""
@@ -368,8 +383,8 @@ def _sort_along_x(order: np.ndarray, boxes: np.ndarray) -> None:
 @inline_kernel
 def _close_patches(skin: Any, near: Any, moved: np.ndarray) -> np.ndarray:
     """Pairs of patches that may meet, one of which has moved (P,), as first x P + second, ascending."""
-    order, starts, neighbours, boxes, cones = (
-        near.order, skin.neighbour_starts, skin.neighbours, near.boxes, near.cones,
+    order, starts, neighbours, boxes, folded = (
+        near.order, skin.neighbour_starts, skin.neighbours, near.boxes, near.folded,
     )  # fmt: skip
     patches = order.shape[0]
     _sort_along_x(order, boxes)
@@ -384,7 +399,7 @@ def _close_patches(skin: Any, near: Any, moved: np.ndarray) -> np.ndarray:
             shares = False
             for m in range(starts[p], starts[p + 1]):
                 shares |= neighbours[m] == q
-            if shares and _is_flat(cones, p, q):
+            if shares and not (folded[p] or folded[q]):
                 continue
             if count == found.shape[0]:
                 more = np.empty(2 * count, np.int64)
@@ -732,6 +747,7 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
             _fill_cone(skin, p, unmoved, ahead, near.cones)
             _fill_box(skin, near, p, near.boxes)
             _fill_calm(skin, near, p)
+    _find_folded(skin, near, moved)
     known = near.patch_pairs[: 0 if whole else near.counts[PATCH_PAIRS]]
     pairs = _merged(known, moved, _close_patches(skin, near, moved))
     _pair_features(skin, near, pairs, moved, not whole and near.counts[CROSS_IS_KNOWN] == 1)
@@ -761,4 +777,6 @@ def find_as_before(
     for p in range(patches):
         _fill_box(skin, near, p, near.boxes)
         _fill_calm(skin, near, p)
-    _pair_features(skin, near, patch_pairs.copy(), np.ones(patches, np.bool_), False)
+    moved = np.ones(patches, np.bool_)
+    _find_folded(skin, near, moved)
+    _pair_features(skin, near, patch_pairs.copy(), moved, False)

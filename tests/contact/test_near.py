@@ -106,6 +106,44 @@ def test_a_surface_that_folds_within_its_reach_is_found_near_itself():
     assert crossing <= {tuple(pair) for pair in pairs_of(near)[2].tolist()}
 
 
+@settings(max_examples=40)
+@given(seeds, st.floats(0.05, 0.35), st.floats(0.2, 0.9))
+def test_neighbours_that_a_fold_between_them_brings_together_are_found(seed, radius, noise):
+    # Two patches may share one vertex, and each be flat: what crosses then is brought together by a fold beside both.
+    generator = np.random.default_rng(seed)
+    organ = icosphere(1.0, 2)
+    skin, near = skin_of(organ)
+    vertices = np.array(organ.vertices)
+    moved = np.linalg.norm(vertices - vertices[generator.integers(len(vertices))], axis=1) < radius
+    vertices[moved] += noise * generator.normal(size=(int(moved.sum()), 3))
+    find_near(skin, near, vertices, vertices, 0.02, nowhere(vertices))
+    find_cross_pairs(skin, near)
+    crossing = crossings_of(vertices, edges_of(skin), triangles_of(skin))
+    assert crossing <= {tuple(pair) for pair in pairs_of(near)[2].tolist()}
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_what_folds_between_patches_that_stay_is_found_as_from_nothing(seed):
+    generator = np.random.default_rng(seed)
+    organ = icosphere(1.0, 2)
+    skin, near = skin_of(organ)
+    points = np.array(organ.vertices)
+    find_near(skin, near, points, points, 0.02, nowhere(points))
+    for _ in range(3):
+        moved = np.zeros(len(points), dtype=np.bool_)
+        moved[generator.integers(len(points), size=2)] = True
+        points[moved] += 0.3 * generator.normal(size=(int(moved.sum()), 3))
+        find_near(skin, near, points, points, 0.02, moved)
+    anew = skin_of(organ)[1]
+    find_near(skin, anew, points, points, 0.02, nowhere(points))
+    for one in (near, anew):
+        find_cross_pairs(skin, one)
+    crossing = crossings_of(points, edges_of(skin), triangles_of(skin))
+    for one in (near, anew):
+        assert crossing <= {tuple(pair) for pair in pairs_of(one)[2].tolist()}
+
+
 def test_walls_that_are_pressed_together_are_near_each_other():
     organ = icosphere(3.0, 2)
     skin, near = skin_of(organ)
