@@ -27,6 +27,7 @@ def depth_of_tools(
     rotation: np.ndarray,
     vertices: np.ndarray,
     known: float,
+    scratch: Any,
 ) -> float:
     """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
 
@@ -38,14 +39,15 @@ def depth_of_tools(
         rotation: (N, 9).
         vertices: (V, 3) of the organs [u].
         known: What is returned where no depth is greater [u].
+        scratch: `Scratch`.
     """
     depth, organ_count = known, len(world.surfaces)
     for k in range(tool_count):
         for o in range(organ_count):
             if looked_at[k * organ_count + o]:
-                memory = world.memories[k * organ_count + o]
-                fill_local(position[k], rotation[k], vertices, world.first_vertices[o], memory.local)
-                depth = pair_depth(world.tools[k], memory, world.surfaces[o], depth)
+                local = world.memories[k * organ_count + o].organ.local
+                fill_local(position[k], rotation[k], vertices, world.first_vertices[o], local)
+                depth = pair_depth(world.tools[k].geometry, local, world.surfaces[o], depth, scratch)
     return depth
 
 
@@ -82,13 +84,13 @@ def arrest(
         for o in range(organ_count):
             if not looked_at[k * organ_count + o]:
                 continue
-            memory, first, triangles = world.memories[k * organ_count + o], world.first_vertices[o], world.surfaces[o]
-            fill_local(position[k], rotation[k], vertices, first, memory.local)
+            organ, first = world.memories[k * organ_count + o].organ, world.first_vertices[o]
+            triangles, last = world.surfaces[o], organ.last_local
+            fill_local(position[k], rotation[k], vertices, first, organ.local)
             near[:] = False
-            for m in range(find_candidates(world.tools[k], memory, triangles)):
+            for m in range(find_candidates(world.tools[k].geometry.extent, organ, triangles)):
                 for corner in range(3):
-                    near[first + triangles[memory.candidates[m], corner]] = True
-            last = memory.last_local
+                    near[first + triangles[organ.candidates[m], corner]] = True
             for i in range(last.shape[1]):
                 if near[first + i] and inverse_mass[first + i] > 0.0:
                     for axis in range(3):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import array_kernel, inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.flags import fill_local_normal, triangle_weights
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, SLACK
 from spatula_env.contact.rows import ON_CORNER, append_constraint, constraint_name
@@ -106,39 +106,31 @@ def _swept_range(local: np.ndarray, last: np.ndarray, axis: int, a: int, b: int,
     return low - MARGIN, high + MARGIN
 
 
-@inline_kernel
+@array_kernel
 def gather_corners(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
     room: int,
-    heights: np.ndarray,
-    behind: np.ndarray,
     tool: Any,
-    memory: Any,
+    organ: Any,
     triangles: np.ndarray,
     found: int,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    placement: Any,
     slid: bool,
+    scratch: Any,
 ) -> int:
     """Append one constraint for each corner of the tool that came through a triangle or touches it.
 
     It pushes the point of the triangle that the corner met. If they may have `slid` on each other since, another pushes
     where the corner is now.
 
-    Writes the least height of each corner (K,) over such a triangle's plane, infinite where there is none [u]; and
-    whether a corner (K,) is behind any triangle near its way.
+    Writes into `scratch` the least height of each corner over such a triangle's plane, infinite where there is none
+    [u]; and whether a corner is behind any triangle near its way.
     """
-    local, last, corners, candidates = memory.local, memory.last_local, tool.corners, memory.candidates
-    plane_normals = tool.plane_normals
-    normal, last_normal, moving = np.empty(3), np.empty(3), np.empty((3, 3))
+    local, last, corners, candidates = organ.local, organ.last_local, tool.corners, organ.candidates
+    plane_normals, first_vertex = tool.plane_normals, placement.first_vertex
+    normal, last_normal, moving = scratch.normal, scratch.last_normal, scratch.moving
+    heights, behind = scratch.corner_heights, scratch.corner_behind
     heights[:] = np.inf
     behind[:] = False
     for k in range(found):
@@ -175,9 +167,8 @@ def gather_corners(
                 continue
             heights[corner] = min(heights[corner], height)
             count = append_constraint(
-                rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
-                (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
-                best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
+                table, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]), (x, y, z), last,
+                placement, best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
                 constraint_name(ON_CORNER, corner, first_vertex, t),
             )  # fmt: skip
             if not slid or height >= -RESIDUAL_TOLERANCE or count == room:
@@ -186,9 +177,8 @@ def gather_corners(
             wa, wb, wc = triangle_weights(local, a, b, c, x, y, z)
             if min(wa, wb, wc) >= 0.0:
                 count = append_constraint(
-                    rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
-                    (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction,
-                    owner, best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
+                    table, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]), (x, y, z), last,
+                    placement, best_plane(plane_normals, -normal[0], -normal[1], -normal[2]),
                     constraint_name(ON_CORNER, corners.shape[0] + corner, first_vertex, t),
                 )  # fmt: skip
     return count
@@ -235,8 +225,10 @@ def closest_weights(
     return 1.0 - of_b / total - of_c / total, of_b / total, of_c / total
 
 
-@inline_kernel
-def list_near(extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reach: float, near: np.ndarray) -> int:
+@array_kernel
+def list_near(
+    extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reach: float, near: np.ndarray, codes: np.ndarray
+) -> int:
     """List the triangles whose boxes are no farther than `reach` from a tool's box.
 
     Args:
@@ -245,11 +237,11 @@ def list_near(extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reac
         triangles: (T, 3).
         reach: [u].
         near: (T,) written.
+        codes: (V,) workspace.
 
     Returns:
         How many there are.
     """
-    codes = np.empty(local.shape[1], np.uint8)
     low_x, low_y, low_z = extent[0] - reach, extent[1] - reach, extent[2] - reach
     high_x, high_y, high_z = extent[3] + reach, extent[4] + reach, extent[5] + reach
     for i in range(local.shape[1]):
@@ -356,8 +348,8 @@ def find_nearest(
     return best
 
 
-@inline_kernel
-def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: float) -> bool:
+@array_kernel
+def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: float, turned: np.ndarray) -> bool:
     """Whether a point is inside an organ: whether a line from it leaves the surface more often than it enters.
 
     An organ that was flattened or turned inside out has a nearest point that says otherwise.
@@ -368,13 +360,14 @@ def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: fl
         x: The point.
         y: The point.
         z: The point.
+        turned: (3, V) workspace.
 
     Returns:
         Whether it is.
     """
     # Along (0.36, 0.48, 0.8), which nothing that lies along the tool's axes meets at a corner or an edge.
     count = local.shape[1]
-    u, v, w = np.empty(count), np.empty(count), np.empty(count)
+    u, v, w = turned[0], turned[1], turned[2]
     for i in range(count):
         px, py, pz = local[0, i] - x, local[1, i] - y, local[2, i] - z
         u[i] = 0.8 * px - 0.6 * py
@@ -393,54 +386,46 @@ def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: fl
     return leaves > 0
 
 
-@inline_kernel
-def drop_outside(tool: Any, memory: Any, triangles: np.ndarray) -> None:
+@array_kernel
+def drop_outside(points: np.ndarray, flags: np.ndarray, local: np.ndarray, triangles: np.ndarray, scratch: Any) -> None:
     """Clear the flags of contact nodes that are not in the organ: whose rays met a part of it that is inside out.
 
     Args:
-        tool: `ToolShape`.
-        memory: `PairMemory`; flags are cleared, and `local` is where the organ was when rays were cast.
+        points: (n, 3) the nodes [u].
+        flags: (n,) changed.
+        local: (3, V) where the organ was when rays were cast [u].
         triangles: (T, 3).
+        scratch: `Scratch`.
     """
-    flags, nodes = memory.states[0], tool.nodes
     for i in range(flags.shape[0]):
-        if flags[i] and not encloses(memory.local, triangles, nodes[i, 0], nodes[i, 1], nodes[i, 2]):
+        if flags[i] and not encloses(local, triangles, points[i, 0], points[i, 1], points[i, 2], scratch.turned):
             flags[i] = False
 
 
-@inline_kernel
+@array_kernel
 def gather_sunk_corners(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
     first_row: int,
     room: int,
-    heights: np.ndarray,
-    behind: np.ndarray,
     tool: Any,
-    memory: Any,
+    organ: Any,
     triangles: np.ndarray,
     swept: int,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    placement: Any,
     settled: bool,
+    scratch: Any,
 ) -> int:
     """Append a constraint for each corner of the tool that is in the organ and that nothing found so far pushes out.
 
     A corner that slides over an edge of the organ's mesh may pass the plane of the triangle that it comes to while it
     is still over the one that it leaves: its way goes through neither. Where it is then tells.
     """
-    local, last, corners = memory.local, memory.last_local, tool.corners
+    local, last, corners, names = organ.local, organ.last_local, tool.corners, table.names
     reach = SUNK * tool.extent[7]
-    nearest, normal = np.empty(4), np.empty(3)
-    near = np.empty(triangles.shape[0], np.int32)
-    found = list_near(tool.extent, local, triangles, reach, near)
+    nearest, normal, near, around = scratch.nearest, scratch.normal, scratch.near, scratch.around
+    heights, behind, turned = scratch.corner_heights, scratch.corner_behind, scratch.turned
+    found = list_near(tool.extent, local, triangles, reach, near, scratch.codes)
     for corner in range(corners.shape[0]):
         x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
         if heights[corner] < -RESIDUAL_TOLERANCE or count == room:
@@ -452,10 +437,9 @@ def gather_sunk_corners(
             # the wrong one. It slid no farther than to the triangles around the one where it was.
             if not (settled and behind[corner]):
                 continue
-            t = find_nearest(last, triangles, memory.candidates, swept, x, y, z, reach, nearest)
-            if t < 0 or not encloses(local, triangles, x, y, z):
+            t = find_nearest(last, triangles, organ.candidates, swept, x, y, z, reach, nearest)
+            if t < 0 or not encloses(local, triangles, x, y, z, turned):
                 continue
-            around = np.empty(triangles.shape[0], np.int32)
             t = find_nearest(local, triangles, around, list_around(triangles, t, around), x, y, z, np.inf, nearest)
             depth = -nearest[0]
             if depth <= MARGIN:
@@ -464,10 +448,10 @@ def gather_sunk_corners(
             # Rows that its way has made, and that are all but kept, push no more, however deep a triangle beside says
             # that it is.
             least = -MARGIN if heights[corner] >= -MARGIN else RESIDUAL_TOLERANCE
-            if depth < least or (depth > MARGIN and not encloses(local, triangles, x, y, z)):
+            if depth < least or (depth > MARGIN and not encloses(local, triangles, x, y, z, turned)):
                 continue
         wa, wb, wc = nearest[1], nearest[2], nearest[3]
-        name = constraint_name(ON_CORNER, corner, first_vertex, t)
+        name = constraint_name(ON_CORNER, corner, placement.first_vertex, t)
         known = False
         for row in range(first_row, count):
             known = known or names[row] == name
@@ -485,8 +469,7 @@ def gather_sunk_corners(
             # A triangle without area, beside which others tell the way.
             continue
         count = append_constraint(
-            rows, features, names, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]),
-            (x, y, z), last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+            table, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]), (x, y, z), last, placement,
             best_plane(tool.plane_normals, -normal[0], -normal[1], -normal[2]), name,
         )  # fmt: skip
     return count

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import array_kernel, inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.corners import SUNK, encloses, find_nearest, list_near
 
 PRECISION = 1e-5
@@ -120,27 +120,24 @@ def _reaches(under: np.ndarray, depth: float, first: np.ndarray, second: np.ndar
     return bound
 
 
-@inline_kernel
-def surface_depth(
-    tool: Any, local: np.ndarray, triangles: np.ndarray, near: np.ndarray, found: int, known: float
-) -> float:
+@array_kernel
+def surface_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, found: int, known: float, scratch: Any) -> float:
     """Greatest depth of an organ's surface in a tool: of any point of it from the nearest of the tool's faces.
 
     Args:
-        tool: `ToolShape`.
+        tool: `ToolGeometry`.
         local: (3, V) the organ's vertices in the tool's frame [u].
         triangles: (T, 3).
-        near: Which of them come near the tool.
-        found: How many those are.
+        found: How many of them come near the tool.
         known: A depth that there is elsewhere [u].
+        scratch: `Scratch`; in `near` are those that come near.
 
     Returns:
         It, to `PRECISION`, or `known` if that is more.
     """
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
-    planes = plane_offsets.shape[0]
-    under = np.empty((planes, 3))
-    first, second = np.empty((planes + 4, 3)), np.empty((planes + 4, 3))
+    under, near = scratch.under[: plane_offsets.shape[0]], scratch.near
+    first, second = scratch.polygon, scratch.clipped
     greatest = known
     for k in range(found):
         t = near[k]
@@ -168,34 +165,35 @@ def surface_depth(
     return greatest
 
 
-@inline_kernel
-def pair_depth(tool: Any, memory: Any, triangles: np.ndarray, known: float) -> float:
+@array_kernel
+def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float, scratch: Any) -> float:
     """Greatest depth of an organ's surface in a tool and of the tool's corners in the organ.
 
     A corner that the organ encloses is as deep as it is far from the organ's surface.
 
     Args:
-        tool: `ToolShape`.
-        memory: `PairMemory`; `local` is where the organ is.
+        tool: `ToolGeometry`.
+        local: (3, V) the organ's vertices in the tool's frame [u].
         triangles: (T, 3).
         known: A depth that there is elsewhere [u].
+        scratch: `Scratch`.
 
     Returns:
         It, to `PRECISION`, or `known` if that is more.
     """
-    local, corners, extent = memory.local, tool.corners, tool.extent
+    corners, extent, turned = tool.corners, tool.extent, scratch.turned
     greatest, reach = known, SUNK * extent[7]
-    nearest, near = np.empty(4), np.empty(triangles.shape[0], np.int32)
-    found = list_near(extent, local, triangles, reach, near)
-    if found == 0 and not encloses(local, triangles, corners[0, 0], corners[0, 1], corners[0, 2]):
+    nearest, near = scratch.nearest, scratch.near
+    found = list_near(extent, local, triangles, reach, near, scratch.codes)
+    if found == 0 and not encloses(local, triangles, corners[0, 0], corners[0, 1], corners[0, 2], turned):
         # No surface is near the tool: it is outside as a whole.
         return known
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
         t = find_nearest(local, triangles, near, found, x, y, z, np.inf, nearest)
-        if (t < 0 or nearest[0] < -greatest) and encloses(local, triangles, x, y, z):
+        if (t < 0 or nearest[0] < -greatest) and encloses(local, triangles, x, y, z, turned):
             # Beyond `reach` another triangle than those near the tool may be the nearest.
             if t < 0 or nearest[0] < -reach:
                 find_nearest(local, triangles, near, -1, x, y, z, np.inf, nearest)
             greatest = max(greatest, abs(nearest[0]))
-    return surface_depth(tool, local, triangles, near, found, greatest)
+    return surface_depth(tool, local, triangles, found, greatest, scratch)

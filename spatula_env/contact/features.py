@@ -53,9 +53,7 @@ PARALLEL = 1e-6
 
 @array_kernel
 def gather_ground(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
     vertices: np.ndarray,
     reference: np.ndarray,
@@ -64,6 +62,7 @@ def gather_ground(
     friction: float,
 ) -> int:
     """Append one constraint for each vertex that is below the ground or touches it. Returns the new count."""
+    rows, features, names = table.rows, table.features, table.names
     for i in range(vertices.shape[0]):
         if vertices[i, 2] > height + MARGIN or inverse_mass[i] == 0.0:
             continue
@@ -80,46 +79,31 @@ def gather_ground(
     return count
 
 
-@inline_kernel
+@array_kernel
 def gather_nodes(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    count: int,
-    tool: Any,
-    memory: Any,
-    triangles: np.ndarray,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    table: Any, count: int, tool: Any, nodes: Any, last: np.ndarray, triangles: np.ndarray, placement: Any
 ) -> int:
     """Append one constraint for each flagged node: its contact point stays before the node's face."""
-    flags, triangle, record, last = memory.states[0], memory.triangle, memory.record, memory.last_local
-    nodes, normals, face = tool.nodes, tool.normals, tool.face
-    for i in range(nodes.shape[0]):
+    flags, triangle, record = nodes.flags, nodes.triangle, nodes.record
+    points, normals, face = tool.nodes, tool.normals, tool.face
+    for i in range(points.shape[0]):
         if flags[i]:
             t = triangle[i]
             count = append_constraint(
-                rows, features, names, count,
+                table, count,
                 (triangles[t, 0], triangles[t, 1], triangles[t, 2]),
                 (record[i, 0], record[i, 1], record[i, 2]),
                 (normals[i, 0], normals[i, 1], normals[i, 2]),
-                (nodes[i, 0], nodes[i, 1], nodes[i, 2]),
-                last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, face[i],
-                constraint_name(ON_NODE, i, first_vertex, 0),
+                (points[i, 0], points[i, 1], points[i, 2]),
+                last, placement, face[i], constraint_name(ON_NODE, i, placement.first_vertex, 0),
             )  # fmt: skip
     return count
 
 
-@inline_kernel
-def find_candidates(tool: Any, memory: Any, triangles: np.ndarray) -> int:
+@array_kernel
+def find_candidates(extent: np.ndarray, organ: Any, triangles: np.ndarray) -> int:
     """List the triangles whose way since the last query may have met the tool. Returns how many."""
-    local, last, codes, extent = memory.local, memory.last_local, memory.codes, tool.extent
-    candidates = memory.candidates
+    local, last, codes, candidates = organ.local, organ.last_local, organ.codes, organ.candidates
     low_x, low_y, low_z = extent[0] - MARGIN, extent[1] - MARGIN, extent[2] - MARGIN
     high_x, high_y, high_z = extent[3] + MARGIN, extent[4] + MARGIN, extent[5] + MARGIN
     for i in range(local.shape[1]):
@@ -141,13 +125,12 @@ def find_candidates(tool: Any, memory: Any, triangles: np.ndarray) -> int:
 
 
 @array_kernel
-def pushed_by(known: int, names: np.ndarray, features: np.ndarray, owner: int, name: int, plane: int) -> int:
+def pushed_by(known: int, table: Any, owner: int, name: int, plane: int) -> int:
     """By which face of a tool a contact pushed in the last pass; `plane` if it is not among those that did.
 
     Args:
         known: How many contacts pushed.
-        names: Theirs, see `structures.Constraints`.
-        features: Theirs, see there.
+        table: `ConstraintTable` of them.
         owner: The tool.
         name: Of the contact.
         plane: A face.
@@ -155,38 +138,22 @@ def pushed_by(known: int, names: np.ndarray, features: np.ndarray, owner: int, n
     Returns:
         The face.
     """
+    names, features = table.names, table.features
     for e in range(known):
         if names[e] == name and features[e, OWNER] == owner:
             return int(features[e, PLANE])
     return plane
 
 
-@inline_kernel
-def gather_vertices(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    count: int,
-    tool: Any,
-    memory: Any,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
-    tried: int,
-    trial: Any,
-) -> int:
+@array_kernel
+def gather_vertices(table: Any, count: int, tool: Any, organ: Any, placement: Any, tried: int, trial: Any) -> int:
     """Append one constraint for each vertex of the organ that came into the tool or touches it.
 
     What its way is depends on where the last solve has put it. From one face it may be put onto another and back, pass
     after pass: a vertex that `trial`, of which there are `tried`, has pushed stays before the face that did.
     """
-    local, last, codes = memory.local, memory.last_local, memory.codes
+    local, last, codes = organ.local, organ.last_local, organ.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
-    trial_names, trial_features = trial.names, trial.features
     for i in range(local.shape[1]):
         if codes[i] != 0:
             continue
@@ -194,15 +161,13 @@ def gather_vertices(
         p = entry_plane(last[0, i], last[1, i], last[2, i], x, y, z, plane_normals, plane_offsets, MARGIN)
         if p < 0:
             continue
-        name = constraint_name(ON_VERTEX, 0, i + first_vertex, 0)
-        p = pushed_by(tried, trial_names, trial_features, owner, name, p)
+        name = constraint_name(ON_VERTEX, 0, i + placement.first_vertex, 0)
+        p = pushed_by(tried, trial, placement.owner, name, p)
         nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
         height = nx * x + ny * y + nz * z - plane_offsets[p]
         count = append_constraint(
-            rows, features, names, count, (i, i, i), (1.0, 0.0, 0.0), (nx, ny, nz),
-            (x - height * nx, y - height * ny, z - height * nz),
-            last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, p,
-            name,
+            table, count, (i, i, i), (1.0, 0.0, 0.0), (nx, ny, nz),
+            (x - height * nx, y - height * ny, z - height * nz), last, placement, p, name,
         )  # fmt: skip
     return count
 
@@ -290,14 +255,14 @@ def fill_heights(
         local: (3, V) vertices at time 1 [u].
         a: First vertex of the edge.
         b: Second vertex.
-        heights: (4, P) written: of a and b at time 0, of a and b at time 1; negative behind a face [u].
+        heights: (P, 4) written: of a and b at time 0, of a and b at time 1; negative behind a face [u].
     """
     for p in range(plane_offsets.shape[0]):
         nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
-        heights[0, p] = nx * last[0, a] + ny * last[1, a] + nz * last[2, a] - offset
-        heights[1, p] = nx * last[0, b] + ny * last[1, b] + nz * last[2, b] - offset
-        heights[2, p] = nx * local[0, a] + ny * local[1, a] + nz * local[2, a] - offset
-        heights[3, p] = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
+        heights[p, 0] = nx * last[0, a] + ny * last[1, a] + nz * last[2, a] - offset
+        heights[p, 1] = nx * last[0, b] + ny * last[1, b] + nz * last[2, b] - offset
+        heights[p, 2] = nx * local[0, a] + ny * local[1, a] + nz * local[2, a] - offset
+        heights[p, 3] = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
 
 
 @array_kernel
@@ -305,7 +270,7 @@ def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]
     """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
 
     Args:
-        heights: (4, P) from `fill_heights` [u].
+        heights: (P, 4) from `fill_heights` [u].
         time: From 0 to 1; vertices move on straight lines.
 
     Returns:
@@ -314,9 +279,9 @@ def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]
     """
     first, end = 0.0, 1.0
     plane_in, plane_out = -1, -1
-    for p in range(heights.shape[1]):
-        at_start = heights[0, p] + time * (heights[2, p] - heights[0, p]) - MARGIN
-        at_end = heights[1, p] + time * (heights[3, p] - heights[1, p]) - MARGIN
+    for p in range(heights.shape[0]):
+        at_start = heights[p, 0] + time * (heights[p, 2] - heights[p, 0]) - MARGIN
+        at_end = heights[p, 1] + time * (heights[p, 3] - heights[p, 1]) - MARGIN
         if at_start > 0.0 and at_end > 0.0:
             return 2.0, 0.0, -1, -1
         if at_start > 0.0:
@@ -340,8 +305,8 @@ def touched_plane(heights: np.ndarray, which: int, time: float, other: int, with
     between two different faces the edge lies over a third, or over the tool's edge.
     """
     best, highest, second = -1, -within, -1
-    for p in range(heights.shape[1]):
-        height = heights[which, p] + time * (heights[2 + which, p] - heights[which, p])
+    for p in range(heights.shape[0]):
+        height = heights[p, which] + time * (heights[p, 2 + which] - heights[p, which])
         if height <= -within:
             continue
         if p == other:
@@ -355,9 +320,9 @@ def touched_plane(heights: np.ndarray, which: int, time: float, other: int, with
 def least_deep_plane(heights: np.ndarray, time: float, first: float, end: float) -> int:
     """The face behind which the part of an edge from `first` to `end` is least deep, at a time between two queries."""
     best, least = -1, np.inf
-    for p in range(heights.shape[1]):
-        at_start = heights[0, p] + time * (heights[2, p] - heights[0, p])
-        at_end = heights[1, p] + time * (heights[3, p] - heights[1, p])
+    for p in range(heights.shape[0]):
+        at_start = heights[p, 0] + time * (heights[p, 2] - heights[p, 0])
+        at_end = heights[p, 1] + time * (heights[p, 3] - heights[p, 1])
         deepest = -min(at_start + first * (at_end - at_start), at_start + end * (at_end - at_start))
         if deepest < least:
             best, least = p, deepest
@@ -369,7 +334,7 @@ def meeting_time(heights: np.ndarray, samples: int) -> float:
     """When, between two queries, an edge of the organ first touched the tool.
 
     Args:
-        heights: (4, P) from `fill_heights` [u].
+        heights: (P, 4) from `fill_heights` [u].
         samples: At how many times in between it is looked at.
 
     Returns:
@@ -403,13 +368,13 @@ def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
 
     Nor does one of its ends, which is behind the face now, end on one of those around it, where a solve has put it.
     """
-    for p in range(heights.shape[1]):
+    for p in range(heights.shape[0]):
         if ridges[plane, p, 0] >= 0:
             for row in range(4):
-                if heights[row, p] > MARGIN:
+                if heights[p, row] > MARGIN:
                     return False
             for row in range(2, 4):
-                if heights[row, plane] < -RESIDUAL_TOLERANCE < heights[row, p]:
+                if heights[plane, row] < -RESIDUAL_TOLERANCE < heights[p, row]:
                     return False
     return True
 
@@ -419,7 +384,7 @@ def border_reached(heights: np.ndarray, which: int, time: float, met: int, sampl
     """Through which face next to the one it met an edge leaves the tool once its end has swung down past the rim.
 
     Args:
-        heights: (4, P) from `fill_heights` [u].
+        heights: (P, 4) from `fill_heights` [u].
         which: 0 for the first end of the edge, 1 for the second.
         time: When the edge first touched the tool.
         met: The face that it touched.
@@ -431,7 +396,7 @@ def border_reached(heights: np.ndarray, which: int, time: float, met: int, sampl
     """
     for sample in range(1, samples + 1):
         now = sample / samples
-        behind = heights[which, met] + now * (heights[2 + which, met] - heights[which, met])
+        behind = heights[met, which] + now * (heights[met, 2 + which] - heights[met, which])
         if now <= time or behind > -MARGIN:
             continue
         first, end, plane_in, plane_out = clip_edge(heights, now)
@@ -455,24 +420,17 @@ def edge_misses(extent: np.ndarray, last: np.ndarray, local: np.ndarray, a: int,
     return False
 
 
-@inline_kernel
+@array_kernel
 def gather_edges(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
     tool: Any,
-    memory: Any,
+    organ: Any,
     triangles: np.ndarray,
     found: int,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    placement: Any,
     again: bool,
+    scratch: Any,
 ) -> int:
     """Append constraints for each edge of the organ that came into the tool or touches it.
 
@@ -481,11 +439,10 @@ def gather_edges(
     may then swing over its rim. What swings so far only because nothing holds the edge's other end yet is not told from
     what really does: this is asked when contacts are looked for `again`, where a solve has put the organ.
     """
-    # Taking an array out of a structure counts references: once here, not for every edge.
-    local, last, candidates, codes = memory.local, memory.last_local, memory.candidates, memory.codes
+    local, last, candidates, codes = organ.local, organ.last_local, organ.candidates, organ.codes
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
     ridges, corners = tool.ridges, tool.corners
-    contact, heights = np.empty(7), np.empty((4, plane_offsets.shape[0]))
+    contact, heights = scratch.contact, scratch.heights[: plane_offsets.shape[0]]
     for k in range(found):
         t = candidates[k]
         for side in range(3):
@@ -521,11 +478,10 @@ def gather_edges(
                     s = contact[0]
                     along = contact[1] * nx + contact[2] * ny + contact[3] * nz
                     count = append_constraint(
-                        rows, features, names, count, (a, b, b), (1.0 - s, s, 0.0),
-                        (contact[1], contact[2], contact[3]), (contact[4], contact[5], contact[6]),
-                        last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
+                        table, count, (a, b, b), (1.0 - s, s, 0.0),
+                        (contact[1], contact[2], contact[3]), (contact[4], contact[5], contact[6]), last, placement,
                         met if along > 0.7 else border,
-                        constraint_name(ON_EDGE, which, a + first_vertex, b + first_vertex),
+                        constraint_name(ON_EDGE, which, a + placement.first_vertex, b + placement.first_vertex),
                     )  # fmt: skip
                 else:
                     place = first if which == 0 else end
@@ -534,10 +490,9 @@ def gather_edges(
                     z = local[2, a] + place * (local[2, b] - local[2, a])
                     depth = nx * x + ny * y + nz * z - plane_offsets[met]
                     count = append_constraint(
-                        rows, features, names, count, (a, b, b), (1.0 - place, place, 0.0), (nx, ny, nz),
-                        (x - depth * nx, y - depth * ny, z - depth * nz),
-                        last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner,
-                        met, constraint_name(ON_EDGE, 2 + which, a + first_vertex, b + first_vertex),
+                        table, count, (a, b, b), (1.0 - place, place, 0.0), (nx, ny, nz),
+                        (x - depth * nx, y - depth * ny, z - depth * nz), last, placement, met,
+                        constraint_name(ON_EDGE, 2 + which, a + placement.first_vertex, b + placement.first_vertex),
                     )  # fmt: skip
     return count
 
@@ -547,45 +502,46 @@ def gather_features(
     constraints: Any,
     count: int,
     tool: Any,
-    memory: Any,
+    organ: Any,
     triangles: np.ndarray,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    placement: Any,
     again: bool,
     attempt: int,
     tried: int,
     trial: Any,
+    scratch: Any,
 ) -> int:
-    """Append constraints where vertices, corners and edges have met, making room for them. Returns the new count.
+    """Append constraints where vertices, corners and edges have met, making room for them.
 
-    In the first pass, `attempt` 0, the organ is where its springs have thrown it; later where solves have put it. The
-    last one's constraints that pushed are the `tried` ones of `trial`.
+    Args:
+        constraints: `Constraints`.
+        count: How many there are.
+        tool: `ToolGeometry`.
+        organ: `LocalOrgan`. In the first pass, `attempt` 0, it is where its springs have thrown it; later where solves
+            have put it.
+        triangles: (T, 3) of the organ.
+        placement: `Placement` of the tool.
+        again: See `gather_edges`.
+        attempt: Which pass this is.
+        tried: How many constraints pushed in the last one.
+        trial: `ConstraintTable` of them.
+        scratch: `Scratch`.
+
+    Returns:
+        The new count.
     """
-    found = find_candidates(tool, memory, triangles)
+    found = find_candidates(tool.extent, organ, triangles)
     if found == 0:
         return count
     corners = tool.corners.shape[0]
     reserve(constraints, count, count + 9 * found + 9 * corners)
-    rows, features, names = constraints.rows, constraints.features, constraints.names
-    count = gather_vertices(
-        rows, features, names, count, tool, memory, first_vertex, position, rotation, linear_velocity,
-        angular_velocity, friction, owner, tried if attempt >= PASSES_UNDECIDED else 0, trial,
-    )  # fmt: skip
-    first, heights, behind = count, np.empty(corners), np.empty(corners, np.bool_)
+    table, undecided = constraints.table, attempt < PASSES_UNDECIDED
+    count = gather_vertices(table, count, tool, organ, placement, 0 if undecided else tried, trial)
+    first = count
     count = gather_corners(
-        rows, features, names, count, first + 8 * corners, heights, behind, tool, memory, triangles, found,
-        first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, attempt >= PASSES_AS_MET,
-    )  # fmt: skip
+        table, count, first + 8 * corners, tool, organ, triangles, found, placement, attempt >= PASSES_AS_MET, scratch
+    )
     count = gather_sunk_corners(
-        rows, features, names, count, first, first + 9 * corners, heights, behind, tool, memory, triangles, found,
-        first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, attempt > 0,
-    )  # fmt: skip
-    return gather_edges(
-        rows, features, names, count, tool, memory, triangles, found, first_vertex, position, rotation,
-        linear_velocity, angular_velocity, friction, owner, again,
-    )  # fmt: skip
+        table, count, first, first + 9 * corners, tool, organ, triangles, found, placement, attempt > 0, scratch
+    )
+    return gather_edges(table, count, tool, organ, triangles, found, placement, again, scratch)

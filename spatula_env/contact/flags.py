@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numba import types
 
-from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, kernel
 from spatula_env.contact.path import ON_PLANE, entry_plane
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.rigid import opposes_best, turn
@@ -98,9 +98,8 @@ def fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) ->
 
 
 @array_kernel
-def _fill_triangle_normal(vertices: np.ndarray, corners: np.ndarray, normal: np.ndarray) -> None:
+def _fill_triangle_normal(vertices: np.ndarray, a: int, b: int, c: int, normal: np.ndarray) -> None:
     """Write the unit outward normal of a triangle."""
-    a, b, c = corners[0], corners[1], corners[2]
     ux, uy, uz = (
         vertices[b, 0] - vertices[a, 0],
         vertices[b, 1] - vertices[a, 1],
@@ -128,10 +127,9 @@ def fill_local_normal(local: np.ndarray, corners: np.ndarray, normal: np.ndarray
 
 
 @array_kernel
-def _fill_weights(record: np.ndarray, vertices: np.ndarray, corners: np.ndarray) -> None:
-    """Write the barycentric weights of the contact point of one record into its first three entries."""
+def _fill_weights(record: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
+    """Write the weights of a triangle's corners (3,) at the contact point of a record, into its first three entries."""
     normal, point = record[4:7], record[7:10]
-    a, b, c = vertices[corners[0]], vertices[corners[1]], vertices[corners[2]]
     # Areas projected along the largest component of the normal; the plane's other two axes keep their order.
     largest = 0
     if abs(normal[1]) > abs(normal[largest]):
@@ -177,12 +175,12 @@ def triangle_weights(
     return 1.0 - second - third, second, third
 
 
-@inline_kernel
+@array_kernel
 def lead_by_velocity(
-    tool: Any, memory: Any, rotation: np.ndarray, linear_velocity: np.ndarray, angular_velocity: np.ndarray
+    tool: Any, leading: np.ndarray, rotation: np.ndarray, linear_velocity: np.ndarray, angular_velocity: np.ndarray
 ) -> None:
-    """Mark the nodes whose face leads: N_r . v > 0."""
-    nodes, normals, leading = tool.nodes, tool.normals, memory.states[2]
+    """Mark the nodes whose face leads, N_r . v > 0, in leading (n,)."""
+    nodes, normals = tool.nodes, tool.normals
     for i in range(nodes.shape[0]):
         rx, ry, rz = turn(rotation, nodes[i])
         nx, ny, nz = turn(rotation, normals[i])
@@ -192,17 +190,23 @@ def lead_by_velocity(
         leading[i] = vx * nx + vy * ny + vz * nz > 0.0
 
 
-@inline_kernel
-def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
+@array_kernel
+def lead_by_motion(tool: Any, memory: Any, organ: Any, triangles: np.ndarray) -> None:
     """Mark the nodes that lead relative to the surface they are in, and those whose face that surface came through.
 
     An organ does not move as one: what counts is the motion, since the last query and in the tool's frame, of the
-    point of the surface that the node would push. `PairMemory.local` and `last_local` hold that motion.
+    point of the surface that the node would push.
+
+    Args:
+        tool: `ToolGeometry`.
+        memory: `NodeMemory`, written.
+        organ: `LocalOrgan`.
+        triangles: (T, 3).
     """
     nodes, normals, face, hits, distances = tool.nodes, tool.normals, tool.face, memory.hits, memory.distances
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
-    leading, came_through, record = memory.states[2], memory.states[5], memory.record
-    local, last = memory.local, memory.last_local
+    leading, came_through, record = memory.leading, memory.came_through, memory.record
+    local, last = organ.local, organ.last_local
     for i in range(nodes.shape[0]):
         came_through[i] = False
         if hits[i, 0, 1] <= 0:
@@ -227,35 +231,43 @@ def lead_by_motion(tool: Any, memory: Any, triangles: np.ndarray) -> None:
 
 
 @array_kernel
-def remember_flags(states: np.ndarray) -> None:
-    """Note the flags before they are decided anew; see `PairMemory`."""
-    for i in range(states.shape[1]):
-        states[3, i] = states[0, i]
+def remember_flags(memory: Any) -> None:
+    """Note the flags of a `NodeMemory` before they are decided anew."""
+    for i in range(memory.flags.shape[0]):
+        memory.remembered[i] = memory.flags[i]
 
 
-@inline_kernel
+@array_kernel
 def decide_flags(
-    tool: Any, memory: Any, triangles: np.ndarray, first_step: int, exclusive: bool, grade: int
+    tool: Any,
+    memory: Any,
+    local: np.ndarray,
+    triangles: np.ndarray,
+    first_step: int,
+    exclusive: bool,
+    grade: int,
+    normal: np.ndarray,
 ) -> tuple[int, int]:
     """The two steps of the flags method, node by node, after rays have been cast.
 
     Args:
-        tool: `ToolShape`.
-        memory: `PairMemory`; flags and unfeasible are written, remembered and leading read.
+        tool: `ToolGeometry`.
+        memory: `NodeMemory`; flags and unfeasible are written, remembered and leading read.
+        local: (3, V) the organ in the tool's frame [u].
         triangles: (T, 3).
         first_step: Code of what the outward ray must find; 0 for no first step.
         exclusive: See `FlaggedDetector`.
         grade: What else a contact needs. 0: nothing; 1: that no other face opposes the triangle clearly better; 2:
             that the surface came through the node's face.
+        normal: (3,) workspace.
 
     Returns:
         How many nodes are flagged, and to how many of those that are inside `grade` refused it.
     """
     flags, unfeasible, leading, remembered, decided, came_through = (
-        memory.states[0], memory.states[1], memory.states[2], memory.states[3], memory.states[4], memory.states[5],
+        memory.flags, memory.unfeasible, memory.leading, memory.remembered, memory.decided, memory.came_through,
     )  # fmt: skip
     hits, opposite = memory.hits, tool.opposite
-    normal = np.empty(3)
     accepted, refused = 0, 0
     for i in range(opposite.shape[0]):
         flags[i], unfeasible[i], decided[i] = remembered[i], False, False
@@ -278,7 +290,7 @@ def decide_flags(
             if inside and grade > 0:
                 flags[i] = came_through[i]
                 if grade == 1:
-                    fill_local_normal(memory.local, triangles[hits[i, 0, 0]], normal)
+                    fill_local_normal(local, triangles[hits[i, 0, 0]], normal)
                     flags[i] = opposes_best(normal, tool.normals[i], tool.plane_normals)
                 if not flags[i]:
                     refused += 1
@@ -287,7 +299,7 @@ def decide_flags(
     return accepted, refused
 
 
-@inline_kernel
+@array_kernel
 def fill_record(
     tool: Any,
     memory: Any,
@@ -302,10 +314,8 @@ def fill_record(
 
     Weights of flagged nodes may be there already.
     """
-    # Taking an array out of a structure counts references: once here, not for every node.
-    nodes, normals, flags, hits, distances = tool.nodes, tool.normals, memory.states[0], memory.hits, memory.distances
+    nodes, normals, flags, hits, distances = tool.nodes, tool.normals, memory.flags, memory.hits, memory.distances
     triangle, record = memory.triangle, memory.record
-    corners = np.empty(3, np.int32)
     for i in range(nodes.shape[0]):
         triangle[i] = NO_HIT
         rx, ry, rz = turn(rotation, nodes[i])
@@ -314,17 +324,17 @@ def fill_record(
             for k in range(7):
                 record[i, k] = 0.0
             continue
-        triangle[i] = hits[i, 0, 0]
-        for k in range(3):
-            corners[k] = triangles[triangle[i], k] + first_vertex
-        _fill_triangle_normal(vertices, corners, record[i, 4:7])
+        t = hits[i, 0, 0]
+        triangle[i] = t
+        a, b, c = triangles[t, 0] + first_vertex, triangles[t, 1] + first_vertex, triangles[t, 2] + first_vertex
+        _fill_triangle_normal(vertices, a, b, c, record[i, 4:7])
         nx, ny, nz = turn(rotation, normals[i])
         record[i, 3] = distances[i, 0]
         record[i, 7] -= nx * distances[i, 0]
         record[i, 8] -= ny * distances[i, 0]
         record[i, 9] -= nz * distances[i, 0]
         if not has_weights:
-            _fill_weights(record[i], vertices, corners)
+            _fill_weights(record[i], vertices[a], vertices[b], vertices[c])
 
 
 @kernel(types.int32(F8, F8, F8, F8, F8_2, I4_2, TOOL, MEMORY, types.int64, types.boolean))
@@ -344,7 +354,7 @@ def detect_contacts(
     if (
         position.shape[0] != 3 or orientation.shape[0] != 4 or linear_velocity.shape[0] != 3
         or angular_velocity.shape[0] != 3 or vertices.shape[1] != 3 or triangles.shape[1] != 3
-        or vertices.shape[0] != memory.codes.shape[0]
+        or vertices.shape[0] != memory.organ.codes.shape[0]
     ):  # fmt: skip
         return WRONG_SHAPE
     length_squared, finite = 0.0, True
@@ -355,15 +365,16 @@ def detect_contacts(
         finite = finite and abs(linear_velocity[k]) < np.inf and abs(angular_velocity[k]) < np.inf
     if not (finite and abs(np.sqrt(length_squared) - 1.0) <= _UNIT_TOLERANCE):
         return _MOTION_NOT_VALID
-    rotation = np.empty(9)
+    geometry, nodes, organ = tool.geometry, memory.nodes, memory.organ
+    rotation, axes, normal = np.empty(9), np.empty(9), np.empty(3)
     fill_rotation(orientation, 1.0 / np.sqrt(length_squared), rotation)
-    status: int = cast_columns(position, rotation, vertices, triangles, tool, memory)
+    status: int = cast_columns(position, rotation, vertices, triangles, tool.rays, nodes, organ, axes)
     if status != 0:
         return status
-    remember_flags(memory.states)
-    lead_by_velocity(tool, memory, rotation, linear_velocity, angular_velocity)
-    decide_flags(tool, memory, triangles, first_step, exclusive, 0)
-    fill_record(tool, memory, vertices, 0, triangles, position, rotation, False)
+    remember_flags(nodes)
+    lead_by_velocity(geometry, nodes.leading, rotation, linear_velocity, angular_velocity)
+    decide_flags(geometry, nodes, organ.local, triangles, first_step, exclusive, 0, normal)
+    fill_record(geometry, nodes, vertices, 0, triangles, position, rotation, False)
     return 0
 
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spatula_env.contact import step
+from spatula_env.contact import settings, step
 from spatula_env.contact.flags import FIRST_STEP_CODES, FlaggedDetector
+from spatula_env.contact.motion import Motions, OrganMotion, StepOutcome
 from spatula_env.contact.pressure import contact_table, tool_pressures
 from spatula_env.contact.structures import surface_list
 from spatula_env.contact.world import Workspace, World, scene_skin
@@ -22,27 +23,6 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Motions:
-    """How the N tools move in one step.
-
-    Attributes:
-        start_positions: (N, 3) [u].
-        start_orientations: (N, 4).
-        positions: (N, 3) at the end of the step [u].
-        orientations: (N, 4).
-        linear_velocities: (N, 3) [u/s].
-        angular_velocities: (N, 3) world frame [rad/s].
-    """
-
-    start_positions: FloatArray
-    start_orientations: FloatArray
-    positions: FloatArray
-    orientations: FloatArray
-    linear_velocities: FloatArray
-    angular_velocities: FloatArray
 
 
 @dataclass(frozen=True)
@@ -126,7 +106,6 @@ class ContactModel:
             Workspace(),
             keeps_apart,
         )
-        self._mode = step.SECOND_STEP if first_step == "off" else step.FLAGS
         self._first_step_code = FIRST_STEP_CODES[first_step]
         self._dt = scene.dt
         count = len(scene.tools)
@@ -135,8 +114,8 @@ class ContactModel:
         tools = [placed.tool for placed in scene.tools]
         self._pressures = [np.zeros(len(tool.nodes)) for tool in tools]
         self._face_pressures = [np.zeros(len(tool.face_normals)) for tool in tools]
-        self.reach = float(self._world.settings[step.MEAN_EDGE])
-        self._result = np.zeros(step.RESULT_LENGTH)
+        self.reach = float(self._world.settings[settings.MEAN_EDGE])
+        self._result = np.zeros(settings.RESULT_LENGTH)
         self._contact_count = 0
         self.penetration = 0.0
         self.residual = 0.0
@@ -234,32 +213,18 @@ class ContactModel:
         nodes, velocities, self.nodal_impulses = np.empty((3, *start.shape))
         status = step.resolve_step(
             self._world.structure,
-            with_tools,
-            self._mode,
             self._first_step_code,
-            True,
-            motions.start_positions,
-            motions.start_orientations,
-            motions.positions,
-            motions.orientations,
-            motions.linear_velocities,
-            motions.angular_velocities,
-            start,
-            free_nodes,
-            free_velocities,
-            nodes,
-            velocities,
-            self.nodal_impulses,
-            self._impulses,
-            result,
+            motions,
+            OrganMotion(start, free_nodes, free_velocities, nodes, velocities),
+            StepOutcome(self.nodal_impulses, self._impulses, result),
         )
         if status != 0:
             raise FloatingPointError("the nodes' or the tools' positions are not finite")
-        self._contact_count = int(result[step.CONTACT_COUNT])
-        self.penetration = float(result[step.PENETRATION])
-        self.residual = float(result[step.RESIDUAL])
-        self.queries = int(result[step.QUERIES])
-        self.crossings, self.crossed_for = int(result[step.CROSSINGS]), float(result[step.CROSSED_FOR])
+        self._contact_count = int(result[settings.CONTACT_COUNT])
+        self.penetration = float(result[settings.PENETRATION])
+        self.residual = float(result[settings.RESIDUAL])
+        self.queries = int(result[settings.QUERIES])
+        self.crossings, self.crossed_for = int(result[settings.CROSSINGS]), float(result[settings.CROSSED_FOR])
         impulses = self._impulses / self._dt
         self.ground_force = -impulses[len(motions.positions), :3]
         if with_tools:

@@ -1,13 +1,79 @@
-"""How far organs and tools move in a step."""
+"""How organs and tools move in a step, and how far."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import TYPE_CHECKING, NamedTuple
 
-from spatula_env._kernels import array_kernel, kernel
+import numpy as np
+from numba import types
+
+from spatula_env._kernels import ARRAYS, array_kernel, kernel
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
 
 NODES_AT_ONCE = 16
 """So many nodes are looked at before it is asked whether that is enough."""
+
+
+class Motions(NamedTuple):
+    """How the N tools move in one step.
+
+    Attributes:
+        start_positions: (N, 3) [u].
+        start_orientations: (N, 4) unit quaternions xyzw.
+        positions: (N, 3) at the end of the step [u].
+        orientations: (N, 4).
+        linear_velocities: (N, 3) [u/s].
+        angular_velocities: (N, 3) world frame [rad/s].
+    """
+
+    start_positions: FloatArray
+    start_orientations: FloatArray
+    positions: FloatArray
+    orientations: FloatArray
+    linear_velocities: FloatArray
+    angular_velocities: FloatArray
+
+
+class OrganMotion(NamedTuple):
+    """How the V nodes of all organs move in one step.
+
+    Attributes:
+        start: (V, 3) at its start [u].
+        free_vertices: (V, 3) at its end, without contact [u].
+        free_velocities: (V, 3) [u/s].
+        vertices: (V, 3) written: at its end [u].
+        velocities: (V, 3) written [u/s].
+    """
+
+    start: FloatArray
+    free_vertices: FloatArray
+    free_velocities: FloatArray
+    vertices: FloatArray
+    velocities: FloatArray
+
+
+class StepOutcome(NamedTuple):
+    """What resolving the contacts of a step comes to; written.
+
+    Attributes:
+        nodal_impulses: (V, 3) what the tools gave the nodes [kg u/s].
+        wrenches: (N + 1, 6) impulse and its moment about each tool's origin, that the organs give the tool; last what
+            they give the ground [kg u/s, kg u2/s2].
+        numbers: (6,) by the names of the columns of the result in `settings`.
+    """
+
+    nodal_impulses: FloatArray
+    wrenches: FloatArray
+    numbers: FloatArray
+
+
+MOTIONS = types.NamedUniTuple(ARRAYS["f8_2"], 6, Motions)
+ORGAN_MOTION = types.NamedUniTuple(ARRAYS["f8_2"], 5, OrganMotion)
+STEP_OUTCOME = types.NamedTuple([ARRAYS["f8_2"], ARRAYS["f8_2"], ARRAYS["f8"]], StepOutcome)
 
 
 @kernel("f8(f8[:,::1], f8[:,::1])")

@@ -28,21 +28,13 @@ MOST_PASSED = 512
 """Most contacts remembered from earlier queries of a step."""
 
 
-@inline_kernel
-def start_warm(
-    count: int,
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    column: int,
-    known: int,
-    warm: Any,
-    scale: float,
-) -> None:
+@array_kernel
+def start_warm(count: int, table: Any, column: int, known: int, warm: Any, scale: float) -> None:
     """Give constraints multipliers, in three columns from `column`: `scale` times the displacements kept by name.
 
     Both come in the order of their owners, so each is looked for among its owner's.
     """
+    rows, features, names = table.rows, table.features, table.names
     warm_rows, warm_features, warm_names = warm.rows, warm.features, warm.names
     hint, first, end = 0, 0, 0
     for c in range(count):
@@ -95,7 +87,7 @@ def _height_over(rows: np.ndarray, features: np.ndarray, e: int, vertices: np.nd
     return height
 
 
-@inline_kernel
+@array_kernel
 def greatest_kept_depth(known: int, warm: Any, vertices: np.ndarray) -> float:
     """How deep behind their planes the kept constraints have left the surface of vertices (V, 3), at most [u]."""
     rows, features, deepest = warm.rows, warm.features, 0.0
@@ -104,7 +96,7 @@ def greatest_kept_depth(known: int, warm: Any, vertices: np.ndarray) -> float:
     return deepest
 
 
-@inline_kernel
+@array_kernel
 def expect_vertices(
     known: int,
     warm: Any,
@@ -125,7 +117,7 @@ def expect_vertices(
 
     Args:
         known: How many constraints were kept.
-        warm: They; their points are moved on with the tools.
+        warm: `ConstraintTable` of them; their points are moved on with the tools.
         inverse_mass: (V,) [1/kg].
         start_positions: (N, 3) of the tools before this step [u].
         linear_velocities: (N, 3) [u/s].
@@ -160,41 +152,38 @@ def expect_vertices(
 
 
 @inline_kernel
-def keep_warm(count: int, rows: np.ndarray, features: np.ndarray, names: np.ndarray, warm: Any) -> int:
-    """Keep the displacements of a solve, for the velocity solve and for the next step; returns how many."""
+def keep_warm(count: int, table: Any, warm: Any) -> int:
+    """Keep a solve's displacements in `Constraints`, for the velocity solve and the next step; returns how many."""
     reserve(warm, 0, count)
-    warm_rows, warm_features, warm_names = warm.rows, warm.features, warm.names
-    kept = 0
+    return int(_copy_pushing(count, table, warm.table))
+
+
+@array_kernel
+def _copy_pushing(count: int, table: Any, into: Any) -> int:
+    """Copy the constraints that push to the first places of another table; returns how many there are."""
+    rows, kept = table.rows, 0
     for c in range(count):
         if rows[c, DISPLACEMENT] != 0.0 or rows[c, DISPLACEMENT + 1] != 0.0 or rows[c, DISPLACEMENT + 2] != 0.0:
-            copy_constraint(rows, features, names, c, warm_rows, warm_features, warm_names, kept)
+            copy_constraint(table, c, into, kept)
             kept += 1
     return kept
 
 
-@inline_kernel
-def add_passed(
-    count: int,
-    passed: int,
-    constraints: Any,
-    earlier: Any,
-    positions: np.ndarray,
-) -> int:
+@array_kernel
+def add_passed(count: int, passed: int, table: Any, earlier: Any, positions: np.ndarray) -> int:
     """Append the contacts that pushed in an earlier query and are no longer there; without friction.
 
     Their planes have moved on with the tools, to positions (N, 3). Returns the new count.
     """
-    rows, features, names = constraints.rows, constraints.features, constraints.names
-    earlier_rows, earlier_features, earlier_names = earlier.rows, earlier.features, earlier.names
-    current = count
+    rows, features, names, current = table.rows, table.features, table.names, count
     for e in range(passed):
         known = False
         for c in range(current):
-            if names[c] == earlier_names[e] and features[c, OWNER] == earlier_features[e, OWNER]:
+            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
                 known = True
                 break
         if not known:
-            copy_constraint(earlier_rows, earlier_features, earlier_names, e, rows, features, names, count)
+            copy_constraint(earlier, e, table, count)
             rows[count, FRICTION] = 0.0
             for axis in range(3):
                 rows[count, IMPULSE + axis] = 0.0
@@ -203,14 +192,14 @@ def add_passed(
     return count
 
 
-@inline_kernel
-def note_passed(count: int, passed: int, constraints: Any, earlier: Any, position: np.ndarray) -> int:
+@array_kernel
+def note_passed(count: int, passed: int, table: Any, earlier: Any, position: np.ndarray) -> int:
     """Keep the tools' contacts that have just pushed, for the velocity solve at the end of the step.
 
     Returns how many are kept. Their origin becomes the tool's position (N, 3) at this query.
     """
-    rows, features, names = constraints.rows, constraints.features, constraints.names
-    earlier_rows, earlier_features, earlier_names = earlier.rows, earlier.features, earlier.names
+    rows, features, names = table.rows, table.features, table.names
+    earlier_rows = earlier.rows
     for c in range(count):
         pushed = 0.0
         for axis in range(3):
@@ -219,7 +208,7 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
             continue
         place = passed
         for e in range(passed):
-            if names[c] == earlier_names[e] and features[c, OWNER] == earlier_features[e, OWNER]:
+            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
                 place = e
                 break
         if place == MOST_PASSED:
@@ -227,7 +216,7 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
         x, y, z = 0.0, 0.0, 0.0
         if place < passed:
             x, y, z = earlier_rows[place, IMPULSE], earlier_rows[place, IMPULSE + 1], earlier_rows[place, IMPULSE + 2]
-        copy_constraint(rows, features, names, c, earlier_rows, earlier_features, earlier_names, place)
+        copy_constraint(table, c, earlier, place)
         earlier_rows[place, IMPULSE], earlier_rows[place, IMPULSE + 1], earlier_rows[place, IMPULSE + 2] = x, y, z
         for axis in range(3):
             earlier_rows[place, ORIGIN + axis] = position[features[c, OWNER], axis]
@@ -235,7 +224,7 @@ def note_passed(count: int, passed: int, constraints: Any, earlier: Any, positio
     return passed
 
 
-@inline_kernel
+@array_kernel
 def sum_passed(passed: int, earlier: Any) -> None:
     """Add up, in the columns of the impulse, what contacts have moved by in the queries so far; called after each."""
     earlier_rows = earlier.rows
@@ -251,18 +240,23 @@ def keep_for_next(count: int, trial: Any, passed: int, earlier: Any, warm: Any) 
 
     Args:
         count: How many constraints acted in the last query.
-        trial: They.
+        trial: `ConstraintTable` of them.
         passed: How many acted in the queries before; those that are not among them any more are left out.
-        earlier: They, see `sum_passed`.
-        warm: Written.
+        earlier: `ConstraintTable` of them, see `sum_passed`.
+        warm: `Constraints`, written.
     """
     reserve(warm, 0, count)
-    rows, features, names = warm.rows, warm.features, warm.names
-    copy_first(count, trial.rows, trial.features, trial.names, rows, features, names)
-    earlier_rows, earlier_features, earlier_names = earlier.rows, earlier.features, earlier.names
+    copy_first(count, trial, warm.table)
+    _add_displacements(count, warm.table, passed, earlier)
+
+
+@array_kernel
+def _add_displacements(count: int, table: Any, passed: int, earlier: Any) -> None:
+    """Add what the same contacts moved by in earlier queries to their displacements."""
+    rows, features, names = table.rows, table.features, table.names
     for c in range(count):
         for e in range(passed):
-            if names[c] == earlier_names[e] and features[c, OWNER] == earlier_features[e, OWNER]:
+            if names[c] == earlier.names[e] and features[c, OWNER] == earlier.features[e, OWNER]:
                 for axis in range(3):
-                    rows[c, DISPLACEMENT + axis] += earlier_rows[e, IMPULSE + axis]
+                    rows[c, DISPLACEMENT + axis] += earlier.rows[e, IMPULSE + axis]
                 break

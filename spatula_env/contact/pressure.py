@@ -16,7 +16,7 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, array_kernel, kernel
 from spatula_env.contact.flags import fill_rotation
-from spatula_env.contact.step import DT, MEAN_EDGE
+from spatula_env.contact.settings import DT, MEAN_EDGE
 from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, POINT, WORLD_CONTACTS
 
 F8, F8_2, I4 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4"]
@@ -30,13 +30,13 @@ contact would be a matter of how densely the face is covered with nodes."""
 @kernel(F8_2(CONSTRAINTS, types.int64))
 def contact_table(constraints: Any, count: int) -> np.ndarray:
     """Copy the first `count` constraints after a step: (count, 8) of point [u], impulse on the organ, owner, plane."""
-    table = np.empty((count, 8))
+    table, rows, features = np.empty((count, 8)), constraints.table.rows, constraints.table.features
     for c in range(count):
         for axis in range(3):
-            table[c, axis] = constraints.rows[c, POINT + axis]
-            table[c, 3 + axis] = constraints.rows[c, IMPULSE + axis]
-        table[c, 6] = constraints.features[c, OWNER]
-        table[c, 7] = constraints.features[c, PLANE]
+            table[c, axis] = rows[c, POINT + axis]
+            table[c, 3 + axis] = rows[c, IMPULSE + axis]
+        table[c, 6] = features[c, OWNER]
+        table[c, 7] = features[c, PLANE]
     return table
 
 
@@ -179,13 +179,13 @@ def tool_pressures(
     Returns:
         The greatest pressure on a node [kg/(u s2)].
     """
-    shape, reach, dt = world.tools[tool], world.settings[MEAN_EDGE], world.settings[DT]
+    shape, reach, dt = world.tools[tool].geometry, world.settings[MEAN_EDGE], world.settings[DT]
     nodes, normals, face, areas = shape.nodes, shape.normals, shape.face, shape.areas
-    rows, features = world.constraints.rows, world.constraints.features
+    rows, features = world.constraints.table.rows, world.constraints.table.features
     count, organs = nodes.shape[0], world.first_vertices.shape[0]
     touching = np.zeros(count, np.bool_)
     for organ in range(organs):
-        flags = world.memories[tool * organs + organ].states[0]
+        flags = world.memories[tool * organs + organ].nodes.flags
         for i in range(count):
             touching[i] |= flags[i]
     rotation, shares, point, impulse = np.empty(9), np.empty(count), np.empty(3), np.empty(3)

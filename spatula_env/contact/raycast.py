@@ -18,10 +18,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from spatula_env._kernels import ARRAYS, array_kernel, kernel
-from spatula_env.contact.structures import MEMORY, NO_HIT, TOOL
+from spatula_env.contact.structures import NO_HIT
 
 F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
 
@@ -256,9 +255,16 @@ def _cast_past_grazes(
                     _record_hit(hits, distances, node, side, distance, towards, k, tie)
 
 
-@kernel(types.int32(F8, F8, F8_2, I4_2, TOOL, MEMORY))
+@array_kernel
 def cast_columns(
-    position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, tool: Any, memory: Any
+    position: np.ndarray,
+    rotation: np.ndarray,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    rays: Any,
+    memory: Any,
+    organ: Any,
+    axes: np.ndarray,
 ) -> int:
     """Cast every contact node's inward and outward ray at a surface.
 
@@ -267,23 +273,25 @@ def cast_columns(
         rotation: (9,) its rotation matrix, row by row.
         vertices: (V, 3) of the surface [u].
         triangles: (T, 3).
-        tool: `ToolShape`.
-        memory: `PairMemory`. Its `hits` (n, 2, 2) are the result: for each node the inward ray (0) and the outward ray
+        rays: `RayLines` of the tool.
+        memory: `NodeMemory`. Its `hits` (n, 2, 2) are the result: for each node the inward ray (0) and the outward ray
             (1), the triangle, or `NO_HIT`; and the facing, positive where the ray leaves the body, negative where it
             enters, 0 where it meets nothing. `distances` (n, 2): along the ray [u], infinite where it meets nothing.
+        organ: `LocalOrgan`, for workspace.
+        axes: (9,) workspace.
 
     Returns:
         0; 1 if a vertex or the pose is not finite; 2 if a triangle names a vertex that does not exist.
     """
-    frames, bounds, group_rows, row_u = tool.frames, tool.bounds, tool.group_rows, tool.row_u
-    row_columns, column_v, column_nodes = tool.row_columns, tool.column_v, tool.column_nodes
-    node_height, hits, distances = tool.node_height, memory.hits, memory.distances
-    local, codes = memory.ray_local, memory.codes
+    frames, bounds, group_rows, row_u = rays.frames, rays.bounds, rays.group_rows, rays.row_u
+    row_columns, column_v, column_nodes = rays.row_columns, rays.column_v, rays.column_nodes
+    node_height, hits, distances = rays.node_height, memory.hits, memory.distances
+    local, codes = organ.ray_local, organ.codes
     vertex_count, triangle_count = vertices.shape[0], triangles.shape[0]
     least, greatest = 0, 0
-    indices = triangles.reshape(-1)
-    for k in range(3 * triangle_count):
-        least, greatest = min(least, indices[k]), max(greatest, indices[k])
+    for k in range(triangle_count):
+        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+        least, greatest = min(least, a, b, c), max(greatest, a, b, c)
     if least < 0 or greatest >= max(vertex_count, 1):
         return 2
     for i in range(node_height.shape[0]):
@@ -293,7 +301,6 @@ def cast_columns(
             distances[i, side] = np.inf
     for group in range(frames.shape[0]):
         # Rows of the group's frame, in the world.
-        axes = np.empty(9)
         for row in range(3):
             for column in range(3):
                 axes[3 * row + column] = (

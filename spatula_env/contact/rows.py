@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from spatula_env._kernels import array_kernel
@@ -33,31 +35,42 @@ def constraint_name(kind: int, of_tool: int, first: int, second: int) -> int:
 
 @array_kernel
 def append_constraint(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
     corners: tuple[int, int, int],
     weights: tuple[float, float, float],
     normal: tuple[float, float, float],
     point: tuple[float, float, float],
-    memory_last: np.ndarray,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    last: np.ndarray,
+    placement: Any,
     plane: int,
     name: int,
 ) -> int:
-    """Append a constraint; normal and point are in the tool's frame. Returns the new count."""
-    row = rows[count]
+    """Append a constraint of a tool and an organ.
+
+    Args:
+        table: `ConstraintTable` with room for it.
+        count: How many there are.
+        corners: Three vertices of the organ.
+        weights: Theirs.
+        normal: Towards the organ, tool frame.
+        point: Of the plane, tool frame [u].
+        last: (3, V) the organ in the tool's frame at the last query [u].
+        placement: `Placement` of the tool.
+        plane: The tool's face.
+        name: See `constraint_name`.
+
+    Returns:
+        The new count.
+    """
+    position, rotation = placement.position, placement.rotation
+    linear_velocity, angular_velocity = placement.linear_velocity, placement.angular_velocity
+    row, features = table.rows[count], table.features[count]
     a, b, c = corners
-    features[count, 0], features[count, 1], features[count, 2] = a + first_vertex, b + first_vertex, c + first_vertex
-    features[count, FOURTH], features[count, OWNER], features[count, PLANE] = NO_VERTEX, owner, plane
-    names[count] = name
+    for corner in range(3):
+        features[corner] = corners[corner] + placement.first_vertex
+    features[FOURTH], features[OWNER], features[PLANE] = NO_VERTEX, placement.owner, plane
+    table.names[count] = name
     row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = weights
     for axis in range(3):
         arm = rotation[3 * axis] * point[0] + rotation[3 * axis + 1] * point[1] + rotation[3 * axis + 2] * point[2]
@@ -70,14 +83,14 @@ def append_constraint(
     row[VELOCITY] = linear_velocity[0] + angular_velocity[1] * rz - angular_velocity[2] * ry
     row[VELOCITY + 1] = linear_velocity[1] + angular_velocity[2] * rx - angular_velocity[0] * rz
     row[VELOCITY + 2] = linear_velocity[2] + angular_velocity[0] * ry - angular_velocity[1] * rx
-    x = weights[0] * memory_last[0, a] + weights[1] * memory_last[0, b] + weights[2] * memory_last[0, c]
-    y = weights[0] * memory_last[1, a] + weights[1] * memory_last[1, b] + weights[2] * memory_last[1, c]
-    z = weights[0] * memory_last[2, a] + weights[1] * memory_last[2, b] + weights[2] * memory_last[2, c]
+    x = weights[0] * last[0, a] + weights[1] * last[0, b] + weights[2] * last[0, c]
+    y = weights[0] * last[1, a] + weights[1] * last[1, b] + weights[2] * last[1, c]
+    z = weights[0] * last[2, a] + weights[1] * last[2, b] + weights[2] * last[2, c]
     for axis in range(3):
         row[ORIGIN + axis] = (
             position[axis] + rotation[3 * axis] * x + rotation[3 * axis + 1] * y + rotation[3 * axis + 2] * z
         )
         row[DISPLACEMENT + axis] = 0.0
         row[IMPULSE + axis] = 0.0
-    row[FRICTION] = friction
+    row[FRICTION] = placement.friction
     return count + 1

@@ -208,9 +208,7 @@ def _side_held(
 
 @array_kernel
 def append_pair(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
     vertices: tuple[int, int, int, int],
     weights: tuple[float, float, float],
@@ -222,10 +220,10 @@ def append_pair(
 ) -> int:
     """Append a constraint between two points of organs; the fourth vertex's weight makes their sum zero."""
     i, j, k, fourth = vertices
-    row = rows[count]
-    features[count, 0], features[count, 1], features[count, 2], features[count, FOURTH] = i, j, k, fourth
-    features[count, OWNER], features[count, PLANE] = ORGANS, 0
-    names[count] = name
+    row, features = table.rows[count], table.features[count]
+    features[0], features[1], features[2], features[FOURTH] = i, j, k, fourth
+    features[OWNER], features[PLANE] = ORGANS, 0
+    table.names[count] = name
     a, b, c = weights
     d = -(a + b + c)
     row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = a, b, c
@@ -270,9 +268,7 @@ def _append_pairs(
     mean_edge: float,
     friction: float,
     room: np.ndarray,
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
+    table: Any,
     count: int,
 ) -> tuple[int, int]:
     """Append constraints of some pairs of features while there is room for them, and measure what is not known.
@@ -297,9 +293,7 @@ def _append_pairs(
         mean_edge: See there.
         friction: See there.
         room: (10, 9) workspace.
-        rows: See `structures.Constraints`, as the next two.
-        features: See there.
-        names: See there.
+        table: `ConstraintTable`.
         count: How many constraints there are.
 
     Returns:
@@ -338,7 +332,7 @@ def _append_pairs(
         name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, first, second)
         if _is_left_out(left_out, name):
             continue
-        if count == names.shape[0]:
+        if count == table.names.shape[0]:
             return count, m
         # The fourth vertex is one of the first edge, or what has come to the triangle.
         if is_edges:
@@ -348,8 +342,8 @@ def _append_pairs(
         else:
             weights = (place[0] + place[1] - 1.0, -place[0], -place[1])
         count = append_pair(
-            rows, features, names, count, (a, b, c, d), weights, (side * normal[0], side * normal[1], side * normal[2]),
-            separation, reference, friction, name | SIDE_BIT if side < 0 else name,
+            table, count, (a, b, c, d), weights, (side * normal[0], side * normal[1], side * normal[2]), separation,
+            reference, friction, name | SIDE_BIT if side < 0 else name,
         )  # fmt: skip
     return count, end
 
@@ -377,7 +371,7 @@ def _gather_pairs(
         count, done = _append_pairs(
             is_edges, done, end, pairs, skin.edges, skin.triangles, skin.left_out, distances, near.shift, gaps,
             near.moved, near.tangled, near.crossing[CROSSINGS] > 0, held, vertices, reference, mean_edge, friction,
-            room, constraints.rows, constraints.features, constraints.names, count,
+            room, constraints.table, count,
         )  # fmt: skip
     return count
 
@@ -447,7 +441,7 @@ def prepare_pairs(
         mean_edge: Of the organ with the smallest [u].
         is_free: Whether no node is held: organs roll and slide as a whole.
         known: How many constraints were kept.
-        warm: They, a `Constraints`.
+        warm: `ConstraintTable` of them.
     """
     if near.counts[IS_KNOWN] == 0:
         find_near(skin, near, start, thrown, MARGIN * mean_edge, near.tangled)
@@ -515,7 +509,7 @@ def keep_uncrossed(
         near: `Near`; what is near is found anew if a vertex has got out of reach.
         inverse_mass: (V,) [1/kg].
         known: How many constraints pushed in the last solve.
-        solved: They, a `Constraints`.
+        solved: `ConstraintTable` of them.
         held: (V, 3) where the vertices were last on their right sides [u].
         vertices: (V, 3) where they are; changed [u].
         mean_edge: Of the organ with the smallest [u].
@@ -591,7 +585,7 @@ def remember_sides(near: Any, known: int, warm: Any) -> None:
     Args:
         near: `Near`, written.
         known: How many constraints were kept.
-        warm: They, a `Constraints`.
+        warm: `ConstraintTable` of them.
     """
     vertex_pairs, edge_pairs = near.vertex_pairs, near.edge_pairs
     for m in range(near.counts[VERTEX_PAIRS]):
@@ -618,10 +612,11 @@ def touching_pairs(skin: Any, near: Any, vertices: np.ndarray, mean_edge: float)
     constraints = make_constraints(64)
     count = gather_organs(constraints, 0, skin, near, vertices, vertices, vertices, vertices, mean_edge, 0.0, True)
     names, touching = np.empty(count, np.int64), 0
+    table = constraints.table
     for c in range(count):
-        features = constraints.features[c]
+        features = table.features[c]
         if skin.organs[features[0]] == skin.organs[features[FOURTH]]:
-            names[touching] = constraints.names[c] & ~SIDE_BIT
+            names[touching] = table.names[c] & ~SIDE_BIT
             touching += 1
     return np.sort(names[:touching])
 

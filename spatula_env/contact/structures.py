@@ -1,19 +1,21 @@
 """What the contact kernels are given: a tool's shape, what is remembered of a tool and an organ, and constraints.
 
-Numba structures: a kernel takes one in a third of a microsecond however many arrays it holds. They share their arrays
-with the Python objects that made them. Structures are made by compiled functions, so that making one compiles nothing.
+Numba structures, of tuples of arrays. A kernel takes a structure in a third of a microsecond however many arrays it
+holds, and they share their arrays with the Python objects that made them; but to take an array out of a structure
+counts a reference. Tuples are taken out once, and given to helpers that count none (`array_kernel`). Structures are
+made by compiled functions, so that making one compiles nothing.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import types
 from numba.experimental import structref
 from numba.typed import List
 
-from spatula_env._kernels import ARRAYS, array_kernel, kernel
+from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.columns import RayColumns
 from spatula_env.contact.skin import NEAR, SKIN
 
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from spatula_env.geometry.tools import Tool
+
+STATES = 7
+"""How many of the fields of `NodeMemory` say yes or no of a node."""
 
 NO_HIT = -1
 """In the place of a triangle's index: none."""
@@ -30,6 +35,190 @@ SAME_DIRECTION = 1e-9
 
 ON_PLANE = 1e-9
 """A corner no farther than this from a plane, relative to the tool's size, lies on it."""
+
+
+class ToolGeometry(NamedTuple):
+    """A convex tool and its contact nodes, in the tool's frame.
+
+    Attributes:
+        nodes: (n, 3) [u].
+        normals: (n, 3).
+        opposite: (n,) each node's opposite one.
+        areas: (n,) each node's share of its face [u2].
+        face: (n,) each node's face. Faces with nodes come first among the planes, in the tool's order.
+        plane_normals: (P, 3) of all faces, those with nodes and those without.
+        plane_offsets: (P,) [u].
+        corners: (K, 3) [u].
+        ridges: (P, P, 2) the two corners of the edge between two planes; -1 where there is none.
+        extent: (8,) lower corner of the bounding box, upper corner, bounding radius, thickness [u].
+    """
+
+    nodes: np.ndarray
+    normals: np.ndarray
+    opposite: np.ndarray
+    areas: np.ndarray
+    face: np.ndarray
+    plane_normals: np.ndarray
+    plane_offsets: np.ndarray
+    corners: np.ndarray
+    ridges: np.ndarray
+    extent: np.ndarray
+
+
+class RayLines(NamedTuple):
+    """The lines on which a tool's contact nodes cast their rays: see `columns.RayColumns`, attribute by attribute."""
+
+    frames: np.ndarray
+    bounds: np.ndarray
+    group_rows: np.ndarray
+    row_u: np.ndarray
+    row_columns: np.ndarray
+    column_v: np.ndarray
+    column_nodes: np.ndarray
+    node_height: np.ndarray
+
+
+class NodeMemory(NamedTuple):
+    """What is remembered of a tool's n contact nodes and an organ, and what a query finds about them.
+
+    Attributes:
+        flags: (n,) the node is in feasible contact.
+        unfeasible: (n,) the first step has refused it.
+        leading: (n,) its face leads; serves one query, as the next three.
+        remembered: (n,) its flag before the query.
+        decided: (n,) it has been visited.
+        came_through: (n,) the surface came through its face.
+        outside: (n,) the last query found it outside of the organ.
+        triangle: (n,) the one that its inward ray leaves through, `NO_HIT` where it is not flagged.
+        record: (n, 10) weights of that triangle's corners, depth, normal, point.
+        hits: (n, 2, 2) see `raycast.cast_columns`.
+        distances: (n, 2) see there [u].
+    """
+
+    flags: np.ndarray
+    unfeasible: np.ndarray
+    leading: np.ndarray
+    remembered: np.ndarray
+    decided: np.ndarray
+    came_through: np.ndarray
+    outside: np.ndarray
+    triangle: np.ndarray
+    record: np.ndarray
+    hits: np.ndarray
+    distances: np.ndarray
+
+
+class LocalOrgan(NamedTuple):
+    """An organ of V vertices and T triangles in a tool's frame.
+
+    Attributes:
+        local: (3, V) where it is [u].
+        last_local: (3, V) where it was at the last query [u].
+        codes: (V,) workspace: beyond which sides of a box each vertex is.
+        candidates: (T,) triangles near the tool.
+        ray_local: (3, V) workspace: along one group of rays.
+    """
+
+    local: np.ndarray
+    last_local: np.ndarray
+    codes: np.ndarray
+    candidates: np.ndarray
+    ray_local: np.ndarray
+
+
+class ConstraintTable(NamedTuple):
+    """Unilateral constraints: see `response`. A row each; columns by the names below.
+
+    Attributes:
+        rows: (C, 24) WEIGHTS of three vertices, summing to one where there is no fourth; NORMAL n, towards the organ;
+            POINT p [u]; VELOCITY dp/dt [u/s]; ORIGIN, where the constrained point would be had it moved with the tool
+            since the last query [u]; FRICTION, coefficient; INERTIA of the constrained point [kg]; GAP (s - p) . n
+            [u]; DISPLACEMENT, what the position solve applied [kg u]; IMPULSE, what the velocity solve applied to the
+            organ [kg u/s].
+        features: (C, 6) the three vertices; FOURTH, a vertex whose weight makes the sum of all zero, or `NO_VERTEX`;
+            OWNER, index of the tool, `GROUND` or `ORGANS`; PLANE, the tool's face.
+        names: (C,) tells which features touch, the same in the next query.
+    """
+
+    rows: np.ndarray
+    features: np.ndarray
+    names: np.ndarray
+
+
+class Placement(NamedTuple):
+    """Where a tool is and how it moves, while it meets an organ.
+
+    Attributes:
+        position: (3,) [u].
+        rotation: (9,) its rotation matrix, row by row.
+        linear_velocity: (3,) [u/s].
+        angular_velocity: (3,) [rad/s].
+        friction: Coefficient.
+        owner: The tool's index.
+        first_vertex: Of the organ, among all organs'.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    linear_velocity: np.ndarray
+    angular_velocity: np.ndarray
+    friction: float
+    owner: int
+    first_vertex: int
+
+
+class Scratch(NamedTuple):
+    """Workspace of kernels that make no arrays, for tools of up to P planes and K corners and organs as `LocalOrgan`.
+
+    Attributes:
+        heights: (P, 4) of an edge's ends over the planes.
+        under: (P, 3) of a triangle's corners under the planes.
+        polygon: (P + 4, 3) what is left of a triangle,
+        clipped: (P + 4, 3) or here.
+        facing: (P,) of a triangle and the planes.
+        corner_heights: (K,) of corners over triangles.
+        corner_behind: (K,) whether a corner is behind a triangle.
+        contact: (7,) of two edges.
+        normal: (3,) of a triangle,
+        last_normal: (3,) and at the last query.
+        moving: (3, 3) a triangle on its way.
+        nearest: (4,) the nearest point of a surface.
+        near: (T,) triangles near a tool,
+        around: (T,) or around a triangle.
+        codes: (V,) see `LocalOrgan`.
+        turned: (3, V) an organ along a line.
+        axes: (9,) of a group of rays.
+    """
+
+    heights: np.ndarray
+    under: np.ndarray
+    polygon: np.ndarray
+    clipped: np.ndarray
+    facing: np.ndarray
+    corner_heights: np.ndarray
+    corner_behind: np.ndarray
+    contact: np.ndarray
+    normal: np.ndarray
+    last_normal: np.ndarray
+    moving: np.ndarray
+    nearest: np.ndarray
+    near: np.ndarray
+    around: np.ndarray
+    codes: np.ndarray
+    turned: np.ndarray
+    axes: np.ndarray
+
+
+def _arrays(kind: Any, *elements: str) -> Any:
+    """Numba's type of a NamedTuple of arrays, by the names in `ARRAYS`."""
+    return types.NamedTuple([ARRAYS[element] for element in elements], kind)
+
+
+TOOL_GEOMETRY = _arrays(ToolGeometry, "f8_2", "f8_2", "i4", "f8", "i4", "f8_2", "f8", "f8_2", "i4_3", "f8")
+RAY_LINES = _arrays(RayLines, "f8_3", "f8_2", "i4", "f8", "i4", "f8", "i4_2", "f8")
+NODE_MEMORY = _arrays(NodeMemory, *["b1"] * 7, "i4", "f8_2", "i4_3", "f8_2")
+LOCAL_ORGAN = _arrays(LocalOrgan, "f8_2", "f8_2", "u1", "i4", "f8_2")
+CONSTRAINT_TABLE = _arrays(ConstraintTable, "f8_2", "i4_2", "i8")
 
 
 @structref.register
@@ -53,17 +242,11 @@ class WorldContactsType(types.StructRef):
 
 
 class ToolShape(structref.StructRefProxy):
-    """A tool, for kernels; everything in the tool's frame.
+    """A tool, for kernels.
 
     Fields:
-        nodes (n, 3) [u], normals (n, 3), opposite (n,).
-        areas (n,): each node's share of its face [u2].
-        face (n,): each node's face. Faces with nodes come first among the planes, in the tool's order.
-        plane_normals (P, 3), plane_offsets (P,) [u]: of all faces, those with nodes and those without.
-        corners (K, 3) [u].
-        ridges (P, P, 2): the two corners of the edge between two planes; -1 where there is none.
-        extent (8,): lower corner of the bounding box, upper corner, bounding radius, thickness [u].
-        frames to node_height: see `columns.RayColumns`.
+        geometry: `ToolGeometry`.
+        rays: `RayLines`.
     """
 
 
@@ -71,29 +254,16 @@ class PairMemory(structref.StructRefProxy):
     """A detector's memory and workspace for one tool and one organ, for kernels.
 
     Fields:
-        states (7, n): flags, unfeasible; serving one query, leading, remembered, decided, came through; and whether
-            the last query found the node outside of the organ.
-        triangle (n,): the one that a node's inward ray leaves through, `NO_HIT` where the node is not flagged.
-        record (n, 10): weights of its corners, depth, normal, point.
-        hits (n, 2, 2), distances (n, 2): see `raycast.cast_columns`.
-        ray_local (3, V), codes (V,): workspace of one group of rays.
-        local (3, V), last_local (3, V): the organ in the tool's frame, now and at the last query [u].
-        candidates (T,): triangles near the tool.
+        nodes: `NodeMemory`.
+        organ: `LocalOrgan`.
     """
 
 
 class Constraints(structref.StructRefProxy):
-    """Room for unilateral constraints, for kernels: see `response`. A row each; columns by the names below.
+    """Room for constraints, which grows, for kernels.
 
     Fields:
-        rows (C, 24): WEIGHTS of three vertices, summing to one where there is no fourth; NORMAL n, towards the organ;
-            POINT p [u]; VELOCITY dp/dt [u/s]; ORIGIN, where the constrained point would be had it moved with the tool
-            since the last query [u]; FRICTION, coefficient; INERTIA of the constrained point [kg]; GAP (s - p) . n
-            [u]; DISPLACEMENT, what the position solve applied [kg u]; IMPULSE, what the velocity solve applied to the
-            organ [kg u/s].
-        features (C, 6): the three vertices; FOURTH, a vertex whose weight makes the sum of all zero, or `NO_VERTEX`;
-            OWNER, index of the tool, `GROUND` or `ORGANS`; PLANE, the tool's face.
-        names (C,): tells which features touch, the same in the next query.
+        table: `ConstraintTable`.
     """
 
 
@@ -111,11 +281,11 @@ class WorldContacts(structref.StructRefProxy):
         warm_count (1,): how many.
         first_vertices (O,): index of each organ's first vertex among all.
         friction (N,): coefficients.
-        settings: See `step`.
+        settings: See `settings`.
         inverse_mass (V,): of the organs' nodes [1/kg].
         skin: `Skin` of all organs.
         near: `Near`: which features of organs are near each other.
-        ledger (O, 5): of the energy that the tools put into each organ; see `response`.
+        ledger (O, 5): of the energy that the tools put into each organ; see `energy`.
     """
 
 
@@ -130,45 +300,12 @@ NO_VERTEX = -1
 ORGANS, GROUND = -2, -1
 """Owners of constraints that are not a tool's: of organs with themselves and each other, and with the ground."""
 
-TOOL_FIELDS = [
-    ("nodes", ARRAYS["f8_2"]),
-    ("normals", ARRAYS["f8_2"]),
-    ("opposite", ARRAYS["i4"]),
-    ("areas", ARRAYS["f8"]),
-    ("face", ARRAYS["i4"]),
-    ("plane_normals", ARRAYS["f8_2"]),
-    ("plane_offsets", ARRAYS["f8"]),
-    ("corners", ARRAYS["f8_2"]),
-    ("ridges", ARRAYS["i4_3"]),
-    ("extent", ARRAYS["f8"]),
-    ("frames", ARRAYS["f8_3"]),
-    ("bounds", ARRAYS["f8_2"]),
-    ("group_rows", ARRAYS["i4"]),
-    ("row_u", ARRAYS["f8"]),
-    ("row_columns", ARRAYS["i4"]),
-    ("column_v", ARRAYS["f8"]),
-    ("column_nodes", ARRAYS["i4_2"]),
-    ("node_height", ARRAYS["f8"]),
-]
-MEMORY_FIELDS = [
-    ("states", ARRAYS["b1_2"]),
-    ("triangle", ARRAYS["i4"]),
-    ("record", ARRAYS["f8_2"]),
-    ("hits", ARRAYS["i4_3"]),
-    ("distances", ARRAYS["f8_2"]),
-    ("ray_local", ARRAYS["f8_2"]),
-    ("codes", ARRAYS["u1"]),
-    ("local", ARRAYS["f8_2"]),
-    ("last_local", ARRAYS["f8_2"]),
-    ("candidates", ARRAYS["i4"]),
-]
-CONSTRAINT_FIELDS = [("rows", ARRAYS["f8_2"]), ("features", ARRAYS["i4_2"]), ("names", ARRAYS["i8"])]
-structref.define_proxy(ToolShape, ToolShapeType, [name for name, _ in TOOL_FIELDS])
-structref.define_proxy(PairMemory, PairMemoryType, [name for name, _ in MEMORY_FIELDS])
-structref.define_proxy(Constraints, ConstraintsType, [name for name, _ in CONSTRAINT_FIELDS])
-TOOL = ToolShapeType(TOOL_FIELDS)
-MEMORY = PairMemoryType(MEMORY_FIELDS)
-CONSTRAINTS = ConstraintsType(CONSTRAINT_FIELDS)
+structref.define_proxy(ToolShape, ToolShapeType, ["geometry", "rays"])
+structref.define_proxy(PairMemory, PairMemoryType, ["nodes", "organ"])
+structref.define_proxy(Constraints, ConstraintsType, ["table"])
+TOOL = ToolShapeType([("geometry", TOOL_GEOMETRY), ("rays", RAY_LINES)])
+MEMORY = PairMemoryType([("nodes", NODE_MEMORY), ("organ", LOCAL_ORGAN)])
+CONSTRAINTS = ConstraintsType([("table", CONSTRAINT_TABLE)])
 TOOLS = types.ListType(TOOL)
 MEMORIES = types.ListType(MEMORY)
 SURFACE = ARRAYS["i4_2"]
@@ -196,26 +333,14 @@ WORLD_CONTACTS = WorldContactsType(WORLD_FIELDS)
 WORLDS = types.ListType(WORLD_CONTACTS)
 
 
-@kernel(TOOL(*[kind for _, kind in TOOL_FIELDS]))
-def _make_tool(
-    nodes: Any, normals: Any, opposite: Any, areas: Any, face: Any, plane_normals: Any, plane_offsets: Any,
-    corners: Any, ridges: Any, extent: Any, frames: Any, bounds: Any, group_rows: Any, row_u: Any, row_columns: Any,
-    column_v: Any, column_nodes: Any, node_height: Any,
-) -> Any:  # fmt: skip
-    return ToolShape(
-        nodes, normals, opposite, areas, face, plane_normals, plane_offsets, corners, ridges, extent, frames, bounds,
-        group_rows, row_u, row_columns, column_v, column_nodes, node_height,
-    )  # fmt: skip
+@kernel(TOOL(TOOL_GEOMETRY, RAY_LINES))
+def _make_tool(geometry: Any, rays: Any) -> Any:
+    return ToolShape(geometry, rays)
 
 
-@kernel(MEMORY(*[kind for _, kind in MEMORY_FIELDS]))
-def _make_memory(
-    states: Any, triangle: Any, record: Any, hits: Any, distances: Any, ray_local: Any, codes: Any, local: Any,
-    last_local: Any, candidates: Any,
-) -> Any:  # fmt: skip
-    return PairMemory(
-        states, triangle, record, hits, distances, ray_local, codes, local, last_local, candidates
-    )  # fmt: skip
+@kernel(MEMORY(NODE_MEMORY, LOCAL_ORGAN))
+def _make_memory(nodes: Any, organ: Any) -> Any:
+    return PairMemory(nodes, organ)
 
 
 @kernel(WORLD_CONTACTS(*[kind for _, kind in WORLD_FIELDS]))
@@ -234,71 +359,63 @@ def make_world_contacts(
 @kernel(CONSTRAINTS(types.int64))
 def make_constraints(capacity: int) -> Any:
     """Room for so many constraints."""
-    return Constraints(
-        np.zeros((capacity, ROW_LENGTH)), np.zeros((capacity, FEATURE_LENGTH), np.int32), np.zeros(capacity, np.int64)
-    )
+    rows, features = np.zeros((capacity, ROW_LENGTH)), np.zeros((capacity, FEATURE_LENGTH), np.int32)
+    return Constraints(ConstraintTable(rows, features, np.zeros(capacity, np.int64)))
+
+
+@inline_kernel
+def make_scratch(planes: int, corners: int, vertices: int, triangles: int) -> Any:
+    """A `Scratch` for tools of so many planes and corners, and organs of so many vertices and triangles."""
+    return Scratch(
+        np.empty((planes, 4)), np.empty((planes, 3)), np.empty((planes + 4, 3)), np.empty((planes + 4, 3)),
+        np.empty(planes), np.empty(corners), np.empty(corners, np.bool_), np.empty(7), np.empty(3), np.empty(3),
+        np.empty((3, 3)), np.empty(4), np.empty(triangles, np.int32), np.empty(triangles, np.int32),
+        np.empty(vertices, np.uint8), np.empty((3, vertices)), np.empty(9),
+    )  # fmt: skip
 
 
 @array_kernel
-def copy_constraint(
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    index: int,
-    into_rows: np.ndarray,
-    into_features: np.ndarray,
-    into_names: np.ndarray,
-    place: int,
-) -> None:
-    """Copy one constraint of some to a place among others."""
+def copy_constraint(table: Any, index: int, into: Any, place: int) -> None:
+    """Copy one constraint of a `ConstraintTable` to a place in another."""
     # Element by element: an assignment of array to array compiles checks of their shapes, for seconds.
     for column in range(ROW_LENGTH):
-        into_rows[place, column] = rows[index, column]
+        into.rows[place, column] = table.rows[index, column]
     for column in range(FEATURE_LENGTH):
-        into_features[place, column] = features[index, column]
-    into_names[place] = names[index]
+        into.features[place, column] = table.features[index, column]
+    into.names[place] = table.names[index]
 
 
 @array_kernel
-def copy_first(
-    count: int,
-    rows: np.ndarray,
-    features: np.ndarray,
-    names: np.ndarray,
-    into_rows: np.ndarray,
-    into_features: np.ndarray,
-    into_names: np.ndarray,
-) -> None:
-    """Copy the first `count` constraints of some to the first places among others."""
+def copy_first(count: int, table: Any, into: Any) -> None:
+    """Copy the first `count` constraints of a `ConstraintTable` to the first places of another."""
     for c in range(count):
-        copy_constraint(rows, features, names, c, into_rows, into_features, into_names, c)
+        copy_constraint(table, c, into, c)
 
 
 @kernel(types.void(CONSTRAINTS, types.int64, types.int64))
 def reserve(constraints: Any, count: int, capacity: int) -> None:
     """Make room for at least so many constraints, keeping the first `count`."""
-    if capacity <= constraints.names.shape[0]:
+    room = constraints.table.names.shape[0]
+    if capacity <= room:
         return
-    more = make_constraints(max(capacity, 2 * constraints.names.shape[0]))
-    rows, features, names = more.rows, more.features, more.names
-    copy_first(count, constraints.rows, constraints.features, constraints.names, rows, features, names)
-    constraints.rows, constraints.features, constraints.names = rows, features, names
+    more = make_constraints(max(capacity, 2 * room)).table
+    copy_first(count, constraints.table, more)
+    constraints.table = more
 
 
 @kernel(types.Tuple((ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))(CONSTRAINTS, types.int64))
 def copy_constraints(constraints: Any, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Names, features and rows of the first `count` constraints, copied."""
-    copied = make_constraints(count)
-    rows, features, names = copied.rows, copied.features, copied.names
-    copy_first(count, constraints.rows, constraints.features, constraints.names, rows, features, names)
-    return names, features, rows
+    copied = make_constraints(count).table
+    copy_first(count, constraints.table, copied)
+    return copied.names, copied.features, copied.rows
 
 
 @kernel(types.void(CONSTRAINTS, ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))
 def restore_constraints(constraints: Any, names: np.ndarray, features: np.ndarray, rows: np.ndarray) -> None:
     """Write constraints that were copied."""
     reserve(constraints, 0, names.shape[0])
-    copy_first(names.shape[0], rows, features, names, constraints.rows, constraints.features, constraints.names)
+    copy_first(names.shape[0], ConstraintTable(rows, features, names), constraints.table)
 
 
 @kernel(TOOLS())
@@ -385,26 +502,19 @@ def tool_shape(tool: Tool) -> Any:
     normals, offsets = _planes(tool)
     low, high = tool.vertices.min(axis=0), tool.vertices.max(axis=0)
     # Kernels take writeable arrays; a tool's are read-only.
-    return _make_tool(
-        np.array(tool.nodes),
-        np.array(tool.normals),
-        np.array(tool.opposite),
-        np.array(tool.areas, dtype=np.float64),
-        np.array(tool.face),
-        normals,
-        offsets,
-        np.array(tool.vertices),
-        ridges_between(tool.vertices, normals, offsets),
-        np.array([*low, *high, tool.bounding_radius, tool.thickness]),
-        columns.frames,
-        columns.bounds,
-        columns.group_rows,
-        columns.row_u,
-        columns.row_columns,
-        columns.column_v,
-        columns.column_nodes,
-        columns.node_height,
+    geometry = ToolGeometry(
+        nodes=np.array(tool.nodes),
+        normals=np.array(tool.normals),
+        opposite=np.array(tool.opposite),
+        areas=np.array(tool.areas, dtype=np.float64),
+        face=np.array(tool.face),
+        plane_normals=normals,
+        plane_offsets=offsets,
+        corners=np.array(tool.vertices),
+        ridges=ridges_between(tool.vertices, normals, offsets),
+        extent=np.array([*low, *high, tool.bounding_radius, tool.thickness]),
     )
+    return _make_tool(geometry, RayLines(*(getattr(columns, name) for name in RayLines._fields)))
 
 
 def _planes(tool: Tool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -446,11 +556,20 @@ class OrganRoom:
 
 
 class Memory:
-    """The arrays of a `PairMemory`: what is remembered of a tool with so many nodes, and workspace for an organ."""
+    """The arrays of a `PairMemory`: what is remembered of a tool with so many nodes, and workspace for an organ.
+
+    Attributes:
+        states: (7, n) the first fields of `NodeMemory`, flags first.
+        triangle: (n,) see `NodeMemory`, as the next.
+        record: (n, 10).
+        vertices: How many the organ has.
+        triangles: How many the organ has.
+        structure: For kernels.
+    """
 
     def __init__(self, nodes: int, room: OrganRoom | None = None) -> None:
         """Make them, with all flags clear."""
-        self.states: NDArray[np.bool_] = np.zeros((7, nodes), dtype=np.bool_)
+        self.states: NDArray[np.bool_] = np.zeros((STATES, nodes), dtype=np.bool_)
         self.triangle: NDArray[np.int32] = np.full(nodes, NO_HIT, dtype=np.int32)
         self.record: NDArray[np.float64] = np.zeros((nodes, 10))
         self._hits = np.zeros((nodes, 2, 2), dtype=np.int32)
@@ -461,16 +580,8 @@ class Memory:
         """Change the workspace, for an organ of another size; what is remembered stays."""
         self.vertices, self.triangles = len(room.codes), len(room.candidates)
         self.structure = _make_memory(
-            self.states,
-            self.triangle,
-            self.record,
-            self._hits,
-            self._distances,
-            room.ray_local,
-            room.codes,
-            room.local,
-            room.last_local,
-            room.candidates,
+            NodeMemory(*self.states, self.triangle, self.record, self._hits, self._distances),
+            LocalOrgan(room.local, room.last_local, room.codes, room.candidates, room.ray_local),
         )
 
     def resize(self, vertices: int, triangles: int) -> None:

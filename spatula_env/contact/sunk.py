@@ -49,27 +49,22 @@ def gather_sunk_triangles(
     constraints: Any,
     count: int,
     tool: Any,
-    memory: Any,
+    organ: Any,
     triangles: np.ndarray,
-    first_vertex: int,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    linear_velocity: np.ndarray,
-    angular_velocity: np.ndarray,
-    friction: float,
-    owner: int,
+    placement: Any,
     tried: int,
     trial: Any,
+    scratch: Any,
 ) -> int:
     """Append a constraint for each triangle that is in the tool, making room for them: its deepest point goes out.
 
     Arguments as in `features.gather_features`, whose candidates are looked at. Returns the new count.
     """
-    local, last, extent, codes = memory.local, memory.last_local, tool.extent, memory.codes
+    local, last, extent, codes = organ.local, organ.last_local, tool.extent, organ.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
-    trial_names, trial_features, planes = trial.names, trial.features, plane_offsets.shape[0]
-    under, facing, normal = np.empty((planes, 3)), np.empty(planes), np.empty(3)
-    first, second = np.empty((planes + 4, 3)), np.empty((planes + 4, 3))
+    planes = plane_offsets.shape[0]
+    under, facing, normal = scratch.under[:planes], scratch.facing, scratch.normal
+    first, second = scratch.polygon, scratch.clipped
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         if codes[a] & codes[b] & codes[c] != 0:
@@ -88,11 +83,9 @@ def gather_sunk_triangles(
             facing[p] = 0.0
             for axis in range(3):
                 facing[p] += plane_normals[p, axis] * normal[axis]
-        name = constraint_name(ON_SURFACE, 0, t, first_vertex)
-        p = pushed_by(
-            tried, trial_names, trial_features, owner, name,
-            _way_out(under, facing, weights, corners, SHALLOW * extent[7]),
-        )  # fmt: skip
+        name = constraint_name(ON_SURFACE, 0, t, placement.first_vertex)
+        way_out = _way_out(under, facing, weights, corners, SHALLOW * extent[7])
+        p = pushed_by(tried, trial, placement.owner, name, way_out)
         if p < 0:
             continue
         deepest, place = 0.0, 0
@@ -109,8 +102,7 @@ def gather_sunk_triangles(
         nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
         reserve(constraints, count, count + 1)
         count = append_constraint(
-            constraints.rows, constraints.features, constraints.names, count, (a, b, c), (wa, wb, wc), (nx, ny, nz),
-            (x + deepest * nx, y + deepest * ny, z + deepest * nz),
-            last, first_vertex, position, rotation, linear_velocity, angular_velocity, friction, owner, p, name,
+            constraints.table, count, (a, b, c), (wa, wb, wc), (nx, ny, nz),
+            (x + deepest * nx, y + deepest * ny, z + deepest * nz), last, placement, p, name,
         )  # fmt: skip
     return count

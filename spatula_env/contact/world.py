@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from spatula_env.contact import step
+from spatula_env.contact import energy, settings
+from spatula_env.contact.energy import LEDGER_LENGTH
 from spatula_env.contact.multipliers import MOST_PASSED
 from spatula_env.contact.near import find_as_before
-from spatula_env.contact.response import LEDGER_LENGTH
 from spatula_env.contact.self_contact import leave_out, touching_pairs
 from spatula_env.contact.skin import copy_near, crossed_for, forget_near, make_near, make_skin, set_crossed_for
 from spatula_env.contact.structures import (
@@ -99,9 +99,9 @@ class World:
     Attributes:
         memories: Of each tool (outer) and organ (inner).
         friction: (N,) coefficients of the tools.
-        settings: (10,) by the column names of `step`.
+        settings: (10,) by the column names of `settings`.
         inverse_masses: (V,) of the organs' nodes [1/kg].
-        ledger: (O, 5) of the energy that the tools put into each organ; see `response`.
+        ledger: (O, 5) of the energy that the tools put into each organ; see `energy`.
         workspace: Of a query.
         structure: For kernels.
     """
@@ -133,16 +133,16 @@ class World:
         self.memories = tuple(memories)
         self.friction = np.array([placed.friction for placed in scene.tools], dtype=np.float64)
         self.inverse_masses = inverse_masses.copy()
-        self.settings = np.zeros(step.SETTINGS_LENGTH)
-        self.settings[step.DT] = scene.dt
-        self.settings[step.MEAN_EDGE] = _mean_edge(scene)
-        self.settings[step.GRAVITY] = scene.gravity
-        self.settings[step.ORGAN_FRICTION] = ORGAN_FRICTION
-        self.settings[step.KEEPS_APART] = float(keeps_apart)
+        self.settings = np.zeros(settings.SETTINGS_LENGTH)
+        self.settings[settings.DT] = scene.dt
+        self.settings[settings.MEAN_EDGE] = _mean_edge(scene)
+        self.settings[settings.GRAVITY] = scene.gravity
+        self.settings[settings.ORGAN_FRICTION] = ORGAN_FRICTION
+        self.settings[settings.KEEPS_APART] = float(keeps_apart)
         if scene.ground is not None:
-            self.settings[step.HAS_GROUND] = 1.0
-            self.settings[step.GROUND_HEIGHT] = scene.ground.height
-            self.settings[step.GROUND_FRICTION] = scene.ground.friction
+            self.settings[settings.HAS_GROUND] = 1.0
+            self.settings[settings.GROUND_HEIGHT] = scene.ground.height
+            self.settings[settings.GROUND_FRICTION] = scene.ground.friction
         self.set_inverse_masses(inverse_masses)
         self.ledger = np.zeros((len(scene.organs), LEDGER_LENGTH))
         self.workspace = workspace
@@ -171,8 +171,8 @@ class World:
         """Change the masses of the organs' nodes (V,) [1/kg]."""
         self.inverse_masses[:] = inverse_masses
         free = inverse_masses[inverse_masses > 0.0]
-        self.settings[step.IS_FREE] = float(len(free) == len(inverse_masses))
-        self.settings[step.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
+        self.settings[settings.IS_FREE] = float(len(free) == len(inverse_masses))
+        self.settings[settings.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
 
     def forget_solves(self) -> None:
         """Start the next step's solves from nothing, and count energy anew."""
@@ -211,7 +211,7 @@ class World:
         forget_near(self._near)
         if memory.is_known:
             find_as_before(self._skin, self._near, *memory[:4])
-            if not place(self._skin, self._near, vertices, bool(self.settings[step.IS_FREE])):
+            if not place(self._skin, self._near, vertices, bool(self.settings[settings.IS_FREE])):
                 forget_near(self._near)
         set_crossed_for(self._near, memory.crossed_for)
 
@@ -222,7 +222,7 @@ class World:
             vertices: (V, 3) [u].
             velocities: (V, 3) [u/s].
         """
-        step.admit_energy(self.structure, vertices, velocities)
+        energy.admit_energy(self.structure, vertices, velocities)
 
     def set_tool(self, index: int, shape: Any) -> None:
         """Give the world another tool, a `ToolShape` with as many nodes."""

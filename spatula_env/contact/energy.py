@@ -1,0 +1,383 @@
+"""How much energy tools may leave in organs: no more than the work that they did.
+
+Sweeps end before they have converged, and planes turn: both may throw an organ off with energy that came from nowhere.
+Each organ has a ledger of what was put in; what it has more is taken away again, first from its motion as a whole and
+then from that of its nodes relative to each other.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
+from spatula_env.contact.response import sum_impulses
+from spatula_env.contact.settings import GRAVITY, MEAN_EDGE
+from spatula_env.contact.structures import (
+    FOURTH,
+    IMPULSE,
+    ORGANS,
+    OWNER,
+    POINT,
+    WEIGHTS,
+    WORLD_CONTACTS,
+)
+
+F8_2 = ARRAYS["f8_2"]
+
+WORK, GREATEST_WORK, REST_HEIGHT, STAGE, ENERGY = 0, 1, 2, 3, 4
+LEDGER_LENGTH = 5
+"""Columns of an organ's ledger: what it had when a tool first touched it and the tools' work on it since, and the
+greatest that was [kg u2/s2]; the sum of mass times height where counting began [kg u]; how far it has got, by the next
+names; and its energy of motion and height at the end of the last step [kg u2/s2]."""
+
+UNKNOWN, FREE, TOUCHED = 0.0, 1.0, 2.0
+"""Stages of a ledger: nothing is known of the organ, no tool has touched it yet, or one has."""
+
+ENERGY_TOLERANCE = 0.002
+"""Part of the greatest work so far that an organ may have more than was put in: rounding and friction of a solve."""
+
+ROUNDING = 1e-12
+"""Energies that differ by less, in their size, are the same."""
+
+
+@array_kernel
+def passive_share(
+    first: int,
+    end: int,
+    inverse_mass: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    nodal_impulses: np.ndarray,
+    step_work: float,
+    gravity: float,
+    mean_edge: float,
+    ledger: np.ndarray,
+) -> float:
+    """Which share of a step's impulses an organ's motion as a whole can have, for the work that they do.
+
+    A tool that turns by a radian in a step pushes along planes that it had on its way, and may throw the organ off
+    with more energy than it gives. What the nodes do relative to each other is left to `limit_energy`.
+
+    Args:
+        first: Index of the organ's first vertex.
+        end: Index after its last one.
+        inverse_mass: (V,) [1/kg]; fixed nodes have zero.
+        vertices: (V, 3) [u].
+        velocities: (V, 3) with all impulses [u/s].
+        nodal_impulses: (V, 3) of the tools [kg u/s].
+        step_work: What they do [kg u2/s2]; it is in the ledger.
+        gravity: [u/s2].
+        mean_edge: Of the organ with the smallest [u].
+        ledger: (5,) the organ's, by the column names of this module.
+
+    Returns:
+        From 0 to 1; 1 unless energy would come from nothing.
+    """
+    height, mass = -ledger[REST_HEIGHT], 0.0
+    px, py, pz = 0.0, 0.0, 0.0
+    jx, jy, jz = 0.0, 0.0, 0.0
+    for i in range(first, end):
+        if inverse_mass[i] == 0.0:
+            continue
+        m = 1.0 / inverse_mass[i]
+        mass += m
+        height += m * vertices[i, 2]
+        px += m * velocities[i, 0]
+        py += m * velocities[i, 1]
+        pz += m * velocities[i, 2]
+        jx += nodal_impulses[i, 0]
+        jy += nodal_impulses[i, 1]
+        jz += nodal_impulses[i, 2]
+    if mass == 0.0:
+        return 1.0
+    least = 0.5 * mass * mean_edge**2
+    allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least) - gravity * height
+    if 0.5 * (px * px + py * py + pz * pz) / mass <= allowed:
+        return 1.0
+    # Taking away the share x of the impulses leaves squares x^2 / 2 - x slope too much.
+    squares = (jx * jx + jy * jy + jz * jz) / mass
+    slope = (px * jx + py * jy + pz * jz) / mass - step_work
+    excess = 0.5 * (px * px + py * py + pz * pz) / mass - allowed
+    if squares == 0.0 or slope <= 0.0:
+        return 1.0
+    root = slope * slope - 2.0 * squares * excess
+    taken = (slope - np.sqrt(root)) / squares if root > 0.0 else slope / squares
+    return 1.0 - min(taken, 1.0)
+
+
+@array_kernel
+def scale_impulses(count: int, rows: np.ndarray, features: np.ndarray, first: int, end: int, share: float) -> None:
+    """Leave a share of what the tools' constraints with one organ's vertices, from first to end, have given it."""
+    for c in range(count):
+        if features[c, OWNER] >= 0 and first <= features[c, 0] < end:
+            for axis in range(3):
+                rows[c, IMPULSE + axis] *= share
+
+
+@array_kernel
+def limit_energy(
+    first: int,
+    end: int,
+    inverse_mass: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    gravity: float,
+    mean_edge: float,
+    ledger: np.ndarray,
+) -> float:
+    """Take from an organ's motion what energy it cannot have.
+
+    A tool too fast to hand on its speed moves the organ by displacements, which stretch it without the tool feeling
+    it; let go, the organ would give that back as motion. As a passivity controller does (Hannaford and Ryu, IEEE
+    Transactions on Robotics and Automation 18(1), 2002), what exceeds the work that was put in is dissipated: the
+    nodes' velocities relative to the organ's mean are scaled down, which leaves its momentum alone.
+
+    Args:
+        first: Index of the organ's first vertex.
+        end: Index after its last one.
+        inverse_mass: (V,) [1/kg]; fixed nodes have zero.
+        vertices: (V, 3) [u].
+        velocities: (V, 3); changed [u/s].
+        gravity: [u/s2].
+        mean_edge: Of the organ with the smallest [u].
+        ledger: (5,) the organ's, by the column names of this module.
+
+    Returns:
+        What was dissipated [kg u2/s2].
+    """
+    height, mass, squares = -ledger[REST_HEIGHT], 0.0, 0.0
+    px, py, pz = 0.0, 0.0, 0.0
+    for i in range(first, end):
+        if inverse_mass[i] == 0.0:
+            continue
+        m = 1.0 / inverse_mass[i]
+        x, y, z = velocities[i, 0], velocities[i, 1], velocities[i, 2]
+        mass += m
+        height += m * vertices[i, 2]
+        px += m * x
+        py += m * y
+        pz += m * z
+        squares += m * (x * x + y * y + z * z)
+    if mass == 0.0:
+        return 0.0
+    px, py, pz = px / mass, py / mass, pz / mass
+    of_mean = 0.5 * mass * (px * px + py * py + pz * pz)
+    of_nodes = max(0.5 * squares - of_mean, 0.0)
+    least = 0.5 * mass * mean_edge**2
+    allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least)
+    excess = of_mean + of_nodes + gravity * height - allowed
+    if excess <= 0.0 or of_nodes == 0.0:
+        return 0.0
+    excess = min(excess, of_nodes)
+    scale = np.sqrt(1.0 - excess / of_nodes)
+    for i in range(first, end):
+        if inverse_mass[i] > 0.0:
+            velocities[i, 0] = px + scale * (velocities[i, 0] - px)
+            velocities[i, 1] = py + scale * (velocities[i, 1] - py)
+            velocities[i, 2] = pz + scale * (velocities[i, 2] - pz)
+    dissipated: float = excess
+    return dissipated
+
+
+@array_kernel
+def energy_of(
+    first: int,
+    end: int,
+    inverse_mass: np.ndarray,
+    vertices: np.ndarray,
+    velocities: np.ndarray,
+    gravity: float,
+    rest_height: float,
+) -> float:
+    """An organ's energy of motion and height [kg u2/s2]; arguments as of `limit_energy`."""
+    squares, height = 0.0, -rest_height
+    for i in range(first, end):
+        if inverse_mass[i] > 0.0:
+            m = 1.0 / inverse_mass[i]
+            height += m * vertices[i, 2]
+            squares += m * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
+    return 0.5 * squares + gravity * height
+
+
+@array_kernel
+def sum_heights(first: int, end: int, inverse_mass: np.ndarray, vertices: np.ndarray) -> float:
+    """Sum of mass times height of an organ's free nodes [kg u]."""
+    total = 0.0
+    for i in range(first, end):
+        if inverse_mass[i] > 0.0:
+            total += vertices[i, 2] / inverse_mass[i]
+    return total
+
+
+@array_kernel
+def pass_on_work(
+    features: np.ndarray,
+    row: np.ndarray,
+    first_vertices: np.ndarray,
+    inverse_mass: np.ndarray,
+    velocities_before: np.ndarray,
+    velocities: np.ndarray,
+    ledger: np.ndarray,
+) -> None:
+    """Add to two organs' ledgers the work of a constraint between them: impulse times mean velocity, of each.
+
+    Over all impulses on a node that is the change of its energy of motion. Arguments as of `keep_ledger`, and one
+    constraint's features and row. Within one organ nothing is passed on.
+    """
+    organs = first_vertices.shape[0]
+    of_first, of_last = organs - 1, organs - 1
+    while features[0] < first_vertices[of_first]:
+        of_first -= 1
+    while features[FOURTH] < first_vertices[of_last]:
+        of_last -= 1
+    if of_first == of_last:
+        return
+    for corner in range(4):
+        weight = row[WEIGHTS + corner]
+        if corner == 3:
+            weight = -(row[WEIGHTS] + row[WEIGHTS + 1] + row[WEIGHTS + 2])
+        vertex, o = features[corner], organs - 1
+        if inverse_mass[vertex] == 0.0:
+            continue
+        while vertex < first_vertices[o]:
+            o -= 1
+        for axis in range(3):
+            mean = 0.5 * (velocities_before[vertex, axis] + velocities[vertex, axis])
+            ledger[o, WORK] += weight * row[IMPULSE + axis] * mean
+
+
+@array_kernel
+def keep_ledger(
+    count: int,
+    rows: np.ndarray,
+    features: np.ndarray,
+    first_vertices: np.ndarray,
+    inverse_mass: np.ndarray,
+    start: np.ndarray,
+    positions: np.ndarray,
+    linear_velocities: np.ndarray,
+    angular_velocities: np.ndarray,
+    velocities_before: np.ndarray,
+    velocities: np.ndarray,
+    ledger: np.ndarray,
+) -> None:
+    """Add to each organ's ledger the work of a step's impulses, which must have been summed up.
+
+    Args:
+        count: How many constraints.
+        rows: See `structures.Constraints`.
+        features: See there.
+        first_vertices: (O,) index of each organ's first vertex.
+        inverse_mass: (V,) [1/kg].
+        start: (V, 3) nodes at the start of the step [u].
+        positions: (N, 3) of the tools at the end of the step [u].
+        linear_velocities: (N, 3) [u/s].
+        angular_velocities: (N, 3) [rad/s].
+        velocities_before: (V, 3) of the nodes without contact [u/s].
+        velocities: (V, 3) with it [u/s].
+        ledger: (O, 5) written.
+    """
+    organs = first_vertices.shape[0]
+    for o in range(organs):
+        if ledger[o, STAGE] == UNKNOWN:
+            end = first_vertices[o + 1] if o + 1 < organs else start.shape[0]
+            ledger[o, REST_HEIGHT], ledger[o, STAGE] = sum_heights(first_vertices[o], end, inverse_mass, start), FREE
+    for c in range(count):
+        owner = features[c, OWNER]
+        if owner == ORGANS:
+            pass_on_work(features[c], rows[c], first_vertices, inverse_mass, velocities_before, velocities, ledger)
+        if owner < 0:
+            continue
+        row, o = rows[c], organs - 1
+        while features[c, 0] < first_vertices[o]:
+            o -= 1
+        ledger[o, STAGE] = TOUCHED
+        v, w = linear_velocities[owner], angular_velocities[owner]
+        x, y, z = (
+            row[POINT] - positions[owner, 0],
+            row[POINT + 1] - positions[owner, 1],
+            row[POINT + 2] - positions[owner, 2],
+        )
+        ledger[o, WORK] += row[IMPULSE] * (v[0] + w[1] * z - w[2] * y)
+        ledger[o, WORK] += row[IMPULSE + 1] * (v[1] + w[2] * x - w[0] * z)
+        ledger[o, WORK] += row[IMPULSE + 2] * (v[2] + w[0] * y - w[1] * x)
+    for o in range(organs):
+        ledger[o, GREATEST_WORK] = max(ledger[o, GREATEST_WORK], ledger[o, WORK])
+
+
+@inline_kernel
+def keep_passive(world: Any, count: int, motions: Any, organs: Any, outcome: Any) -> None:
+    """Take from each organ what energy it has more than the tools have put in, from a step's impulses and its motion.
+
+    Args:
+        world: `WorldContacts`; its ledger and constraints are written.
+        count: How many constraints there are.
+        motions: `Motions` of the tools.
+        organs: `OrganMotion`; velocities are changed.
+        outcome: `StepOutcome`; impulses and wrenches are changed.
+    """
+    first_vertices, inverse_mass, ledger = world.first_vertices, world.inverse_mass, world.ledger
+    table, tool_count = world.constraints.table, motions.positions.shape[0]
+    rows, features, vertices, velocities = table.rows, table.features, organs.vertices, organs.velocities
+    nodal_impulses, wrenches = outcome.nodal_impulses, outcome.wrenches
+    mean_edge, gravity = world.settings[MEAN_EDGE], world.settings[GRAVITY]
+    before = ledger.copy()
+    keep_ledger(
+        count, rows, features, first_vertices, inverse_mass, organs.start, motions.positions, motions.linear_velocities,
+        motions.angular_velocities, organs.free_velocities, velocities, ledger,
+    )  # fmt: skip
+    for o in range(first_vertices.shape[0]):
+        first = first_vertices[o]
+        end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
+        if ledger[o, STAGE] != TOUCHED:
+            # What it does is its own.
+            ledger[o, ENERGY] = energy_of(
+                first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT]
+            )
+            ledger[o, WORK] = max(ledger[o, WORK], ledger[o, ENERGY])
+            ledger[o, GREATEST_WORK] = ledger[o, WORK]
+            continue
+        work = ledger[o, WORK] - before[o, WORK]
+        share = passive_share(
+            first, end, inverse_mass, vertices, velocities, nodal_impulses, work, gravity, mean_edge, ledger[o]
+        )
+        if share < 1.0:
+            for i in range(first, end):
+                for axis in range(3):
+                    velocities[i, axis] -= (1.0 - share) * inverse_mass[i] * nodal_impulses[i, axis]
+            ledger[o, WORK] = before[o, WORK] + share * work
+            ledger[o, GREATEST_WORK] = max(before[o, GREATEST_WORK], ledger[o, WORK])
+            scale_impulses(count, rows, features, first, end, share)
+            sum_impulses(
+                count, rows, features, tool_count, motions.positions, vertices, nodal_impulses, wrenches
+            )  # fmt: skip
+        limit_energy(first, end, inverse_mass, vertices, velocities, gravity, mean_edge, ledger[o])
+        ledger[o, ENERGY] = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+
+
+@kernel(types.void(WORLD_CONTACTS, F8_2, F8_2))
+def admit_energy(world: Any, vertices: np.ndarray, velocities: np.ndarray) -> None:
+    """Enter into the ledgers what energy organs were given by hand, when they were put into a state.
+
+    Args:
+        world: `WorldContacts`; its ledgers have what they had when the state was saved.
+        vertices: (V, 3) nodes in the state [u].
+        velocities: (V, 3) [u/s].
+    """
+    first_vertices, inverse_mass, ledger = world.first_vertices, world.inverse_mass, world.ledger
+    gravity = world.settings[GRAVITY]
+    for o in range(first_vertices.shape[0]):
+        first = first_vertices[o]
+        end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
+        if ledger[o, STAGE] == UNKNOWN:
+            ledger[o, REST_HEIGHT], ledger[o, STAGE] = sum_heights(first, end, inverse_mass, vertices), FREE
+        energy = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+        given = energy - ledger[o, ENERGY]
+        # An unchanged state has exactly the same.
+        if given > ROUNDING * abs(energy):
+            ledger[o, WORK] += given
+            ledger[o, GREATEST_WORK] = max(ledger[o, GREATEST_WORK], ledger[o, WORK])
+        ledger[o, ENERGY] = energy

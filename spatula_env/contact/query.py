@@ -1,0 +1,521 @@
+"""One query: where tools and organs have come to, what touches there, and where that puts the organs.
+
+Contacts are looked for, and solved for, in passes: where a solve has put the organ others may be met. A query ends when
+all of them hold, no tool is in an organ and no organ crosses itself; or when that cannot be had, with what comes
+nearest.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.experimental import structref
+
+from spatula_env._kernels import inline_kernel
+from spatula_env.contact import skin
+from spatula_env.contact.arrest import arrest, depth_of_tools
+from spatula_env.contact.corners import drop_outside
+from spatula_env.contact.features import find_candidates, gather_features, gather_ground, gather_nodes
+from spatula_env.contact.flags import (
+    decide_flags,
+    fill_local,
+    fill_record,
+    fill_rotation,
+    lead_by_motion,
+    remember_flags,
+)
+from spatula_env.contact.islands import find_islands, greatest_violation
+from spatula_env.contact.motion import copy_points, turn_between
+from spatula_env.contact.multipliers import keep_warm, note_passed, start_warm
+from spatula_env.contact.path import RESIDUAL_TOLERANCE
+from spatula_env.contact.raycast import cast_columns
+from spatula_env.contact.response import measure_gaps, solve_positions, start_pushed
+from spatula_env.contact.self_contact import gather_organs, keep_uncrossed, remember_sides
+from spatula_env.contact.settings import (
+    GROUND_FRICTION,
+    GROUND_HEIGHT,
+    HAS_GROUND,
+    KEEPS_APART,
+    MEAN_EDGE,
+    MEAN_INVERSE_MASS,
+    ORGAN_FRICTION,
+    PENETRATION,
+)
+from spatula_env.contact.structures import DISPLACEMENT, Placement, reserve
+from spatula_env.contact.sunk import gather_sunk_triangles
+
+POSITION_TOLERANCE = 3e-5
+"""The position solve ends when a sweep moves no constrained point farther than this [u]."""
+
+MOST_PASSES = 10
+"""Most times that contacts are looked for in one query."""
+
+MOST_RETRIES = 4
+"""So many times it is gone on from where organs were held back from crossing,"""
+
+RETRY_PASSES = 3
+"""and contacts are looked for so often each time."""
+
+MOST_SUNK = 4
+"""So often a query goes on where the organ is still in a tool although all contacts that were found hold."""
+
+MOST_LOOKS = 64
+"""More often than all of that together."""
+
+SUNK_DEPTH = 5e-3
+"""Where a solve could not keep the organ out by this much, it is helped by where the organ is [u]."""
+
+PASSES_WITH_FRICTION = 2
+"""Of later ones the second half of the sweeps leaves friction as it is. Sweeps of friction at more points than there
+are vertices may go in circles, pass after pass; those of what keeps surfaces apart converge."""
+
+
+class QueryTools(NamedTuple):
+    """The N tools of a query and what they may meet among O organs.
+
+    Attributes:
+        position: (N, 3) of each tool [u].
+        rotation: (N, 9) its rotation matrix, row by row.
+        last_position: (N, 3) at the last query [u].
+        last_rotation: (N, 9).
+        linear_velocity: (N, 3) what it gives an organ at most [u/s].
+        angular_velocity: (N, 3) [rad/s].
+        passes: (N,) whether it comes near any organ in this step.
+        quiet: (N O,) whether it has not come near this organ since the last query.
+        looked_at: (N O,) workspace: pairs whose depth is asked for.
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    last_position: np.ndarray
+    last_rotation: np.ndarray
+    linear_velocity: np.ndarray
+    angular_velocity: np.ndarray
+    passes: np.ndarray
+    quiet: np.ndarray
+    looked_at: np.ndarray
+
+
+class QueryPoints(NamedTuple):
+    """Where the V vertices of all organs are in a query; (V, 3) each [u].
+
+    Attributes:
+        vertices: Where solves have put them; written.
+        reference: Where they were at the last query.
+        thrown: Where they would be without contact.
+        held: Where they were last on their right sides of each other; written.
+        kept: Workspace: what came nearest so far.
+    """
+
+    vertices: np.ndarray
+    reference: np.ndarray
+    thrown: np.ndarray
+    held: np.ndarray
+    kept: np.ndarray
+
+
+class QueryPlan(NamedTuple):
+    """What is asked of a query.
+
+    Attributes:
+        first_step: Code of the detectors' first step; 0 for the method's second step alone, on nodes.
+        is_divided: Whether the tools' paths in this step are divided.
+        is_only: Whether this is the step's only query.
+        is_last: Whether it is its last.
+        predicts: Whether the organs are expected where contact put them in the last step.
+        sweeps: Most sweeps in a solve.
+        relaxation: Factor on what a sweep changes.
+    """
+
+    first_step: int
+    is_divided: bool
+    is_only: bool
+    is_last: bool
+    predicts: bool
+    sweeps: int
+    relaxation: float
+
+
+@structref.register
+class QueryProgressType(types.StructRef):
+    """Numba type of `QueryProgress`."""
+
+    def preprocess_fields(self, fields: Any) -> Any:
+        """Types of numbers, not of the very numbers that a query begins with."""
+        return tuple((name, types.unliteral(kind)) for name, kind in fields)
+
+
+class QueryProgress(structref.StructRefProxy):
+    """How far a query has come, for kernels.
+
+    Fields:
+        attempt: Which pass this is.
+        last_attempt: Which is the last one, as things are.
+        retries: How often it was gone on from where organs were held back.
+        tries: How often although all contacts held.
+        tried: How many constraints pushed in the last pass; they are in the world's `trial`.
+        passed: How many pushed in this step's earlier queries; they are in its `earlier`.
+        met: Whether organs have met themselves or each other.
+        sinks: Whether the solve is helped by where the organ is.
+        is_over: Whether nothing is solved any more: where the organs are has been decided.
+        afresh: Whether `QueryPoints.held` has changed since organs were last looked at.
+        depth: How deep tools and organs are in each other; what is allowed if it is no more than that [u].
+        least: The least that was [u].
+        crossed: In how many places organs crossed before the query.
+    """
+
+
+structref.define_proxy(
+    QueryProgress,
+    QueryProgressType,
+    [
+        *("attempt", "last_attempt", "retries", "tries", "tried", "passed"),
+        *("met", "sinks", "is_over", "afresh", "depth", "least", "crossed"),
+    ],
+)
+
+
+@inline_kernel
+def begin_query(near: Any, tried: int, passed: int) -> Any:
+    """A `QueryProgress` at the beginning."""
+    return QueryProgress(
+        0, MOST_PASSES, 0, 0, tried, passed, False, False, False, True, 0.0, np.inf, near.crossing[skin.CROSSINGS]
+    )
+
+
+@inline_kernel
+def pose_tools(motions: Any, part: float, tools: Any) -> None:
+    """Put the tools where they are after a part of the step."""
+    orientation = np.empty(4)
+    for k in range(tools.position.shape[0]):
+        for axis in range(3):
+            way = motions.positions[k, axis] - motions.start_positions[k, axis]
+            tools.position[k, axis] = motions.positions[k, axis] - (1.0 - part) * way
+        turn_between(motions.start_orientations[k], motions.orientations[k], part, orientation)
+        fill_rotation(orientation, 1.0, tools.rotation[k])
+
+
+@inline_kernel
+def detect(world: Any, plan: Any, tools: Any, points: Any, scratch: Any) -> int:
+    """Decide the flags of all tools' contact nodes, where the organs would be without contact, as published.
+
+    Returns:
+        0; otherwise what `raycast.cast_columns` returned.
+    """
+    organ_count = len(world.surfaces)
+    tools.quiet[:] = False
+    for k in range(tools.position.shape[0]):
+        tool, rays = world.tools[k].geometry, world.tools[k].rays
+        position, rotation = tools.position[k], tools.rotation[k]
+        for o in range(organ_count):
+            pair = world.memories[k * organ_count + o]
+            memory, organ, triangles, first = pair.nodes, pair.organ, world.surfaces[o], world.first_vertices[o]
+            if not tools.passes[k] and not memory.flags.any():
+                memory.unfeasible[:] = False
+                continue
+            own = points.thrown[first : first + organ.local.shape[1]]
+            fill_local(tools.last_position[k], tools.last_rotation[k], points.reference, first, organ.last_local)
+            fill_local(position, rotation, own, 0, organ.local)
+            if memory.outside.all() and find_candidates(tool.extent, organ, triangles) == 0:
+                # Nothing came near a tool that was outside.
+                memory.flags[:] = False
+                memory.unfeasible[:] = False
+                tools.quiet[k * organ_count + o] = True
+                continue
+            status: int = cast_columns(position, rotation, own, triangles, rays, memory, organ, scratch.axes)
+            if status != 0:
+                return status
+            for i in range(memory.hits.shape[0]):
+                memory.outside[i] = memory.hits[i, 0, 1] <= 0
+            remember_flags(memory)
+            lead_by_motion(tool, memory, organ, triangles)
+            grade = 0 if plan.first_step == 0 else 2
+            decide_flags(tool, memory, organ.local, triangles, plan.first_step, True, grade, scratch.normal)
+    return 0
+
+
+@inline_kernel
+def _gather_pair(
+    world: Any,
+    plan: Any,
+    tools: Any,
+    points: Any,
+    progress: Any,
+    k: int,
+    o: int,
+    count: int,
+    scratch: Any,
+    numbers: np.ndarray,
+) -> int:
+    """Append the constraints of a tool and an organ in one pass. Returns the new count."""
+    organ_count = len(world.surfaces)
+    pair, tool, triangles, first = (
+        world.memories[k * organ_count + o], world.tools[k].geometry, world.surfaces[o], world.first_vertices[o],
+    )  # fmt: skip
+    memory, organ, attempt, with_features = pair.nodes, pair.organ, progress.attempt, plan.first_step != 0
+    position, rotation = tools.position[k], tools.rotation[k]
+    silent = attempt == 0 and tools.quiet[k * organ_count + o]
+    if silent or (not tools.passes[k] and not memory.flags.any()):
+        fill_record(tool, memory, points.thrown, first, triangles, position, rotation, True)
+        return count
+    placement = Placement(
+        position, rotation, tools.linear_velocity[k], tools.angular_velocity[k], world.friction[k], k, first
+    )
+    before, trial = count, world.trial.table
+    for look in range(2):
+        if attempt > 0 or plan.predicts:
+            fill_local(position, rotation, points.vertices if look == 0 else points.thrown, first, organ.local)
+        if with_features:
+            again = attempt > 0 and not plan.is_divided
+            count = gather_features(
+                world.constraints, count, tool, organ, triangles, placement, again, attempt, progress.tried, trial,
+                scratch,
+            )  # fmt: skip
+        # Where less was thrown into the tool than expected, it is looked where that really is.
+        if attempt > 0 or not plan.predicts or count > before:
+            break
+    if count > before:
+        # Contact moves the organ on from where its nodes were found to be outside.
+        memory.outside[:] = False
+    if attempt == 0:
+        # A tool that was put into an organ came through no face. Then the published method decides.
+        if with_features and count == before and not memory.flags.any():
+            for grade in (1, 0):
+                if decide_flags(
+                    tool, memory, organ.local, triangles, plan.first_step, True, grade, scratch.normal
+                )[0] > 0:  # fmt: skip
+                    break
+            drop_outside(tool.nodes, memory.flags, organ.local, triangles, scratch)
+        fill_record(tool, memory, points.thrown, first, triangles, position, rotation, True)
+        for i in range(memory.record.shape[0]):
+            numbers[PENETRATION] = max(numbers[PENETRATION], memory.record[i, 3])
+    if progress.sinks:
+        count = gather_sunk_triangles(
+            world.constraints, count, tool, organ, triangles, placement, progress.tried, trial, scratch
+        )
+    reserve(world.constraints, count, count + tool.nodes.shape[0])
+    return int(gather_nodes(world.constraints.table, count, tool, memory, organ.last_local, triangles, placement))
+
+
+@inline_kernel
+def gather_contacts(
+    world: Any, plan: Any, tools: Any, points: Any, progress: Any, scratch: Any, numbers: np.ndarray
+) -> int:
+    """Write the constraints of one pass: of organs with each other, with the ground and with tools.
+
+    Returns:
+        How many there are.
+    """
+    settings, constraints, count, vertices = world.settings, world.constraints, 0, points.vertices
+    if settings[KEEPS_APART] > 0.0:
+        count = gather_organs(
+            constraints, 0, world.skin, world.near, points.held, vertices, points.thrown, points.reference,
+            settings[MEAN_EDGE], settings[ORGAN_FRICTION], progress.afresh,
+        )  # fmt: skip
+        progress.afresh = False
+    progress.met |= count > 0
+    if settings[HAS_GROUND] > 0.0:
+        reserve(constraints, count, count + vertices.shape[0])
+        count = gather_ground(
+            constraints.table, count, vertices, points.reference, world.inverse_mass, settings[GROUND_HEIGHT],
+            settings[GROUND_FRICTION],
+        )  # fmt: skip
+    for k in range(tools.position.shape[0]):
+        for o in range(len(world.surfaces)):
+            count = _gather_pair(world, plan, tools, points, progress, k, o, count, scratch, numbers)
+    return count
+
+
+@inline_kernel
+def measure_tools(world: Any, plan: Any, tools: Any, vertices: np.ndarray, attempt: int, scratch: Any) -> float:
+    """How deep tools and organs are in each other [u], where vertices (V, 3) are: what is allowed if it is no more.
+
+    Between queries it is enough to know that it is not too deep.
+    """
+    organ_count = len(world.surfaces)
+    for k in range(tools.position.shape[0]):
+        for o in range(organ_count):
+            index = k * organ_count + o
+            tools.looked_at[index] = tools.passes[k] and (attempt > 0 or not tools.quiet[index])
+    allowed = 0.0 if plan.is_last else RESIDUAL_TOLERANCE
+    depth: float = depth_of_tools(
+        world, tools.position.shape[0], tools.looked_at, tools.position, tools.rotation, vertices, allowed, scratch
+    )
+    return depth
+
+
+@inline_kernel
+def _uncross(world: Any, points: Any, known: int, held: np.ndarray, vertices: np.ndarray) -> bool:
+    """Hold vertices (V, 3) back from crossing, coming from where they were held (V, 3). Returns whether any was."""
+    return bool(
+        keep_uncrossed(
+            world.skin, world.near, world.inverse_mass, known, world.trial.table, held, vertices,
+            world.settings[MEAN_EDGE],
+        )
+    )  # fmt: skip
+
+
+@inline_kernel
+def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any, crosses: bool, scratch: Any) -> bool:
+    """Have the organs keep their places beside the tools where nothing else helps, if that is better.
+
+    Returns:
+        Whether it was tried.
+    """
+    near, tool_count, crossings = world.near, tools.position.shape[0], world.near.crossing[skin.CROSSINGS]
+    begins_to_cross = crossings > 0.0 and progress.crossed == 0.0
+    # A tool that goes far in a step is where it is by its way alone.
+    if plan.is_divided or tool_count == 0 or not (progress.depth > SUNK_DEPTH or begins_to_cross):
+        return False
+    for stage in range(1 if begins_to_cross else 0, 2):
+        copy_points(points.vertices, points.kept)
+        arrest(
+            world, tool_count, tools.looked_at, tools.position, tools.rotation, points.reference, stage == 1,
+            points.kept,
+        )  # fmt: skip
+        if crosses:
+            near.crossing[skin.CROSSINGS] = progress.crossed
+            _uncross(world, points, 0, points.reference, points.kept)
+        left = progress.depth
+        if plan.first_step != 0:
+            left = measure_tools(world, plan, tools, points.kept, progress.attempt, scratch)
+        if left <= max(progress.depth, SUNK_DEPTH) and near.crossing[skin.CROSSINGS] <= crossings:
+            progress.depth, crossings = left, near.crossing[skin.CROSSINGS]
+            copy_points(points.kept, points.vertices)
+        near.crossing[skin.CROSSINGS] = crossings
+        if progress.depth <= SUNK_DEPTH and crossings <= progress.crossed:
+            break
+    return True
+
+
+@inline_kernel
+def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settled: bool, scratch: Any) -> bool:
+    """Whether contacts are looked for again, although they hold (`settled`) or it was tried often enough.
+
+    That is so where a tool is in an organ still, or organs cross; the organs are then put where that is not so.
+    """
+    near, attempt, vertices = world.near, progress.attempt, points.vertices
+    with_features = plan.first_step != 0
+    if with_features:
+        progress.depth = measure_tools(world, plan, tools, vertices, attempt, scratch)
+    if not plan.is_divided and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
+        # Rows are missing, or could not be kept.
+        progress.sinks = progress.sinks or settled or progress.depth > SUNK_DEPTH
+        if progress.depth < progress.least:
+            progress.least = progress.depth
+            copy_points(vertices, points.kept)
+        progress.tries, progress.last_attempt = progress.tries + 1, attempt + 2
+        return True
+    progress.is_over = progress.tries > 0 and progress.depth > max(progress.least, RESIDUAL_TOLERANCE)
+    if progress.is_over:
+        copy_points(points.kept, vertices)
+        progress.depth = progress.least
+    crosses = progress.met or near.crossing[skin.CROSSINGS] > 0.0
+    if crosses and _uncross(world, points, progress.tried, points.held, vertices):
+        progress.is_over = True
+        if with_features:
+            progress.depth = measure_tools(world, plan, tools, vertices, attempt, scratch)
+        most = MOST_RETRIES if progress.depth > SUNK_DEPTH else 1
+        if progress.retries < most:
+            # Tools go on, and push where the organ has been left.
+            remember_sides(near, progress.tried, world.trial.table)
+            copy_points(vertices, points.held)
+            progress.retries, progress.last_attempt = progress.retries + 1, attempt + RETRY_PASSES
+            progress.afresh, progress.is_over, progress.sinks = True, False, False
+            progress.tries, progress.least = 0, np.inf
+            return True
+    if _arrest_tools(world, plan, tools, points, progress, crosses, scratch):
+        progress.is_over = True
+    return bool(progress.is_over)
+
+
+@inline_kernel
+def solve_contacts(
+    world: Any, plan: Any, points: Any, progress: Any, count: int, islands: int, order: np.ndarray, starts: np.ndarray
+) -> None:
+    """Move the organs to where the constraints of a pass hold.
+
+    Args:
+        world: `WorldContacts`; its constraints have been measured.
+        plan: `QueryPlan`.
+        points: `QueryPoints`; vertices are moved.
+        progress: `QueryProgress`.
+        count: How many constraints there are.
+        islands: How many islands, see `islands.find_islands`, as the next two.
+        order: (C,).
+        starts: (N + 2,).
+    """
+    table, inverse_mass, vertices = world.constraints.table, world.inverse_mass, points.vertices
+    rows, features, sweeps, attempt = table.rows, table.features, plan.sweeps, progress.attempt
+    if attempt == 0 and plan.is_last and (plan.predicts or plan.is_only):
+        # From here on the organs are where they would be without contact, and what pushes them is known.
+        if plan.predicts:
+            copy_points(points.thrown, vertices)
+        start_warm(count, table, DISPLACEMENT, world.warm_count[0], world.warm.table, 1.0)
+        start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
+    if attempt > 0:
+        # What has pushed already may give way again.
+        start_warm(count, table, DISPLACEMENT, progress.tried, world.trial.table, 1.0)
+    # What stands on the ground by itself is settled by one sweep.
+    solve_positions(order[: starts[0]], rows, features, inverse_mass, vertices, 1, POSITION_TOLERANCE, 1)
+    frictional = sweeps if attempt < PASSES_WITH_FRICTION else sweeps // 2
+    for island in range(islands):
+        members = order[starts[island] : starts[island + 1]]
+        if attempt == 0 or greatest_violation(members, rows, features) > RESIDUAL_TOLERANCE:
+            solve_positions(
+                members, rows, features, inverse_mass, vertices, sweeps, POSITION_TOLERANCE, frictional,
+                plan.relaxation,
+            )  # fmt: skip
+    progress.tried = keep_warm(count, table, world.trial)
+
+
+@inline_kernel
+def resolve_query(
+    world: Any,
+    plan: Any,
+    tools: Any,
+    points: Any,
+    progress: Any,
+    holders: np.ndarray,
+    starts: np.ndarray,
+    scratch: Any,
+    numbers: np.ndarray,
+) -> int:
+    """Find and solve for the contacts of a query, pass after pass.
+
+    Args:
+        world: `WorldContacts`.
+        plan: `QueryPlan`.
+        tools: `QueryTools`, whose flags have been decided.
+        points: `QueryPoints`; vertices are moved.
+        progress: `QueryProgress`, written.
+        holders: (V,) workspace of `islands.find_islands`.
+        starts: (N + 2,) likewise.
+        scratch: `Scratch`.
+        numbers: Columns of the result; penetration is written.
+
+    Returns:
+        How many constraints there are.
+    """
+    inverse_mass, mean, tool_count = world.inverse_mass, world.settings[MEAN_INVERSE_MASS], tools.position.shape[0]
+    count = 0
+    copy_points(points.reference, points.held)
+    for attempt in range(MOST_LOOKS):
+        progress.attempt = attempt
+        count = gather_contacts(world, plan, tools, points, progress, scratch, numbers)
+        table = world.constraints.table
+        measure_gaps(count, table.rows, table.features, inverse_mass, mean, points.vertices)
+        order = np.empty(count, np.int64)
+        islands = find_islands(count, table.features, inverse_mass, tool_count, holders, order, starts)
+        # The first solve is there for friction too, which holds a surface that only touches.
+        settled = attempt > 0 and greatest_violation(order, table.rows, table.features) <= RESIDUAL_TOLERANCE
+        if settled or attempt >= progress.last_attempt or progress.is_over:
+            if progress.is_over or not goes_on(world, plan, tools, points, progress, settled, scratch):
+                break
+            continue
+        solve_contacts(world, plan, points, progress, count, islands, order, starts)
+        if not plan.is_last:
+            progress.passed = note_passed(count, progress.passed, table, world.earlier.table, tools.position)
+    return count
