@@ -224,13 +224,13 @@ def _fill_box(skin: Any, near: Any, p: int, boxes: np.ndarray) -> None:
 
 @inline_kernel
 def _fill_calm(skin: Any, near: Any, p: int) -> None:
-    """Write how far the vertices of a patch may get before its triangles may have turned much [u]."""
+    """Write how far the vertices of a patch may get before a triangle may have turned much [u], and what is far."""
     points, triangles, order = near.found_at, skin.triangles, skin.triangle_order
     least = np.inf
     for m in range(skin.triangle_starts[p], skin.triangle_starts[p + 1]):
         a, b, c = triangles[order[m], 0], triangles[order[m], 1], triangles[order[m], 2]
         least = min(least, _least_height(points, a, b, c))
-    near.calm[p] = CALM * least
+    near.calm[p], near.steep[p] = CALM * least, np.cos(near.cones[p, 3] + TURNED)
 
 
 @inline_kernel
@@ -279,6 +279,7 @@ def _first_turned(
     starts: np.ndarray,
     cones: np.ndarray,
     calm: np.ndarray,
+    steep: np.ndarray,
     rotation: np.ndarray,
     shift: np.ndarray,
     points: np.ndarray,
@@ -290,8 +291,9 @@ def _first_turned(
         triangles: See `skin.Skin`, as `order` and `starts`, of the triangles.
         order: See there.
         starts: See there.
-        cones: See `skin.Near`, as the next three.
+        cones: See `skin.Near`, as the next four.
         calm: See there.
+        steep: See there.
         rotation: See there.
         shift: See there.
         points: (V, 3) where the vertices are [u].
@@ -307,7 +309,6 @@ def _first_turned(
         along_x = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
         along_y = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
         along_z = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
-        least = np.cos(cones[p, 3] + TURNED)
         for m in range(starts[p], starts[p + 1]):
             a, b, c = triangles[order[m], 0], triangles[order[m], 1], triangles[order[m], 2]
             if max(shift[a], shift[b], shift[c]) <= calm[p]:
@@ -316,7 +317,7 @@ def _first_turned(
             vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
             nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if nx * along_x + ny * along_y + nz * along_z < length * least:
+            if nx * along_x + ny * along_y + nz * along_z < length * steep[p]:
                 return p
     return int(calm.shape[0])
 
@@ -325,8 +326,8 @@ def _first_turned(
 def has_turned(skin: Any, near: Any, points: np.ndarray) -> bool:
     """Whether a triangle has turned so far that its patch may be folded, where vertices (V, 3) are, shifts measured."""
     patch = _first_turned(
-        0, skin.triangles, skin.triangle_order, skin.triangle_starts, near.cones, near.calm, near.rotation, near.shift,
-        points,
+        0, skin.triangles, skin.triangle_order, skin.triangle_starts, near.cones, near.calm, near.steep, near.rotation,
+        near.shift, points,
     )  # fmt: skip
     return bool(patch < near.calm.shape[0])
 
@@ -338,7 +339,7 @@ def mark_turned(skin: Any, near: Any, points: np.ndarray, beyond: np.ndarray) ->
     patch = -1
     while patch < patches:
         patch = _first_turned(
-            patch + 1, triangles, order, starts, near.cones, near.calm, near.rotation, near.shift, points
+            patch + 1, triangles, order, starts, near.cones, near.calm, near.steep, near.rotation, near.shift, points
         )
         if patch < patches:
             for m in range(starts[patch], starts[patch + 1]):

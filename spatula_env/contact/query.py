@@ -13,7 +13,7 @@ import numpy as np
 from numba import types
 from numba.experimental import structref
 
-from spatula_env._kernels import inline_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact import skin
 from spatula_env.contact.arrest import arrest, depth_of_tools
 from spatula_env.contact.corners import drop_outside
@@ -29,6 +29,7 @@ from spatula_env.contact.flags import (
 from spatula_env.contact.islands import find_islands, greatest_violation
 from spatula_env.contact.motion import copy_points, turn_between
 from spatula_env.contact.multipliers import keep_warm, note_passed, start_warm
+from spatula_env.contact.near import has_turned, measure_shifts
 from spatula_env.contact.path import RESIDUAL_TOLERANCE
 from spatula_env.contact.raycast import cast_columns
 from spatula_env.contact.response import measure_gaps, solve_positions, start_pushed
@@ -185,16 +186,25 @@ def begin_query(near: Any, tried: int, passed: int) -> Any:
     )
 
 
-@inline_kernel
-def pose_tools(motions: Any, part: float, tools: Any) -> None:
-    """Put the tools where they are after a part of the step."""
-    orientation = np.empty(4)
+@array_kernel
+def pose_tools(motions: Any, part: float, tools: Any, orientation: np.ndarray) -> None:
+    """Put the tools where they are after a part of the step; an orientation (4,), or more, is workspace."""
     for k in range(tools.position.shape[0]):
         for axis in range(3):
             way = motions.positions[k, axis] - motions.start_positions[k, axis]
             tools.position[k, axis] = motions.positions[k, axis] - (1.0 - part) * way
         turn_between(motions.start_orientations[k], motions.orientations[k], part, orientation)
         fill_rotation(orientation, 1.0, tools.rotation[k])
+
+
+@array_kernel
+def remember_poses(tools: Any) -> None:
+    """Note where the tools are, for the next query."""
+    for k in range(tools.position.shape[0]):
+        for axis in range(3):
+            tools.last_position[k, axis] = tools.position[k, axis]
+        for entry in range(9):
+            tools.last_rotation[k, entry] = tools.rotation[k, entry]
 
 
 @inline_kernel
@@ -413,6 +423,10 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
         copy_points(points.kept, vertices)
         progress.depth = progress.least
     crosses = progress.met or near.crossing[skin.CROSSINGS] > 0.0
+    if not crosses and world.settings[KEEPS_APART] > 0.0 and near.counts[skin.IS_KNOWN] == 1:
+        # What has folded may cross where nobody has looked.
+        measure_shifts(near, points.held, vertices)
+        crosses = has_turned(world.skin, near, vertices)
     if crosses and _uncross(world, points, progress.tried, points.held, vertices):
         progress.is_over = True
         if with_features:

@@ -67,8 +67,8 @@ def append_constraint(
     linear_velocity, angular_velocity = placement.linear_velocity, placement.angular_velocity
     row, features = table.rows[count], table.features[count]
     a, b, c = corners
-    for corner in range(3):
-        features[corner] = corners[corner] + placement.first_vertex
+    first = placement.first_vertex
+    features[0], features[1], features[2] = a + first, b + first, c + first
     features[FOURTH], features[OWNER], features[PLANE] = NO_VERTEX, placement.owner, plane
     table.names[count] = name
     row[WEIGHTS], row[WEIGHTS + 1], row[WEIGHTS + 2] = weights

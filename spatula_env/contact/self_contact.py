@@ -457,11 +457,13 @@ def prepare_pairs(
 def see_near(
     skin: Any, near: Any, held: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
 ) -> None:
-    """See to it that what is near is known where vertices come from and where they are, and measure their shifts."""
+    """See to it that what is near is known where vertices come from and where they are, and measure their shifts.
+
+    Whether the surface has folded meanwhile is asked where a solve has ended: see `keep_uncrossed`.
+    """
     if within_reach(near, vertices) and within_reach(near, held):
         measure_shifts(near, held, vertices)
-        if not has_turned(skin, near, vertices):
-            return
+        return
     find_again(skin, near, held, vertices, thrown, mean_edge)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # It is thrown far; where solves put it is nearer.
@@ -506,7 +508,7 @@ def keep_uncrossed(
 
     Args:
         skin: `Skin`.
-        near: `Near`; what is near is found anew if a vertex has got out of reach.
+        near: `Near`; what is near is found anew if a vertex has got out of reach or the surface has folded.
         inverse_mass: (V,) [1/kg].
         known: How many constraints pushed in the last solve.
         solved: `ConstraintTable` of them.
@@ -518,6 +520,9 @@ def keep_uncrossed(
         Whether any has been held back.
     """
     see_near(skin, near, held, vertices, vertices, mean_edge)
+    if near.counts[IS_KNOWN] == 1 and has_turned(skin, near, vertices):
+        find_again(skin, near, held, vertices, vertices, mean_edge)
+        measure_shifts(near, held, vertices)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # Nothing keeps it from crossing, so it is told that it does.
         near.crossing[CROSSINGS] = 1.0

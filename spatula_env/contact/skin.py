@@ -64,6 +64,7 @@ class Near(structref.StructRefProxy):
         cones (P, 4): around the normals of each patch: axis, and half the opening [rad].
         calm (P,): where vertices have got no farther than this since they were found, no triangle of a patch has turned
             much [u].
+        steep (P,): cosine of the angle to its cone's axis from which on a triangle of a patch has turned far.
         folded (P,): whether a patch is not flat with all of its neighbours, itself included.
         boxes (P, 6): around what each patch can reach: lower and upper corner [u].
         counts (6,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known; how many
@@ -107,6 +108,7 @@ NEAR_FIELDS = [
     ("ends", ARRAYS["i8_2"]),
     ("cones", ARRAYS["f8_2"]),
     ("calm", ARRAYS["f8"]),
+    ("steep", ARRAYS["f8"]),
     ("folded", ARRAYS["b1"]),
     ("boxes", ARRAYS["f8_2"]),
     ("counts", ARRAYS["i8"]),
@@ -157,9 +159,10 @@ def make_near(skin: Any) -> Any:
     return Near(
         np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0),
         np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((patches, 4)), np.zeros(patches),
-        np.zeros(patches, np.bool_), np.zeros((patches, 6)), np.zeros(6, np.int64), np.zeros((3, vertices)),
-        np.zeros((3, vertices)), np.eye(3), np.zeros(3), np.zeros(vertices), np.zeros(vertices), np.zeros(vertices),
-        np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32), np.zeros(2), np.zeros(vertices, np.bool_),
+        np.zeros(patches), np.zeros(patches, np.bool_), np.zeros((patches, 6)), np.zeros(6, np.int64),
+        np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3), np.zeros(vertices),
+        np.zeros(vertices), np.zeros(vertices), np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32),
+        np.zeros(2), np.zeros(vertices, np.bool_),
     )  # fmt: skip
 
 

@@ -37,6 +37,7 @@ from spatula_env.contact.query import (
     detect,
     measure_tools,
     pose_tools,
+    remember_poses,
     resolve_query,
 )
 from spatula_env.contact.response import OVER_RELAXATION, measure_gaps, solve_velocities, start_pushed, sum_impulses
@@ -53,7 +54,7 @@ from spatula_env.contact.settings import (
     QUERIES,
     RESIDUAL,
 )
-from spatula_env.contact.structures import IMPULSE, WORLD_CONTACTS, make_scratch, reserve
+from spatula_env.contact.structures import IMPULSE, WORLD_CONTACTS, reserve
 
 F8_2 = ARRAYS["f8_2"]
 
@@ -149,6 +150,22 @@ def divide_paths(world: Any, motions: Any, organs: Any, passes: np.ndarray) -> i
 
 
 @array_kernel
+def move_points(points: np.ndarray, shift: np.ndarray, part: float) -> None:
+    """Move points (V, 3) by a part of their way (V, 3)."""
+    for i in range(points.shape[0]):
+        for axis in range(3):
+            points[i, axis] += part * shift[i, axis]
+
+
+@array_kernel
+def fill_thrown(vertices: np.ndarray, free: np.ndarray, expected: np.ndarray, thrown: np.ndarray) -> None:
+    """Write where vertices (V, 3) would be if they had not been expected elsewhere than they move freely."""
+    for i in range(vertices.shape[0]):
+        for axis in range(3):
+            thrown[i, axis] = vertices[i, axis] + (free[i, axis] - expected[i, axis])
+
+
+@array_kernel
 def _organ_parts(start: np.ndarray, vertices: np.ndarray, mean_edge: float) -> int:
     """Into how many parts the way of vertices (V, 3) is divided, so that none goes too far between two queries."""
     return max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
@@ -213,18 +230,6 @@ def make_tools(world: Any, motions: Any, passes: np.ndarray) -> tuple[Any, float
     return tools, fastest
 
 
-@inline_kernel
-def make_step_scratch(world: Any, vertex_count: int) -> Any:
-    """A `Scratch` for all tools and organs of a world."""
-    planes, corners, triangles = 0, 0, 0
-    for k in range(len(world.tools)):
-        tool = world.tools[k].geometry
-        planes, corners = max(planes, tool.plane_offsets.shape[0]), max(corners, tool.corners.shape[0])
-    for o in range(len(world.surfaces)):
-        triangles = max(triangles, world.surfaces[o].shape[0])
-    return make_scratch(planes, corners, vertex_count, triangles)
-
-
 @kernel(types.float64(WORLD_CONTACTS, F8_2, F8_2, F8_2))
 def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, vertices: np.ndarray) -> float:
     """How deep the tools and the organs are in each other, see `depth.pair_depth`.
@@ -238,7 +243,7 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
     Returns:
         The greatest depth [u].
     """
-    deepest, rotation, scratch = 0.0, np.empty(9), make_step_scratch(world, vertices.shape[0])
+    deepest, rotation, scratch = 0.0, np.empty(9), world.room.scratch
     organ_count = len(world.surfaces)
     for k in range(len(world.tools)):
         fill_rotation(orientations[k], 1.0, rotation)
@@ -359,11 +364,8 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         )  # fmt: skip
     reference, shift = start, start
     if queries > 1:
-        shift = np.empty_like(start)
-        for i in range(vertex_count):
-            for axis in range(3):
-                shift[i, axis] = expected[i, axis] - start[i, axis]
-                vertices[i, axis] = start[i, axis]
+        shift = expected - start
+        copy_points(start, vertices)
     elif division.predicts:
         copy_points(expected, vertices)
     tools, fastest = make_tools(world, motions, passes)
@@ -373,7 +375,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     sweeps = MOST_SWEEPS if fastest * dt <= SLOW else MOST_SWEEPS_MOVING
     if queries > 1:
         sweeps = MOST_SWEEPS_DIVIDED
-    held, kept, scratch = np.empty_like(start), np.empty_like(start), make_step_scratch(world, vertex_count)
+    held, kept, scratch = np.empty_like(start), np.empty_like(start), world.room.scratch
     holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 2, np.int64)
     plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, sweeps, relaxation)
     progress, count, organ_done = begin_query(near, 0, 0), 0, 0.0
@@ -386,19 +388,15 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             tool_part = 0.0
         if queries > 1:
             reference = vertices.copy()
-            for i in range(vertex_count):
-                for axis in range(3):
-                    vertices[i, axis] += (organ_part - organ_done) * shift[i, axis]
+            move_points(vertices, shift, organ_part - organ_done)
             organ_done = organ_part
         is_last = query == queries - 1
         # The flags are decided where the organs would be without contact, as published.
         thrown = vertices
         if division.predicts and is_last:
             thrown = np.empty_like(vertices)
-            for i in range(vertex_count):
-                for axis in range(3):
-                    thrown[i, axis] = vertices[i, axis] + (organs.free_vertices[i, axis] - expected[i, axis])
-        pose_tools(motions, tool_part, tools)
+            fill_thrown(vertices, organs.free_vertices, expected, thrown)
+        pose_tools(motions, tool_part, tools, scratch.axes)
         plan = QueryPlan(first_step, parts > 1, queries == 1, is_last, division.predicts, sweeps, relaxation)
         points = QueryPoints(vertices, reference, thrown, held, kept)
         status = detect(world, plan, tools, points, scratch)
@@ -409,11 +407,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         if not is_last:
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
-        for k in range(tool_count):
-            for axis in range(3):
-                tools.last_position[k, axis] = tools.position[k, axis]
-            for entry in range(9):
-                tools.last_rotation[k, entry] = tools.rotation[k, entry]
+        remember_poses(tools)
     numbers[RESIDUAL] = progress.depth
     if first_step == 0:
         numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0, scratch)

@@ -237,6 +237,11 @@ class ConstraintsType(types.StructRef):
 
 
 @structref.register
+class ScratchRoomType(types.StructRef):
+    """Numba type of `ScratchRoom`."""
+
+
+@structref.register
 class WorldContactsType(types.StructRef):
     """Numba type of `WorldContacts`."""
 
@@ -267,6 +272,14 @@ class Constraints(structref.StructRefProxy):
     """
 
 
+class ScratchRoom(structref.StructRefProxy):
+    """Room for the workspace of kernels, which worlds that are queried one after the other share.
+
+    Fields:
+        scratch: `Scratch`.
+    """
+
+
 class WorldContacts(structref.StructRefProxy):
     """All that is known of contact in one world, for kernels: its tools and organs, and what is remembered.
 
@@ -286,6 +299,7 @@ class WorldContacts(structref.StructRefProxy):
         skin: `Skin` of all organs.
         near: `Near`: which features of organs are near each other.
         ledger (O, 5): of the energy that the tools put into each organ; see `energy`.
+        room: `ScratchRoom`, large enough for all tools and organs.
     """
 
 
@@ -306,6 +320,12 @@ structref.define_proxy(Constraints, ConstraintsType, ["table"])
 TOOL = ToolShapeType([("geometry", TOOL_GEOMETRY), ("rays", RAY_LINES)])
 MEMORY = PairMemoryType([("nodes", NODE_MEMORY), ("organ", LOCAL_ORGAN)])
 CONSTRAINTS = ConstraintsType([("table", CONSTRAINT_TABLE)])
+structref.define_proxy(ScratchRoom, ScratchRoomType, ["scratch"])
+SCRATCH = _arrays(
+    Scratch,
+    *("f8_2", "f8_2", "f8_2", "f8_2", "f8", "f8", "b1", "f8", "f8", "f8", "f8_2", "f8", "i4", "i4", "u1", "f8_2", "f8"),
+)
+ROOM = ScratchRoomType([("scratch", SCRATCH)])
 TOOLS = types.ListType(TOOL)
 MEMORIES = types.ListType(MEMORY)
 SURFACE = ARRAYS["i4_2"]
@@ -327,6 +347,7 @@ WORLD_FIELDS = [
     ("skin", SKIN),
     ("near", NEAR),
     ("ledger", ARRAYS["f8_2"]),
+    ("room", ROOM),
 ]
 structref.define_proxy(WorldContacts, WorldContactsType, [name for name, _ in WORLD_FIELDS])
 WORLD_CONTACTS = WorldContactsType(WORLD_FIELDS)
@@ -347,12 +368,12 @@ def _make_memory(nodes: Any, organ: Any) -> Any:
 def make_world_contacts(
     tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, trial: Any, warm: Any,
     warm_count: Any,    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, skin: Any,
-    near: Any, ledger: Any,
+    near: Any, ledger: Any, room: Any,
 ) -> Any:  # fmt: skip
     """A `WorldContacts` of these fields."""
     return WorldContacts(
         tools, memories, surfaces, constraints, earlier, trial, warm, warm_count, first_vertices, friction,
-        settings, inverse_mass, skin, near, ledger,
+        settings, inverse_mass, skin, near, ledger, room,
     )  # fmt: skip
 
 
@@ -364,14 +385,36 @@ def make_constraints(capacity: int) -> Any:
 
 
 @inline_kernel
-def make_scratch(planes: int, corners: int, vertices: int, triangles: int) -> Any:
-    """A `Scratch` for tools of so many planes and corners, and organs of so many vertices and triangles."""
+def _make_scratch(planes: int, corners: int, vertices: int, triangles: int) -> Any:
     return Scratch(
         np.empty((planes, 4)), np.empty((planes, 3)), np.empty((planes + 4, 3)), np.empty((planes + 4, 3)),
         np.empty(planes), np.empty(corners), np.empty(corners, np.bool_), np.empty(7), np.empty(3), np.empty(3),
         np.empty((3, 3)), np.empty(4), np.empty(triangles, np.int32), np.empty(triangles, np.int32),
         np.empty(vertices, np.uint8), np.empty((3, vertices)), np.empty(9),
     )  # fmt: skip
+
+
+@kernel(ROOM())
+def make_room() -> Any:
+    """A `ScratchRoom` without any room."""
+    return ScratchRoom(_make_scratch(0, 0, 0, 0))
+
+
+@kernel(types.void(WORLD_CONTACTS))
+def fit_room(world: Any) -> None:
+    """Have the workspace of a world be large enough for all of its tools and organs."""
+    scratch, vertices = world.room.scratch, world.inverse_mass.shape[0]
+    planes, corners, triangles = scratch.under.shape[0], scratch.corner_heights.shape[0], scratch.near.shape[0]
+    fits = vertices <= scratch.codes.shape[0]
+    for k in range(len(world.tools)):
+        tool = world.tools[k].geometry
+        fits &= tool.plane_offsets.shape[0] <= planes and tool.corners.shape[0] <= corners
+        planes, corners = max(planes, tool.plane_offsets.shape[0]), max(corners, tool.corners.shape[0])
+    for o in range(len(world.surfaces)):
+        fits &= world.surfaces[o].shape[0] <= triangles
+        triangles = max(triangles, world.surfaces[o].shape[0])
+    if not fits:
+        world.room.scratch = _make_scratch(planes, corners, max(vertices, scratch.codes.shape[0]), triangles)
 
 
 @array_kernel
@@ -432,6 +475,7 @@ def _append_tool(tools: Any, tool: Any) -> None:
 def replace_tool(world: Any, index: int, tool: Any) -> None:
     """Put another tool in the place of one."""
     world.tools[index] = tool
+    fit_room(world)
 
 
 @kernel(MEMORIES())

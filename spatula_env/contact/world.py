@@ -15,7 +15,9 @@ from spatula_env.contact.self_contact import leave_out, touching_pairs
 from spatula_env.contact.skin import copy_near, crossed_for, forget_near, make_near, make_skin, set_crossed_for
 from spatula_env.contact.structures import (
     copy_constraints,
+    fit_room,
     make_constraints,
+    make_room,
     make_world_contacts,
     memory_list,
     replace_tool,
@@ -84,6 +86,7 @@ class Workspace:
         constraints: Of the query.
         earlier: Of queries before it in the same step.
         trial: Of the position solve before in the same query.
+        room: `ScratchRoom` of kernels.
     """
 
     def __init__(self) -> None:
@@ -91,6 +94,7 @@ class Workspace:
         self.constraints = make_constraints(FIRST_ROOM)
         self.earlier = make_constraints(MOST_PASSED)
         self.trial = make_constraints(FIRST_ROOM)
+        self.room = make_room()
 
 
 class World:
@@ -165,7 +169,9 @@ class World:
             skin,
             self._near,
             self.ledger,
+            workspace.room,
         )
+        fit_room(self.structure)
 
     def set_inverse_masses(self, inverse_masses: FloatArray) -> None:
         """Change the masses of the organs' nodes (V,) [1/kg]."""
