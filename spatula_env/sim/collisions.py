@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.contact import step as contact_step
+from spatula_env.contact import settings
 from spatula_env.contact.flags import FlaggedDetector
+from spatula_env.contact.step import measure_depth
 from spatula_env.sim import step
 
 if TYPE_CHECKING:
@@ -110,9 +111,9 @@ class Collisions:
                 last.angular[w, tool],
             )
             deepest = max(deepest, float(found.depth.max()))
-        depth = contact_step.measure_depth(self._contacts[w].structure, last.positions[w], last.orientations[w], nodes)
+        depth = measure_depth(self._contacts[w].structure, last.positions[w], last.orientations[w], nodes)
         result, sums = last.result[w], self._sums
-        result[contact_step.QUERIES], result[contact_step.CONTACT_COUNT] = 1, 0
-        result[contact_step.PENETRATION] = sums.penetrations[w] = deepest
-        result[contact_step.RESIDUAL] = depth
+        result[settings.QUERIES], result[settings.CONTACT_COUNT] = 1, 0
+        result[settings.PENETRATION] = sums.penetrations[w] = deepest
+        result[settings.RESIDUAL] = depth
         sums.residuals[w] = max(sums.residuals[w], depth)

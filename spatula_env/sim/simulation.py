@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.contact import step as contact_step
+from spatula_env.contact import settings
 from spatula_env.contact.flags import Contacts
 from spatula_env.contact.model import Motions, Pressures
 from spatula_env.contact.pressure import contact_table
@@ -180,7 +180,7 @@ class Simulation:
         contact, result = worlds.contacts[0], worlds.last.result[0]
         wrenches, organs = worlds.last.wrenches[0] / self.dt, len(scene.organs)
         found = [Contacts(memory.states, memory.triangle, memory.record) for memory in contact.memories]
-        count = int(result[contact_step.CONTACT_COUNT])
+        count = int(result[settings.CONTACT_COUNT])
         return Report(
             scene=scene,
             motions=Motions(*(values[0].copy() for values in worlds.last[:6])),
@@ -189,12 +189,12 @@ class Simulation:
             ground_force=-wrenches[-1, :3],
             all_contacts=tuple(tuple(found[k : k + organs]) for k in range(0, len(found), organs)),
             table=None if self.contact == "bullet" else contact_table(contact.workspace.constraints, count),
-            penetration=float(result[contact_step.PENETRATION]),
-            residual=float(result[contact_step.RESIDUAL]),
-            queries=int(result[contact_step.QUERIES]),
-            reach=float(contact.settings[contact_step.MEAN_EDGE]),
-            crossings=int(result[contact_step.CROSSINGS]),
-            crossed_for=float(result[contact_step.CROSSED_FOR]),
+            penetration=float(result[settings.PENETRATION]),
+            residual=float(result[settings.RESIDUAL]),
+            queries=int(result[settings.QUERIES]),
+            reach=float(contact.settings[settings.MEAN_EDGE]),
+            crossings=int(result[settings.CROSSINGS]),
+            crossed_for=float(result[settings.CROSSED_FOR]),
         )
 
     def pressures(self) -> Pressures:

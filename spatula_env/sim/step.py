@@ -13,9 +13,10 @@ from numba import types
 from numba.experimental import structref
 
 from spatula_env._kernels import inline_kernel, kernel
-from spatula_env.contact.motion import turn_by
+from spatula_env.contact.motion import Motions, OrganMotion, StepOutcome, turn_by
 from spatula_env.contact.pressure import tool_pressures
-from spatula_env.contact.step import CONTACT_COUNT, CROSSED_FOR, PENETRATION, RESIDUAL, resolve_step
+from spatula_env.contact.settings import CONTACT_COUNT, CROSSED_FOR, PENETRATION, RESIDUAL
+from spatula_env.contact.step import resolve_step
 from spatula_env.sim.drive import restrain
 
 
@@ -90,7 +91,7 @@ class Sums(NamedTuple):
 class LastStep(NamedTuple):
     """How the last step went of the world of each of B blocks that came last: of the only one, where blocks have one.
 
-    The first six are the fields of `contact.model.Motions`.
+    The first six are the fields of `contact.motion.Motions`.
 
     Attributes:
         start_positions: (B, N, 3) of the tools [u].
@@ -102,7 +103,7 @@ class LastStep(NamedTuple):
         nodes: (B, V, 3) at the end [u].
         impulses: (B, V, 3) what the tools gave the nodes [kg u/s].
         wrenches: (B, N + 1, 6) what the organs gave the tools, and the ground [kg u/s, kg u2/s2].
-        result: (B, 6) by the column names of `contact.step`.
+        result: (B, 6) by the column names of `contact.settings`.
     """
 
     start_positions: np.ndarray
@@ -128,8 +129,7 @@ class Coupling(structref.StructRefProxy):
     Fields:
         contacts: `WorldContacts` of each of the W worlds.
         with_tools: Whether tools count, or only the ground.
-        mode: See `contact.step.resolve_step`.
-        first_step: Code of the detectors' first step.
+        first_step: Code of the detectors' first step; see `contact.step.resolve_step`.
         dt: Length of a step [s].
         state: `State` of the worlds; written.
         drive: `Drive`, what the tools are to do.
@@ -141,7 +141,7 @@ class Coupling(structref.StructRefProxy):
 structref.define_proxy(
     Coupling,
     CouplingType,
-    ["contacts", "with_tools", "mode", "first_step", "dt", "state", "drive", "sums", "last"],
+    ["contacts", "with_tools", "first_step", "dt", "state", "drive", "sums", "last"],
 )
 
 
@@ -149,7 +149,6 @@ structref.define_proxy(
 def make_coupling(
     contacts: Any,
     with_tools: bool,
-    mode: int,
     first_step: int,
     dt: float,
     state: State,
@@ -158,7 +157,7 @@ def make_coupling(
     last: LastStep,
 ) -> Any:
     """A `Coupling` of these fields."""
-    return Coupling(contacts, with_tools, mode, first_step, dt, state, drive, sums, last)
+    return Coupling(contacts, with_tools, first_step, dt, state, drive, sums, last)
 
 
 @inline_kernel
@@ -239,7 +238,7 @@ def couple_worlds(
     contacts, state, drive, sums, last = (
         coupling.contacts, coupling.state, coupling.drive, coupling.sums, coupling.last,
     )  # fmt: skip
-    with_tools, mode, first_step, dt = coupling.with_tools, coupling.mode, coupling.first_step, coupling.dt
+    with_tools, first_step, dt = coupling.with_tools, coupling.first_step, coupling.dt
     resolved, wrenches, result = last.nodes[block], last.wrenches[block], last.result[block]
     ground = last.positions.shape[1] if with_tools else 0
     for w in range(first, end):
@@ -247,12 +246,17 @@ def couple_worlds(
             continue
         if with_tools:
             drive_tools(state, drive, sums, last, dt, block, w, share)
-        status = resolve_step(
-            contacts[w], with_tools, mode, first_step, True, last.start_positions[block],
-            last.start_orientations[block], last.positions[block], last.orientations[block], last.linear[block],
-            last.angular[block], state.nodes[w], free_nodes[w - first], free_velocities[w - first], resolved,
-            state.velocities[w], last.impulses[block], wrenches, result,
+        motions = Motions(
+            last.start_positions[block, :ground], last.start_orientations[block, :ground],
+            last.positions[block, :ground], last.orientations[block, :ground], last.linear[block, :ground],
+            last.angular[block, :ground],
         )  # fmt: skip
+        organs = OrganMotion(
+            state.nodes[w], free_nodes[w - first], free_velocities[w - first], resolved, state.velocities[w]
+        )
+        status = resolve_step(
+            contacts[w], first_step, motions, organs, StepOutcome(last.impulses[block], wrenches, result)
+        )
         if status != 0:
             state.diverged[w] = True
             continue

@@ -12,7 +12,7 @@ import numpy as np
 
 from spatula_env._warnings import warn
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
-from spatula_env.contact import step as contact_step
+from spatula_env.contact import settings
 from spatula_env.contact.flags import FIRST_STEP_CODES
 from spatula_env.contact.structures import Memory, OrganRoom, surface_list, tool_shape, world_list
 from spatula_env.contact.world import Workspace, World, scene_skin
@@ -227,7 +227,7 @@ class Worlds:
             self.contacts[w].friction[:] = [placed.friction for placed in tools]
         if self.engine.abilities.varies:
             for contact, gravity in zip(self.contacts, cast("VaryingEngine", self.engine).gravity, strict=True):
-                contact.settings[contact_step.GRAVITY] = gravity
+                contact.settings[settings.GRAVITY] = gravity
         nodes, (_, tool_count, _) = self.state.nodes.shape[1:], self.state.tool_positions.shape
         most_nodes, most_faces = (
             max(len(getattr(placed.tool, name)) for placed in tools) for name in ("nodes", "face_normals")
@@ -257,7 +257,7 @@ class Worlds:
             nodes=np.zeros((*blocks, *nodes)),
             impulses=np.zeros((*blocks, *nodes)),
             wrenches=np.zeros((*blocks, tool_count + 1, 6)),
-            result=np.zeros((*blocks, contact_step.RESULT_LENGTH)),
+            result=np.zeros((*blocks, settings.RESULT_LENGTH)),
         )
         first_step = "off" if self.contact == "second_step" else self._first_step
         self._drive = step.Drive(
@@ -267,8 +267,7 @@ class Worlds:
             force_limits=np.zeros(count),
         )
         contacts = world_list([contact.structure for contact in self.contacts])
-        mode = contact_step.SECOND_STEP if first_step == "off" else contact_step.FLAGS
-        parts = (mode, FIRST_STEP_CODES[first_step], self.dt, self.state, self._drive, self._sums, self.last)
+        parts = (FIRST_STEP_CODES[first_step], self.dt, self.state, self._drive, self._sums, self.last)
         self._coupling = step.make_coupling(contacts, self.contact != "bullet", *parts)
         self._settling = step.make_coupling(contacts, False, *parts)
         self._collisions: Collisions | None = None
@@ -528,7 +527,7 @@ class Worlds:
             gravities, inverse_masses = varying.gravity, self.engine.inverse_masses
             for w in indices.tolist():
                 if gravity is not None:
-                    self.contacts[w].settings[contact_step.GRAVITY] = gravities[w]
+                    self.contacts[w].settings[settings.GRAVITY] = gravities[w]
                 if mass_scale is not None:
                     self.contacts[w].set_inverse_masses(inverse_masses[w])
         if new_friction is not None:

@@ -146,7 +146,7 @@ def faces_of(tool):
 def heights_of(tool, last, now):
     """How far two points, which move from one place to another, are before a tool's faces."""
     normals, offsets = faces_of(tool)
-    heights = np.empty((4, len(offsets)))
+    heights = np.empty((len(offsets), 4))
     fill_heights(normals, offsets, last, now, 0, 1, heights)
     return heights
 

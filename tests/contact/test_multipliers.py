@@ -30,7 +30,7 @@ DT = 1.0 / 240.0
 @njit
 def expected_vertices(known, warm, inverse_mass, start, linear, angular, part, thrown):
     expected = np.empty_like(thrown)
-    expect_vertices(known, warm, inverse_mass, start, linear, angular, DT, part, thrown, expected)
+    expect_vertices(known, warm.table, inverse_mass, start, linear, angular, DT, part, thrown, expected)
     return expected
 
 

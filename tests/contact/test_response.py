@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from reference_detector import random_rotation, rotation_matrix
 
-from spatula_env.contact.response import (
+from spatula_env.contact.energy import (
     ENERGY_TOLERANCE,
     GREATEST_WORK,
     LEDGER_LENGTH,
@@ -16,13 +16,15 @@ from spatula_env.contact.response import (
     WORK,
     keep_ledger,
     limit_energy,
-    measure_gaps,
     passive_share,
     scale_impulses,
+    sum_heights,
+)
+from spatula_env.contact.response import (
+    measure_gaps,
     solve_positions,
     solve_velocities,
     start_pushed,
-    sum_heights,
     sum_impulses,
 )
 from spatula_env.contact.structures import (
