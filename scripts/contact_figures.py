@@ -22,7 +22,7 @@ from spatula_env import Simulation, scenes
 from spatula_env.contact.flags import FlaggedDetector
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_CORNER, ON_EDGE, ON_NODE, ON_VERTEX
-from spatula_env.contact.step import CONTACT_COUNT
+from spatula_env.contact.settings import CONTACT_COUNT
 from spatula_env.contact.structures import NORMAL, OWNER, PLANE, WEIGHTS, copy_constraints
 from spatula_env.geometry import Tool
 from spatula_env.geometry.transforms import (

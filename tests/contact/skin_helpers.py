@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from spatula_env.contact.self_contact import keep_uncrossed
 from spatula_env.contact.skin import make_near, make_skin
 from spatula_env.contact.structures import copy_constraints, make_constraints
 
@@ -35,6 +36,17 @@ def patches_of(skin):
         skin.triangle_starts.copy(), skin.triangle_order.copy(), skin.edge_starts.copy(), skin.edge_order.copy(),
         skin.vertex_starts.copy(), skin.vertex_order.copy(),
     )  # fmt: skip
+
+
+@njit
+def _uncross(skin, near, none, held, vertices, mean_edge):
+    return keep_uncrossed(skin, near, np.ones(len(vertices)), 0, none.table, held, vertices, mean_edge)
+
+
+def uncrossed(skin, near, held, vertices, mean_edge=1.0):
+    """Where vertices of the same mass are held back to, and whether they are."""
+    points = vertices.copy()
+    return points, _uncross(skin, near, make_constraints(1), held, points, mean_edge)
 
 
 def skin_of(*organs):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skin_helpers import edges_of, gathered, pairs_of, patches_of, skin_of, triangles_of
+from skin_helpers import edges_of, pairs_of, patches_of, skin_of, triangles_of, uncrossed
 
 from spatula_env.contact.near import find_as_before, find_cross_pairs, find_near
-from spatula_env.contact.self_contact import gather_organs
 from spatula_env.contact.skin import copy_near
 from spatula_env.contact.tangles import place
 from spatula_env.geometry import box_surface, icosphere
@@ -101,8 +100,7 @@ def test_a_surface_that_folds_within_its_reach_is_found_near_itself():
     crossing = crossings_of(folded, edges_of(skin), triangles_of(skin))
     assert crossing and np.linalg.norm(folded - vertices, axis=1).max() < 4.0
     assert not place(skin, near, folded, False)
-    gathered(gather_organs, skin, near, vertices, folded)
-    find_cross_pairs(skin, near)
+    uncrossed(skin, near, vertices, folded)
     assert crossing <= {tuple(pair) for pair in pairs_of(near)[2].tolist()}
 
 
