@@ -443,7 +443,8 @@ def prepare_pairs(
         known: How many constraints were kept.
         warm: `ConstraintTable` of them.
     """
-    if near.counts[IS_KNOWN] == 0:
+    if near.counts[IS_KNOWN] != 1:
+        # What was too much to look at may be less now.
         find_near(skin, near, start, thrown, MARGIN * mean_edge, near.tangled)
         near.shift[:] = 0.0
         if near.counts[IS_KNOWN] != TOO_MANY:
@@ -520,7 +521,7 @@ def keep_uncrossed(
         Whether any has been held back.
     """
     see_near(skin, near, held, vertices, vertices, mean_edge)
-    if near.counts[IS_KNOWN] == 1 and has_turned(skin, near, vertices):
+    if near.counts[IS_KNOWN] != 1 or has_turned(skin, near, vertices):
         find_again(skin, near, held, vertices, vertices, mean_edge)
         measure_shifts(near, held, vertices)
     if near.counts[IS_KNOWN] == TOO_MANY:

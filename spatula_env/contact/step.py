@@ -165,7 +165,7 @@ def fill_thrown(vertices: np.ndarray, free: np.ndarray, expected: np.ndarray, th
             thrown[i, axis] = vertices[i, axis] + (free[i, axis] - expected[i, axis])
 
 
-@array_kernel
+@inline_kernel
 def _organ_parts(start: np.ndarray, vertices: np.ndarray, mean_edge: float) -> int:
     """Into how many parts the way of vertices (V, 3) is divided, so that none goes too far between two queries."""
     return max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))

@@ -623,8 +623,9 @@ class Memory:
     def use(self, room: OrganRoom) -> None:
         """Change the workspace, for an organ of another size; what is remembered stays."""
         self.vertices, self.triangles = len(room.codes), len(room.candidates)
+        nodes: tuple[Any, ...] = (*self.states, self.triangle, self.record, self._hits, self._distances)
         self.structure = _make_memory(
-            NodeMemory(*self.states, self.triangle, self.record, self._hits, self._distances),
+            NodeMemory(*nodes),
             LocalOrgan(room.local, room.last_local, room.codes, room.candidates, room.ray_local),
         )
 

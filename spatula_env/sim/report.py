@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from spatula_env.contact.flags import Contacts
-    from spatula_env.contact.model import Motions
+    from spatula_env.contact.motion import Motions
     from spatula_env.scenes import Scene
 
     FloatArray = NDArray[np.float64]

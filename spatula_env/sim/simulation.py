@@ -10,7 +10,8 @@ import numpy as np
 
 from spatula_env.contact import settings
 from spatula_env.contact.flags import Contacts
-from spatula_env.contact.model import Motions, Pressures
+from spatula_env.contact.model import Pressures
+from spatula_env.contact.motion import Motions
 from spatula_env.contact.pressure import contact_table
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.engine import ContactName
