@@ -256,6 +256,129 @@ def _cast_past_grazes(
 
 
 @array_kernel
+def _fill_axes(frame: np.ndarray, rotation: np.ndarray, axes: np.ndarray) -> None:
+    """Write the rows of a group's frame (3, 3), of a tool with a rotation matrix (9,), in the world (9,)."""
+    for row in range(3):
+        for column in range(3):
+            axes[3 * row + column] = (
+                frame[row, 0] * rotation[3 * column]
+                + frame[row, 1] * rotation[3 * column + 1]
+                + frame[row, 2] * rotation[3 * column + 2]
+            )
+
+
+@array_kernel
+def _project(
+    vertices: np.ndarray,
+    position: np.ndarray,
+    axes: np.ndarray,
+    bounds: np.ndarray,
+    local: np.ndarray,
+    codes: np.ndarray,
+) -> bool:
+    """Write vertices (V, 3) along a group's axes (9,) into local (3, V), and beyond which of its bounds (4,) they are.
+
+    Returns:
+        Whether they are numbers.
+    """
+    least_u, greatest_u, least_v, greatest_v = bounds[0], bounds[1], bounds[2], bounds[3]
+    # Loops this plain become vector instructions.
+    along_u, along_v, along_w = local[0], local[1], local[2]
+    for i in range(vertices.shape[0]):
+        x, y, z = vertices[i, 0] - position[0], vertices[i, 1] - position[1], vertices[i, 2] - position[2]
+        along_u[i] = axes[0] * x + axes[1] * y + axes[2] * z
+        along_v[i] = axes[3] * x + axes[4] * y + axes[5] * z
+        along_w[i] = axes[6] * x + axes[7] * y + axes[8] * z
+    broken = False
+    for i in range(vertices.shape[0]):
+        u, v = along_u[i], along_v[i]
+        codes[i] = (u < least_u) | ((u > greatest_u) << 1) | ((v < least_v) << 2) | ((v > greatest_v) << 3)
+        broken |= not abs(u + v + along_w[i]) < np.inf
+    return not broken
+
+
+@array_kernel
+def _record_on_line(
+    nodes: np.ndarray,
+    node_height: np.ndarray,
+    hits: np.ndarray,
+    distances: np.ndarray,
+    w: float,
+    facing: int,
+    triangle: int,
+) -> None:
+    """Keep where a line meets a triangle, at a height w, for the two nodes (2,) on it, or -1."""
+    plus, minus = nodes[0], nodes[1]
+    if plus >= 0:
+        # The node on the +w face looks inwards along -w and outwards along +w.
+        gap = node_height[plus] - w
+        tie = TIE_TOLERANCE * (1.0 + abs(node_height[plus]) + abs(w))
+        if gap >= 0.0:
+            _record_hit(hits, distances, plus, 0, gap, -facing, triangle, tie)
+        if gap <= 0.0:
+            _record_hit(hits, distances, plus, 1, -gap, facing, triangle, tie)
+    if minus >= 0:
+        gap = w - node_height[minus]
+        tie = TIE_TOLERANCE * (1.0 + abs(node_height[minus]) + abs(w))
+        if gap >= 0.0:
+            _record_hit(hits, distances, minus, 0, gap, facing, triangle, tie)
+        if gap <= 0.0:
+            _record_hit(hits, distances, minus, 1, -gap, -facing, triangle, tie)
+
+
+@array_kernel
+def _cast_on_triangle(
+    triangle: int, a: int, b: int, c: int, group: int, rays: Any, local: np.ndarray, memory: Any
+) -> None:
+    """Cast the rays of a group at one triangle, on the lines that its box meets."""
+    row_u, row_columns, column_v = rays.row_u, rays.row_columns, rays.column_v
+    row, last_row = rays.group_rows[group], rays.group_rows[group + 1]
+    au, bu, cu = local[0, a], local[0, b], local[0, c]
+    av, bv, cv = local[1, a], local[1, b], local[1, c]
+    low_u, high_u = min(au, bu, cu), max(au, bu, cu)
+    low_v, high_v = min(av, bv, cv), max(av, bv, cv)
+    if last_row - row > 8:
+        row = row + np.searchsorted(row_u[row:last_row], low_u)
+    while row < last_row and row_u[row] < low_u:
+        row += 1
+    while row < last_row and row_u[row] <= high_u:
+        column, last_column = row_columns[row], row_columns[row + 1]
+        if last_column - column > 8:
+            column = column + np.searchsorted(column_v[column:last_column], low_v)
+        while column < last_column and column_v[column] < low_v:
+            column += 1
+        while column < last_column and column_v[column] <= high_v:
+            facing, wa, wb, wc = line_meets_triangle(row_u[row], column_v[column], au, av, bu, bv, cu, cv)
+            if facing != 0:
+                w = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
+                _record_on_line(
+                    rays.column_nodes[column], rays.node_height, memory.hits, memory.distances, w, facing, triangle
+                )
+            column += 1
+        row += 1
+
+
+@array_kernel
+def _cast_grazing(group: int, rays: Any, local: np.ndarray, triangles: np.ndarray, memory: Any) -> None:
+    """Cast those rays of a group again whose nearest event is a graze."""
+    hits, distances = memory.hits, memory.distances
+    for row in range(rays.group_rows[group], rays.group_rows[group + 1]):
+        for column in range(rays.row_columns[row], rays.row_columns[row + 1]):
+            for slot in range(2):
+                node = rays.column_nodes[column, slot]
+                if node < 0:
+                    continue
+                for side in range(2):
+                    if hits[node, side, 1] == 0 and distances[node, side] < np.inf:
+                        # slot 0 looks inwards along -w; slot 1 along +w; outwards is the reverse.
+                        direction = (-1.0 if slot == 0 else 1.0) * (1.0 if side == 0 else -1.0)
+                        _cast_past_grazes(
+                            node, side, direction, rays.row_u[row], rays.column_v[column], rays.node_height[node],
+                            local, triangles, hits, distances,
+                        )  # fmt: skip
+
+
+@array_kernel
 def cast_columns(
     position: np.ndarray,
     rotation: np.ndarray,
@@ -283,111 +406,26 @@ def cast_columns(
     Returns:
         0; 1 if a vertex or the pose is not finite; 2 if a triangle names a vertex that does not exist.
     """
-    frames, bounds, group_rows, row_u = rays.frames, rays.bounds, rays.group_rows, rays.row_u
-    row_columns, column_v, column_nodes = rays.row_columns, rays.column_v, rays.column_nodes
-    node_height, hits, distances = rays.node_height, memory.hits, memory.distances
-    local, codes = organ.ray_local, organ.codes
-    vertex_count, triangle_count = vertices.shape[0], triangles.shape[0]
-    least, greatest = 0, 0
-    for k in range(triangle_count):
+    node_count, local, codes = rays.node_height.shape[0], organ.ray_local, organ.codes
+    vertex_count, least, greatest = vertices.shape[0], 0, 0
+    for k in range(triangles.shape[0]):
         a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
         least, greatest = min(least, a, b, c), max(greatest, a, b, c)
     if least < 0 or greatest >= max(vertex_count, 1):
         return 2
-    for i in range(node_height.shape[0]):
+    for i in range(node_count):
         for side in range(2):
-            hits[i, side, 0] = NO_HIT
-            hits[i, side, 1] = 0
-            distances[i, side] = np.inf
-    for group in range(frames.shape[0]):
-        # Rows of the group's frame, in the world.
-        for row in range(3):
-            for column in range(3):
-                axes[3 * row + column] = (
-                    frames[group, row, 0] * rotation[3 * column]
-                    + frames[group, row, 1] * rotation[3 * column + 1]
-                    + frames[group, row, 2] * rotation[3 * column + 2]
-                )
-        least_u, greatest_u = bounds[group, 0], bounds[group, 1]
-        least_v, greatest_v = bounds[group, 2], bounds[group, 3]
-        # Loops this plain become vector instructions.
-        along_u, along_v, along_w = local[0], local[1], local[2]
-        for i in range(vertex_count):
-            x, y, z = vertices[i, 0] - position[0], vertices[i, 1] - position[1], vertices[i, 2] - position[2]
-            along_u[i] = axes[0] * x + axes[1] * y + axes[2] * z
-            along_v[i] = axes[3] * x + axes[4] * y + axes[5] * z
-            along_w[i] = axes[6] * x + axes[7] * y + axes[8] * z
-        broken = False
-        for i in range(vertex_count):
-            u, v = along_u[i], along_v[i]
-            codes[i] = (u < least_u) | ((u > greatest_u) << 1) | ((v < least_v) << 2) | ((v > greatest_v) << 3)
-            broken |= not abs(u + v + along_w[i]) < np.inf
-        if broken:
+            memory.hits[i, side, 0] = NO_HIT
+            memory.hits[i, side, 1] = 0
+            memory.distances[i, side] = np.inf
+    for group in range(rays.frames.shape[0]):
+        _fill_axes(rays.frames[group], rotation, axes)
+        if not _project(vertices, position, axes, rays.bounds[group], local, codes):
             return 1
-        first_row, last_row = group_rows[group], group_rows[group + 1]
-        for k in range(triangle_count):
+        for k in range(triangles.shape[0]):
             # Unsigned, so that no index is taken to count from the end.
             a, b, c = np.uint32(triangles[k, 0]), np.uint32(triangles[k, 1]), np.uint32(triangles[k, 2])
-            if codes[a] & codes[b] & codes[c]:
-                continue
-            au, bu, cu = local[0, a], local[0, b], local[0, c]
-            av, bv, cv = local[1, a], local[1, b], local[1, c]
-            low_u, high_u = min(au, bu, cu), max(au, bu, cu)
-            low_v, high_v = min(av, bv, cv), max(av, bv, cv)
-            row = first_row
-            if last_row - first_row > 8:
-                row = first_row + np.searchsorted(row_u[first_row:last_row], low_u)
-            while row < last_row and row_u[row] < low_u:
-                row += 1
-            while row < last_row and row_u[row] <= high_u:
-                first_column, last_column = row_columns[row], row_columns[row + 1]
-                column = first_column
-                if last_column - first_column > 8:
-                    column = first_column + np.searchsorted(column_v[first_column:last_column], low_v)
-                while column < last_column and column_v[column] < low_v:
-                    column += 1
-                while column < last_column and column_v[column] <= high_v:
-                    facing, wa, wb, wc = line_meets_triangle(row_u[row], column_v[column], au, av, bu, bv, cu, cv)
-                    if facing != 0:
-                        w = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
-                        plus, minus = column_nodes[column, 0], column_nodes[column, 1]
-                        if plus >= 0:
-                            # The node on the +w face looks inwards along -w and outwards along +w.
-                            gap = node_height[plus] - w
-                            tie = TIE_TOLERANCE * (1.0 + abs(node_height[plus]) + abs(w))
-                            if gap >= 0.0:
-                                _record_hit(hits, distances, plus, 0, gap, -facing, k, tie)
-                            if gap <= 0.0:
-                                _record_hit(hits, distances, plus, 1, -gap, facing, k, tie)
-                        if minus >= 0:
-                            gap = w - node_height[minus]
-                            tie = TIE_TOLERANCE * (1.0 + abs(node_height[minus]) + abs(w))
-                            if gap >= 0.0:
-                                _record_hit(hits, distances, minus, 0, gap, facing, k, tie)
-                            if gap <= 0.0:
-                                _record_hit(hits, distances, minus, 1, -gap, -facing, k, tie)
-                    column += 1
-                row += 1
-        for row in range(first_row, last_row):
-            for column in range(row_columns[row], row_columns[row + 1]):
-                for slot in range(2):
-                    node = column_nodes[column, slot]
-                    if node < 0:
-                        continue
-                    for side in range(2):
-                        if hits[node, side, 1] == 0 and distances[node, side] < np.inf:
-                            # slot 0 looks inwards along -w; slot 1 along +w; outwards is the reverse.
-                            direction = (-1.0 if slot == 0 else 1.0) * (1.0 if side == 0 else -1.0)
-                            _cast_past_grazes(
-                                node,
-                                side,
-                                direction,
-                                row_u[row],
-                                column_v[column],
-                                node_height[node],
-                                local,
-                                triangles,
-                                hits,
-                                distances,
-                            )
+            if codes[a] & codes[b] & codes[c] == 0:
+                _cast_on_triangle(k, a, b, c, group, rays, local, memory)
+        _cast_grazing(group, rays, local, triangles, memory)
     return 0

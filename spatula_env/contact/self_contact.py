@@ -12,7 +12,7 @@ weights of one point are positive and those of the other negative, so momentum i
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -247,24 +247,71 @@ def _is_left_out(left_out: np.ndarray, name: int) -> bool:
     return bool(place < left_out.shape[0] and left_out[place] == name)
 
 
+class _Pairs(NamedTuple):
+    """Pairs of features of one kind.
+
+    Attributes:
+        pairs: (., 3) see `skin.Near`, as the next.
+        distances: (.,) [u].
+        gaps: (.,) measured where they are negative [u].
+        edges: (., 2) see `skin.Skin`, as the next two.
+        triangles: (., 3).
+        left_out: (.,).
+    """
+
+    pairs: np.ndarray
+    distances: np.ndarray
+    gaps: np.ndarray
+    edges: np.ndarray
+    triangles: np.ndarray
+    left_out: np.ndarray
+
+
+class _Vertices(NamedTuple):
+    """The V vertices of all organs.
+
+    Attributes:
+        held: (V, 3) as in `gather_organs`, as the next two [u].
+        vertices: (V, 3) [u].
+        reference: (V, 3) [u].
+        shift: (V,) see `skin.Near`, as the next two [u].
+        moved: (V,) [u].
+        tangled: (V,).
+    """
+
+    held: np.ndarray
+    vertices: np.ndarray
+    reference: np.ndarray
+    shift: np.ndarray
+    moved: np.ndarray
+    tangled: np.ndarray
+
+
+@array_kernel
+def _corners_of(of: Any, m: int, is_edges: bool) -> tuple[int, int, int, int]:
+    """The vertices of a pair: of two edges a, b and c, d; of a triangle a, b, c and what has come to it, d."""
+    first, second = of.pairs[m, 0], of.pairs[m, 1]
+    if is_edges:
+        return of.edges[first, 0], of.edges[first, 1], of.edges[second, 0], of.edges[second, 1]
+    return of.triangles[second, 0], of.triangles[second, 1], of.triangles[second, 2], first
+
+
+@array_kernel
+def _greatest_of_both(of: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
+    """The greatest entry for the vertices of one feature and the greatest for those of the other, together."""
+    if is_edges:
+        return float(max(of[a], of[b]) + max(of[c], of[d]))
+    return float(max(of[a], of[b], of[c]) + of[d])
+
+
 @array_kernel
 def _append_pairs(
     is_edges: bool,
     first_pair: int,
     end: int,
-    pairs: np.ndarray,
-    edges: np.ndarray,
-    triangles: np.ndarray,
-    left_out: np.ndarray,
-    distances: np.ndarray,
-    shift: np.ndarray,
-    gaps: np.ndarray,
-    moved: np.ndarray,
-    tangled: np.ndarray,
+    of: Any,
+    organs: Any,
     is_tangled: bool,
-    held: np.ndarray,
-    vertices: np.ndarray,
-    reference: np.ndarray,
     mean_edge: float,
     friction: float,
     room: np.ndarray,
@@ -277,20 +324,10 @@ def _append_pairs(
         is_edges: Whether they are pairs of edges, or of a vertex and a triangle.
         first_pair: Index of the first pair.
         end: Index after the last one.
-        pairs: (., 3) see `skin.Near`, as `distances` to `tangled`.
-        edges: (., 2) see `skin.Skin`, as the next two.
-        triangles: (., 3).
-        left_out: (.,).
-        distances: (.,) [u].
-        shift: (V,) [u].
-        gaps: (.,) measured where they are negative [u].
-        moved: (V,) [u].
-        tangled: (V,).
+        of: `_Pairs`.
+        organs: `_Vertices`.
         is_tangled: Whether organs cross.
-        held: As in `gather_organs`, as the next five.
-        vertices: See there.
-        reference: See there.
-        mean_edge: See there.
+        mean_edge: As in `gather_organs`, as the next.
         friction: See there.
         room: (10, 9) workspace.
         table: `ConstraintTable`.
@@ -300,37 +337,30 @@ def _append_pairs(
         How many there are then, and the index of the first pair that was not looked at, for want of room.
     """
     before, now, normal, place, corners = room[0], room[1], room[2], room[3], room[4:7, :3]
-    separation, deepest = SEPARATION * mean_edge, DEEPEST * mean_edge
+    separation, deepest, gaps, tangled = SEPARATION * mean_edge, DEEPEST * mean_edge, of.gaps, organs.tangled
     touching = TOUCHING * separation
     for m in range(first_pair, end):
-        first, second = pairs[m, 0], pairs[m, 1]
+        a, b, c, d = _corners_of(of, m, is_edges)
         # What was farther apart than it has moved since does not touch.
-        if is_edges:
-            a, b, c, d = edges[first, 0], edges[first, 1], edges[second, 0], edges[second, 1]
-            if max(shift[a], shift[b]) + max(shift[c], shift[d]) < distances[m] - touching:
-                continue
-            way = max(moved[a], moved[b]) + max(moved[c], moved[d])
-        else:
-            a, b, c, d = triangles[second, 0], triangles[second, 1], triangles[second, 2], first
-            if max(shift[a], shift[b], shift[c]) + shift[d] < distances[m] - touching:
-                continue
-            way = max(moved[a], moved[b], moved[c]) + moved[d]
+        if _greatest_of_both(organs.shift, a, b, c, d, is_edges) < of.distances[m] - touching:
+            continue
+        way = _greatest_of_both(organs.moved, a, b, c, d, is_edges)
         if way < gaps[m] - touching:
             continue
         # Of what crosses nobody knows the side: it is left to the springs to pull it apart.
         if is_tangled and tangled[d] and (tangled[a] or tangled[b] or tangled[c]):
             continue
-        _fill_sides(held, a, b, c, d, is_edges, before)
+        _fill_sides(organs.held, a, b, c, d, is_edges, before)
         if gaps[m] < 0.0:
             gaps[m] = _gap(before, is_edges, corners)
             if way < gaps[m] - touching:
                 continue
-        _fill_sides(vertices, a, b, c, d, is_edges, now)
-        side = _side_held(before, now, is_edges, pairs[m, 2], touching, deepest, normal, place, room[7:10])
+        _fill_sides(organs.vertices, a, b, c, d, is_edges, now)
+        side = _side_held(before, now, is_edges, of.pairs[m, 2], touching, deepest, normal, place, room[7:10])
         if side == 0:
             continue
-        name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, first, second)
-        if _is_left_out(left_out, name):
+        name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, of.pairs[m, 0], of.pairs[m, 1])
+        if _is_left_out(of.left_out, name):
             continue
         if count == table.names.shape[0]:
             return count, m
@@ -343,7 +373,7 @@ def _append_pairs(
             weights = (place[0] + place[1] - 1.0, -place[0], -place[1])
         count = append_pair(
             table, count, (a, b, c, d), weights, (side * normal[0], side * normal[1], side * normal[2]), separation,
-            reference, friction, name | SIDE_BIT if side < 0 else name,
+            organs.reference, friction, name | SIDE_BIT if side < 0 else name,
         )  # fmt: skip
     return count, end
 
@@ -362,16 +392,19 @@ def _gather_pairs(
     friction: float,
 ) -> int:
     """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
-    pairs = near.edge_pairs if is_edges else near.vertex_pairs
-    distances = near.edge_distances if is_edges else near.vertex_distances
-    gaps = near.edge_gaps if is_edges else near.vertex_gaps
+    of = _Pairs(
+        near.edge_pairs if is_edges else near.vertex_pairs,
+        near.edge_distances if is_edges else near.vertex_distances,
+        near.edge_gaps if is_edges else near.vertex_gaps,
+        skin.edges, skin.triangles, skin.left_out,
+    )  # fmt: skip
+    organs = _Vertices(held, vertices, reference, near.shift, near.moved, near.tangled)
     room, done, end = np.zeros((10, 9)), 0, near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]
     while done < end:
         reserve(constraints, count, count + 1)
         count, done = _append_pairs(
-            is_edges, done, end, pairs, skin.edges, skin.triangles, skin.left_out, distances, near.shift, gaps,
-            near.moved, near.tangled, near.crossing[CROSSINGS] > 0, held, vertices, reference, mean_edge, friction,
-            room, constraints.table, count,
+            is_edges, done, end, of, organs, near.crossing[CROSSINGS] > 0, mean_edge, friction, room,
+            constraints.table, count,
         )  # fmt: skip
     return count
 
