@@ -327,35 +327,41 @@ def _record_on_line(
 
 
 @array_kernel
-def _cast_on_triangle(
-    triangle: int, a: int, b: int, c: int, group: int, rays: Any, local: np.ndarray, memory: Any
+def _cast_group(
+    group: int, rays: Any, local: np.ndarray, codes: np.ndarray, triangles: np.ndarray, memory: Any
 ) -> None:
-    """Cast the rays of a group at one triangle, on the lines that its box meets."""
+    """Cast the rays of a group, each at the triangles (T, 3) that meet its line; see `_project`."""
     row_u, row_columns, column_v = rays.row_u, rays.row_columns, rays.column_v
-    row, last_row = rays.group_rows[group], rays.group_rows[group + 1]
-    au, bu, cu = local[0, a], local[0, b], local[0, c]
-    av, bv, cv = local[1, a], local[1, b], local[1, c]
-    low_u, high_u = min(au, bu, cu), max(au, bu, cu)
-    low_v, high_v = min(av, bv, cv), max(av, bv, cv)
-    if last_row - row > 8:
-        row = row + np.searchsorted(row_u[row:last_row], low_u)
-    while row < last_row and row_u[row] < low_u:
-        row += 1
-    while row < last_row and row_u[row] <= high_u:
-        column, last_column = row_columns[row], row_columns[row + 1]
-        if last_column - column > 8:
-            column = column + np.searchsorted(column_v[column:last_column], low_v)
-        while column < last_column and column_v[column] < low_v:
-            column += 1
-        while column < last_column and column_v[column] <= high_v:
-            facing, wa, wb, wc = line_meets_triangle(row_u[row], column_v[column], au, av, bu, bv, cu, cv)
-            if facing != 0:
-                w = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
-                _record_on_line(
-                    rays.column_nodes[column], rays.node_height, memory.hits, memory.distances, w, facing, triangle
-                )
-            column += 1
-        row += 1
+    first_row, last_row = rays.group_rows[group], rays.group_rows[group + 1]
+    for k in range(triangles.shape[0]):
+        # Unsigned, so that no index is taken to count from the end.
+        a, b, c = np.uint32(triangles[k, 0]), np.uint32(triangles[k, 1]), np.uint32(triangles[k, 2])
+        if codes[a] & codes[b] & codes[c]:
+            continue
+        au, bu, cu = local[0, a], local[0, b], local[0, c]
+        av, bv, cv = local[1, a], local[1, b], local[1, c]
+        low_u, high_u = min(au, bu, cu), max(au, bu, cu)
+        low_v, high_v = min(av, bv, cv), max(av, bv, cv)
+        row = first_row
+        if last_row - first_row > 8:
+            row = first_row + np.searchsorted(row_u[first_row:last_row], low_u)
+        while row < last_row and row_u[row] < low_u:
+            row += 1
+        while row < last_row and row_u[row] <= high_u:
+            column, last_column = row_columns[row], row_columns[row + 1]
+            if last_column - column > 8:
+                column = column + np.searchsorted(column_v[column:last_column], low_v)
+            while column < last_column and column_v[column] < low_v:
+                column += 1
+            while column < last_column and column_v[column] <= high_v:
+                facing, wa, wb, wc = line_meets_triangle(row_u[row], column_v[column], au, av, bu, bv, cu, cv)
+                if facing != 0:
+                    w = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
+                    _record_on_line(
+                        rays.column_nodes[column], rays.node_height, memory.hits, memory.distances, w, facing, k
+                    )
+                column += 1
+            row += 1
 
 
 @array_kernel
@@ -422,10 +428,6 @@ def cast_columns(
         _fill_axes(rays.frames[group], rotation, axes)
         if not _project(vertices, position, axes, rays.bounds[group], local, codes):
             return 1
-        for k in range(triangles.shape[0]):
-            # Unsigned, so that no index is taken to count from the end.
-            a, b, c = np.uint32(triangles[k, 0]), np.uint32(triangles[k, 1]), np.uint32(triangles[k, 2])
-            if codes[a] & codes[b] & codes[c] == 0:
-                _cast_on_triangle(k, a, b, c, group, rays, local, memory)
+        _cast_group(group, rays, local, codes, triangles, memory)
         _cast_grazing(group, rays, local, triangles, memory)
     return 0

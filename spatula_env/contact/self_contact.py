@@ -288,15 +288,6 @@ class _Vertices(NamedTuple):
 
 
 @array_kernel
-def _corners_of(of: Any, m: int, is_edges: bool) -> tuple[int, int, int, int]:
-    """The vertices of a pair: of two edges a, b and c, d; of a triangle a, b, c and what has come to it, d."""
-    first, second = of.pairs[m, 0], of.pairs[m, 1]
-    if is_edges:
-        return of.edges[first, 0], of.edges[first, 1], of.edges[second, 0], of.edges[second, 1]
-    return of.triangles[second, 0], of.triangles[second, 1], of.triangles[second, 2], first
-
-
-@array_kernel
 def _greatest_of_both(of: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
     """The greatest entry for the vertices of one feature and the greatest for those of the other, together."""
     if is_edges:
@@ -338,9 +329,13 @@ def _append_pairs(
     """
     before, now, normal, place, corners = room[0], room[1], room[2], room[3], room[4:7, :3]
     separation, deepest, gaps, tangled = SEPARATION * mean_edge, DEEPEST * mean_edge, of.gaps, organs.tangled
-    touching = TOUCHING * separation
+    touching, pairs, edges, triangles = TOUCHING * separation, of.pairs, of.edges, of.triangles
     for m in range(first_pair, end):
-        a, b, c, d = _corners_of(of, m, is_edges)
+        first, second = pairs[m, 0], pairs[m, 1]
+        if is_edges:
+            a, b, c, d = edges[first, 0], edges[first, 1], edges[second, 0], edges[second, 1]
+        else:
+            a, b, c, d = triangles[second, 0], triangles[second, 1], triangles[second, 2], first
         # What was farther apart than it has moved since does not touch.
         if _greatest_of_both(organs.shift, a, b, c, d, is_edges) < of.distances[m] - touching:
             continue
@@ -356,10 +351,10 @@ def _append_pairs(
             if way < gaps[m] - touching:
                 continue
         _fill_sides(organs.vertices, a, b, c, d, is_edges, now)
-        side = _side_held(before, now, is_edges, of.pairs[m, 2], touching, deepest, normal, place, room[7:10])
+        side = _side_held(before, now, is_edges, pairs[m, 2], touching, deepest, normal, place, room[7:10])
         if side == 0:
             continue
-        name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, of.pairs[m, 0], of.pairs[m, 1])
+        name = constraint_name(ON_EDGES if is_edges else ON_TRIANGLE, 0, first, second)
         if _is_left_out(of.left_out, name):
             continue
         if count == table.names.shape[0]:
