@@ -91,6 +91,12 @@ MOST_PARTS = 4
 GREATEST_DEPTH_KEPT = 2e-3
 """Contacts that left the surface deeper than this at the end of a step have not held it [u]."""
 
+FARTHEST = 1e9
+"""An organ of which a vertex goes farther than this in a step has flown apart [u]."""
+
+NOT_FINITE = 1
+"""What is returned then, as for what is not a number."""
+
 COURANT_LIMIT = 0.125
 """Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
 the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
@@ -165,20 +171,21 @@ def fill_thrown(vertices: np.ndarray, free: np.ndarray, expected: np.ndarray, th
             thrown[i, axis] = vertices[i, axis] + (free[i, axis] - expected[i, axis])
 
 
-@inline_kernel
-def _organ_parts(start: np.ndarray, vertices: np.ndarray, mean_edge: float) -> int:
-    """Into how many parts the way of vertices (V, 3) is divided, so that none goes too far between two queries."""
-    return max(1, int(np.ceil(largest_shift(start, vertices) / (ORGAN_PART * mean_edge) - 1e-9)))
+@array_kernel
+def _organ_parts(way: float, mean_edge: float) -> int:
+    """Into how many parts the organs' way [u] is divided, so that no vertex goes too far between two queries."""
+    return max(1, int(np.ceil(way / (ORGAN_PART * mean_edge) - 1e-9)))
 
 
 @inline_kernel
-def divide_step(world: Any, motions: Any, organs: Any, passes: np.ndarray, expected: np.ndarray) -> Any:
+def divide_step(world: Any, motions: Any, organs: Any, way: float, passes: np.ndarray, expected: np.ndarray) -> Any:
     """Divide a step.
 
     Args:
         world: `WorldContacts`.
         motions: `Motions`.
         organs: `OrganMotion`, with the vertices where they are without contact.
+        way: How far a vertex goes without contact, at most [u].
         passes: (N,) written: whether a tool comes near an organ.
         expected: (V, 3) written if the organs' motion is predicted: where to [u].
 
@@ -188,7 +195,7 @@ def divide_step(world: Any, motions: Any, organs: Any, passes: np.ndarray, expec
     mean_edge, warm_count = world.settings[MEAN_EDGE], world.warm_count[0]
     parts, organ_parts = divide_paths(world, motions, organs, passes), 1
     if passes.shape[0] > 0:
-        organ_parts = _organ_parts(organs.start, organs.vertices, mean_edge)
+        organ_parts = _organ_parts(way, mean_edge)
     # An organ that is thrown so far that the step would be divided is expected where contact undoes that, about as it
     # did in the last step. What pushed in vain, against held nodes, is no measure unless the organ is thrown far.
     predicts = organ_parts > 1 and parts == 1 and warm_count > 0
@@ -199,7 +206,7 @@ def divide_step(world: Any, motions: Any, organs: Any, passes: np.ndarray, expec
             warm_count, world.warm.table, world.inverse_mass, motions.start_positions, motions.linear_velocities,
             motions.angular_velocities, world.settings[DT], EXPECTED_PART, organs.vertices, expected,
         )  # fmt: skip
-        expected_parts = _organ_parts(organs.start, expected, mean_edge)
+        expected_parts = _organ_parts(largest_shift(organs.start, expected), mean_edge)
         # What is pushed from both sides at once, in vain, has multipliers that grow from step to step and tell nothing.
         predicts = expected_parts <= organ_parts
         if predicts:
@@ -339,7 +346,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         outcome: `StepOutcome`; written.
 
     Returns:
-        0; otherwise what `raycast.cast_columns` returned.
+        0; `NOT_FINITE` if the organs have gone out of all bounds; otherwise what `raycast.cast_columns` returned.
     """
     settings, near, numbers = world.settings, world.near, outcome.numbers
     start, vertices = organs.start, organs.vertices
@@ -351,8 +358,11 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     numbers[:] = 0.0
     copy_points(organs.free_vertices, vertices)
     copy_points(organs.free_velocities, organs.velocities)
+    way = largest_shift(start, vertices)
+    if not way < FARTHEST:
+        return NOT_FINITE
     passes, predicted = np.zeros(tool_count, np.bool_), np.empty_like(vertices)
-    division = divide_step(world, motions, organs, passes, predicted)
+    division = divide_step(world, motions, organs, way, passes, predicted)
     expected = predicted if division.predicts else vertices
     parts, organ_parts = division.by_tools, division.by_organs
     queries = organ_parts + (parts if parts > 1 else 0)

@@ -170,7 +170,8 @@ except DatasetWriteError as error:
 
 
 def run(code: str, root: Path, **options) -> subprocess.Popen:
-    paths = [str(Path(spatula_env.__file__).parents[1]), os.path.dirname(__file__)]
+    # Helpers of several folders are beside these.
+    paths = [str(Path(spatula_env.__file__).parents[1]), str(Path(__file__).parents[1])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "MINARI_DATASETS_PATH": str(root)}
     return subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True, **options)
 

@@ -48,7 +48,8 @@ with recording_lock(Path(sys.argv[1]), "x"):
 
 
 def run(code: str, root: Path, *words: object) -> subprocess.Popen[str]:
-    paths = [str(Path(spatula_env.__file__).parents[1]), os.path.dirname(__file__)]
+    # Helpers of several folders are beside these.
+    paths = [str(Path(spatula_env.__file__).parents[1]), str(Path(__file__).parents[1])]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "MINARI_DATASETS_PATH": str(root)}
     words = tuple(map(str, words))
     return subprocess.Popen([sys.executable, "-c", code, *words], env=environment, stdout=subprocess.PIPE, text=True)
