@@ -345,7 +345,9 @@ def test_the_command_does_every_step_and_tells(monkeypatch, capsys):
     done = []
     for name in STEPS:
         monkeypatch.setitem(STEPS, name, lambda name=name: done.append(name))
+    level = logging.getLogger("spatula_env").level
     assert main(["compile"]) == 0
+    assert logging.getLogger("spatula_env").level == level
     assert done == list(STEPS)
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition("] ")[2].partition(" (")[0] for line in lines[:-1]] == done

@@ -34,14 +34,15 @@ def run(chosen: argparse.Namespace) -> int:
 
     from numba.core import event
 
-    # This command says itself what it is doing.
-    logging.getLogger("spatula_env").setLevel(logging.ERROR)
     from spatula_env._compilation import COMPILE, Counter
     from spatula_env._kernels import CACHE
 
     if not CACHE.kept:
         print(f"what is compiled here is lost with this process: kernels are compiled {CACHE.told}", file=sys.stderr)
-    counter = Counter()
+    counter, logger = Counter(), logging.getLogger("spatula_env")
+    level = logger.level
+    # This command says itself what it is doing; whoever calls it goes on as before.
+    logger.setLevel(logging.ERROR)
     event.register(COMPILE, counter)  # type: ignore[no-untyped-call]
     try:
         with _progress(len(STEPS)) as begin:
@@ -50,6 +51,7 @@ def run(chosen: argparse.Namespace) -> int:
                 step()
     finally:
         event.unregister(COMPILE, counter)  # type: ignore[no-untyped-call]
+        logger.setLevel(level)
     where = "" if CACHE.folder is None else f", kept in {CACHE.folder}"
     print(f"{counter.count} functions compiled{where}" if counter.count else "everything was compiled already")
     return 0
