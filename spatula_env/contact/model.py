@@ -18,11 +18,10 @@ from spatula_env.contact.world import Workspace, World, scene_skin
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.contact.flags import FirstStep
     from spatula_env.contact.world import Multipliers, NearMemory
     from spatula_env.scenes import Scene
-
-    FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,7 @@ from numba import types
 from spatula_env._kernels import ARRAYS, array_kernel, kernel
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    FloatArray = NDArray[np.float64]
+    from spatula_env.arrays import FloatArray
 
 NODES_AT_ONCE = 16
 """So many nodes are looked at before it is asked whether that is enough."""
@@ -182,21 +180,3 @@ def turn_by(orientation: np.ndarray, angular_velocity: np.ndarray, dt: float, re
     length = np.sqrt(result[0] ** 2 + result[1] ** 2 + result[2] ** 2 + result[3] ** 2)
     for k in range(4):
         result[k] /= length
-
-
-@kernel("f8[:,::1](f8[:,::1], f8[:,::1], f8)")
-def turned_by(orientations: np.ndarray, angular_velocities: np.ndarray, dt: float) -> np.ndarray:
-    """The orientations of tools after turning at constant angular velocities; see `transforms.integrate_rotation`.
-
-    Args:
-        orientations: (N, 4) unit quaternions xyzw.
-        angular_velocities: (N, 3) world frame [rad/s].
-        dt: For how long [s].
-
-    Returns:
-        (N, 4) unit quaternions.
-    """
-    turned = np.empty_like(orientations)
-    for k in range(orientations.shape[0]):
-        turn_by(orientations[k], angular_velocities[k], dt, turned[k])
-    return turned

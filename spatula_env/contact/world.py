@@ -29,10 +29,9 @@ from spatula_env.contact.tangles import place
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from spatula_env.arrays import FloatArray
     from spatula_env.contact.structures import Memory
     from spatula_env.scenes import Scene
-
-    FloatArray = NDArray[np.float64]
 
 FIRST_ROOM = 256
 """Room for so many constraints to begin with."""
