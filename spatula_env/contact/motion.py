@@ -17,7 +17,7 @@ NODES_AT_ONCE = 16
 
 
 class Motions(NamedTuple):
-    """How the N tools move in one step.
+    """How the N tools move in one step. Contact stops them where the organs cannot give way: see `step.stop_tools`.
 
     Attributes:
         start_positions: (N, 3) [u].
@@ -61,7 +61,7 @@ class StepOutcome(NamedTuple):
         nodal_impulses: (V, 3) what the tools gave the nodes [kg u/s].
         wrenches: (N + 1, 6) impulse and its moment about each tool's origin, that the organs give the tool; last what
             they give the ground [kg u/s, kg u2/s2].
-        numbers: (6,) by the names of the columns of the result in `settings`.
+        numbers: (7,) by the names of the columns of the result in `settings`.
     """
 
     nodal_impulses: FloatArray

@@ -9,6 +9,6 @@ ORGAN_FRICTION, KEEPS_APART, IS_FREE = 7, 8, 9
 its height [u] and friction, mean inverse mass of the free nodes [1/kg], gravity [u/s2], friction between organs,
 whether organs are kept apart from themselves and each other, whether no node is held."""
 
-PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, CROSSINGS, CROSSED_FOR = 0, 1, 2, 3, 4, 5
-RESULT_LENGTH = 6
+PENETRATION, RESIDUAL, QUERIES, CONTACT_COUNT, CROSSINGS, CROSSED_FOR, STOPPED = 0, 1, 2, 3, 4, 5, 6
+RESULT_LENGTH = 7
 """Columns of the result."""

@@ -30,6 +30,7 @@ from spatula_env.contact.multipliers import (
     sum_passed,
 )
 from spatula_env.contact.query import (
+    SUNK_DEPTH,
     QueryPlan,
     QueryPoints,
     QueryTools,
@@ -53,6 +54,7 @@ from spatula_env.contact.settings import (
     MEAN_INVERSE_MASS,
     QUERIES,
     RESIDUAL,
+    STOPPED,
 )
 from spatula_env.contact.structures import IMPULSE, WORLD_CONTACTS, reserve
 
@@ -333,6 +335,44 @@ def _finish_step(
         keep_passive(world, count, motions, organs, outcome)
 
 
+@inline_kernel
+def stop_tools(
+    world: Any, plan: Any, tools: Any, motions: Any, organs: Any, crossings: float, depth: float, scratch: Any
+) -> float:
+    """Have tools and organs stay where they were before the step, if they end it deeper in each other than they were.
+
+    Where an organ is pinned or wound up, there may be no place for it beside the tool. A hand that meets this stops. No
+    step that begins with tools outside of the organs therefore ends otherwise.
+
+    Args:
+        world: `WorldContacts`.
+        plan: `QueryPlan` of the step's last query.
+        tools: `QueryTools`; written.
+        motions: `Motions`; their ends are their starts then, and their velocities zero.
+        organs: `OrganMotion`, of which the vertices are written.
+        crossings: In how many places organs crossed before the step.
+        depth: How deep tools and organs are in each other [u].
+        scratch: `Scratch`.
+
+    Returns:
+        How deep they are then [u]; `depth` if nothing was done.
+    """
+    pose_tools(motions, 0.0, tools, scratch.axes)
+    before: float = measure_tools(world, plan, tools, organs.start, 1, scratch)
+    if before >= depth:
+        return depth
+    copy_points(organs.start, organs.vertices)
+    copy_points(motions.start_positions, motions.positions)
+    for k in range(motions.positions.shape[0]):
+        for entry in range(4):
+            motions.orientations[k, entry] = motions.start_orientations[k, entry]
+        for axis in range(3):
+            motions.linear_velocities[k, axis] = motions.angular_velocities[k, axis] = 0.0
+    # What is near is found anew, from there, at the start of the next step.
+    world.near.crossing[skin.CROSSINGS], world.near.counts[skin.IS_KNOWN] = crossings, 0
+    return before
+
+
 @kernel(types.int64(WORLD_CONTACTS, types.int64, MOTIONS, ORGAN_MOTION, STEP_OUTCOME))
 def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome: Any) -> int:
     """Resolve all contacts at the end of a step.
@@ -341,7 +381,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         world: `WorldContacts`; what it remembers is written.
         first_step: Code of the detectors' first step. With 0 there is none, and nothing but flagged nodes makes
             contact: the published method's second step.
-        motions: `Motions` of the tools; of none if only the ground counts.
+        motions: `Motions` of the tools; of none if only the ground counts. Written if `numbers[STOPPED]` is 1.
         organs: `OrganMotion`; written.
         outcome: `StepOutcome`; written.
 
@@ -372,7 +412,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             world.skin, near, start, expected if queries == 1 else start, mean_edge, settings[IS_FREE] > 0.0,
             warm_count[0], world.warm.table,
         )  # fmt: skip
-    reference, shift = start, start
+    reference, shift, crossings = start, start, near.crossing[skin.CROSSINGS]
     if queries > 1:
         shift = expected - start
         copy_points(start, vertices)
@@ -418,6 +458,9 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
+    if first_step != 0 and progress.depth > SUNK_DEPTH:
+        depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth, scratch)
+        numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
     numbers[RESIDUAL] = progress.depth
     if first_step == 0:
         numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0, scratch)

@@ -15,7 +15,7 @@ from numba.experimental import structref
 from spatula_env._kernels import inline_kernel, kernel
 from spatula_env.contact.motion import Motions, OrganMotion, StepOutcome, turn_by
 from spatula_env.contact.pressure import tool_pressures
-from spatula_env.contact.settings import CONTACT_COUNT, CROSSED_FOR, PENETRATION, RESIDUAL
+from spatula_env.contact.settings import CONTACT_COUNT, CROSSED_FOR, PENETRATION, RESIDUAL, STOPPED
 from spatula_env.contact.step import resolve_step
 from spatula_env.sim.drive import restrain
 
@@ -103,7 +103,7 @@ class LastStep(NamedTuple):
         nodes: (B, V, 3) at the end [u].
         impulses: (B, V, 3) what the tools gave the nodes [kg u/s].
         wrenches: (B, N + 1, 6) what the organs gave the tools, and the ground [kg u/s, kg u2/s2].
-        result: (B, 6) by the column names of `contact.settings`.
+        result: (B, 7) by the column names of `contact.settings`.
     """
 
     start_positions: np.ndarray
@@ -163,13 +163,18 @@ def make_coupling(
 @inline_kernel
 def drive_tools(
     state: State, drive: Drive, sums: Sums, last: LastStep, dt: float, block: int, w: int, share: float
-) -> None:
-    """Write what the tools of a world of a block do in the coming step; see `couple_worlds`."""
+) -> bool:
+    """Write what the tools of a world of a block do in the coming step; see `couple_worlds`.
+
+    Returns:
+        Whether too great a force keeps them from what they were to do.
+    """
     positions, orientations = state.tool_positions[w], state.tool_orientations[w]
     linear, angular = last.linear[block], last.angular[block]
-    if restrain(
+    restrained: bool = restrain(
         positions, drive.linear[w], drive.angular[w], state.tool_forces[w], drive.force_limits[w], linear, angular
-    ):
+    )
+    if restrained:
         sums.restrained[w] += share
     for k in range(positions.shape[0]):
         for axis in range(3):
@@ -178,6 +183,7 @@ def drive_tools(
         for entry in range(4):
             last.start_orientations[block, k, entry] = orientations[k, entry]
         turn_by(orientations[k], angular[k], dt, last.orientations[block, k])
+    return restrained
 
 
 @inline_kernel
@@ -244,8 +250,7 @@ def couple_worlds(
     for w in range(first, end):
         if state.diverged[w]:
             continue
-        if with_tools:
-            drive_tools(state, drive, sums, last, dt, block, w, share)
+        restrained = with_tools and drive_tools(state, drive, sums, last, dt, block, w, share)
         motions = Motions(
             last.start_positions[block, :ground], last.start_orientations[block, :ground],
             last.positions[block, :ground], last.orientations[block, :ground], last.linear[block, :ground],
@@ -265,6 +270,8 @@ def couple_worlds(
                 state.nodes[w, i, axis] = resolved[i, axis]
         sums.penetrations[w], sums.crossed_for[w] = result[PENETRATION], result[CROSSED_FOR]
         sums.residuals[w] = max(sums.residuals[w], result[RESIDUAL])
+        if result[STOPPED] > 0.0 and not restrained:
+            sums.restrained[w] += share
         for axis in range(3):
             sums.ground_forces[w, axis] -= wrenches[ground, axis] / dt
         if with_tools:
