@@ -30,7 +30,6 @@ from spatula_env.contact.multipliers import (
     sum_passed,
 )
 from spatula_env.contact.query import (
-    SUNK_DEPTH,
     QueryPlan,
     QueryPoints,
     QueryTools,
@@ -92,6 +91,9 @@ MOST_PARTS = 4
 
 GREATEST_DEPTH_KEPT = 2e-3
 """Contacts that left the surface deeper than this at the end of a step have not held it [u]."""
+
+STOPPING_DEPTH = 8e-3
+"""A step that would leave tools and organs deeper in each other than this, and than they were, stops the tools [u]."""
 
 FARTHEST = 1e9
 """An organ of which a vertex goes farther than this in a step has flown apart [u]."""
@@ -341,8 +343,8 @@ def stop_tools(
 ) -> float:
     """Have tools and organs stay where they were before the step, if they end it deeper in each other than they were.
 
-    Where an organ is pinned or wound up, there may be no place for it beside the tool. A hand that meets this stops. No
-    step that begins with tools outside of the organs therefore ends otherwise.
+    Where an organ is pinned or wound up, there may be no place for it beside the tool. A hand that meets this stops, so
+    that from step to step nothing gets deeper. Tools that go far in a step are left to their way alone.
 
     Args:
         world: `WorldContacts`.
@@ -458,7 +460,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
-    if first_step != 0 and progress.depth > SUNK_DEPTH:
+    if first_step != 0 and parts == 1 and progress.depth > STOPPING_DEPTH:
         depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth, scratch)
         numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
     numbers[RESIDUAL] = progress.depth
