@@ -103,7 +103,7 @@ def forget_gaps(near: Any) -> None:
     for kind in range(2):
         count = near.counts[VERTEX_PAIRS if kind == 0 else EDGE_PAIRS]
         gaps = near.vertex_gaps if kind == 0 else near.edge_gaps
-        if gaps.shape[0] < count:
+        if gaps.shape[0] < count or gaps.shape[0] > 4 * count + 64:
             gaps = np.empty(2 * count)
             if kind == 0:
                 near.vertex_gaps = gaps
@@ -156,6 +156,13 @@ def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int
         for column in range(pairs.shape[1]):
             more[p, column] = pairs[p, column]
     return more, longer
+
+
+@inline_kernel
+def _new_lists(pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Empty arrays of pairs and distances with room for somewhat more than there were: not for the most there ever were."""
+    room = max(count + count // 4, 64)
+    return np.empty((room, pairs.shape[1]), np.int32), np.empty(room)
 
 
 @array_kernel
@@ -624,11 +631,11 @@ def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndar
     vertex_pairs, vertex_distances = near.vertex_pairs, near.vertex_distances
     edge_pairs, edge_distances = near.edge_pairs, near.edge_distances
     cross_pairs, cross_distances = near.cross_pairs, near.cross_distances
-    near.vertex_pairs, near.vertex_distances = np.empty_like(vertex_pairs), np.empty_like(vertex_distances)
-    near.edge_pairs, near.edge_distances = np.empty_like(edge_pairs), np.empty_like(edge_distances)
-    if with_crossings:
-        near.cross_pairs, near.cross_distances = np.empty_like(cross_pairs), np.empty_like(cross_distances)
     ends, filled, counts = np.zeros((total, 3), np.int64), np.zeros(patch_count, np.bool_), near.counts
+    near.vertex_pairs, near.vertex_distances = _new_lists(vertex_pairs, counts[VERTEX_PAIRS])
+    near.edge_pairs, near.edge_distances = _new_lists(edge_pairs, counts[EDGE_PAIRS])
+    if with_crossings:
+        near.cross_pairs, near.cross_distances = _new_lists(cross_pairs, counts[CROSS_PAIRS])
     edge_boxes, triangle_boxes = np.empty((skin.edges.shape[0], 6)), np.empty((skin.triangles.shape[0], 6))
     counts[VERTEX_PAIRS], counts[EDGE_PAIRS], counts[CROSS_PAIRS] = 0, 0, 0
     counts[IS_KNOWN], counts[CROSS_IS_KNOWN], counts[PATCH_PAIRS] = 1, 1 if with_crossings else 0, total

@@ -95,6 +95,9 @@ GREATEST_DEPTH_KEPT = 2e-3
 STOPPING_DEPTH = 8e-3
 """A step that would leave tools and organs deeper in each other than this, and than they were, stops the tools [u]."""
 
+STOPPING_WAY = 0.5
+"""That is, unless a point of a tool goes farther than this in the step, in mean edges of the organ."""
+
 FARTHEST = 1e9
 """An organ of which a vertex goes farther than this in a step has flown apart [u]."""
 
@@ -460,7 +463,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
-    if first_step != 0 and parts == 1 and progress.depth > STOPPING_DEPTH:
+    if first_step != 0 and progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
         depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth, scratch)
         numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
     numbers[RESIDUAL] = progress.depth
