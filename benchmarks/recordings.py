@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.motions import RECORDED
-from spatula_env.contact.model import ContactMemory
-from spatula_env.contact.world import NearMemory
+from spatula_env.contact.world import ContactMemory, NearMemory
 from spatula_env.sim.drive import restrain
 from spatula_env.sim.simulation import SimulationState
 

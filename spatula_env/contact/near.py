@@ -160,7 +160,7 @@ def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int
 
 @inline_kernel
 def _new_lists(pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Empty arrays of pairs and distances with room for somewhat more than there were: not for the most there ever were."""
+    """Empty arrays of pairs and distances, with room for somewhat more than there were last."""
     room = max(count + count // 4, 64)
     return np.empty((room, pairs.shape[1]), np.int32), np.empty(room)
 

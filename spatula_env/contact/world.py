@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -62,6 +63,25 @@ class NearMemory(NamedTuple):
 
 ORGAN_FRICTION = 0.1
 """Coefficient of friction of organs with themselves and each other: wet surfaces slide."""
+
+
+@dataclass(frozen=True)
+class ContactMemory:
+    """What is remembered of the contacts of a world from one step to the next.
+
+    Attributes:
+        flags: Of each tool (outer) and organ (inner).
+        multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
+        ledger: (O, 5) of the energy that the tools put into each organ; see `energy`.
+        wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
+        near: Of organs that are near themselves or each other.
+    """
+
+    flags: tuple[tuple[NDArray[np.bool_], ...], ...]
+    multipliers: Multipliers
+    ledger: FloatArray
+    wrenches: FloatArray
+    near: NearMemory
 
 
 def _mean_edge(scene: Scene) -> float:

@@ -150,3 +150,18 @@ class Report:
             node_forces=forces,
             pressures=np.maximum(against, 0.0) / tool.areas,
         )
+
+
+@dataclass(frozen=True)
+class Pressures:
+    """How tools are pressed in a step.
+
+    Attributes:
+        peak: Greatest on a contact node of any tool [kg/(u s2)].
+        faces: (F,) mean on each face with nodes, of one tool after the other [kg/(u s2)].
+        nodes: (n,) for each tool, on its contact nodes [kg/(u s2)].
+    """
+
+    peak: float
+    faces: FloatArray
+    nodes: tuple[FloatArray, ...]

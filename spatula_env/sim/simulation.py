@@ -10,12 +10,11 @@ import numpy as np
 
 from spatula_env.contact import settings
 from spatula_env.contact.flags import Contacts
-from spatula_env.contact.model import Pressures
 from spatula_env.contact.motion import Motions
 from spatula_env.contact.pressure import contact_table
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.sim.engine import ContactName
-from spatula_env.sim.report import Report
+from spatula_env.sim.report import Pressures, Report
 from spatula_env.sim.states import SimulationState
 from spatula_env.sim.worlds import NO_COPY, SimulationDiverged, Worlds
 

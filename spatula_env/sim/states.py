@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.contact.model import ContactMemory
+from spatula_env.contact.world import ContactMemory
 
 if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IntArray

@@ -27,7 +27,7 @@ INSPECTORS = {name: Inspector(tool, SPHERE.triangles) for name, tool in TOOLS.it
 
 
 def measured(name, position, orientation, vertices):
-    structure = WORLDS[name].model._world.structure
+    structure = WORLDS[name].world.structure
     return step.measure_depth(structure, np.array([position]), np.array([orientation]), vertices)
 
 
@@ -55,7 +55,7 @@ def test_a_tool_that_is_swallowed_is_deep():
 def test_a_ridge_between_all_corners_and_nodes_is_seen():
     organ = box_surface((4.0, 0.02, 2.0))
     world = LooseOrgans([organ], [(TOOLS["plate"], (0.0, 0.05, 0.97), (0.0, 0.0, 0.0, 1.0))])
-    depth = step.measure_depth(world.model._world.structure, world.positions, world.orientations, world.nodes)
+    depth = step.measure_depth(world.world.structure, world.positions, world.orientations, world.nodes)
     assert depth == pytest.approx(0.0625, abs=2.0 * PRECISION)
 
 

@@ -386,14 +386,14 @@ def test_a_corner_presses_the_middle_of_a_triangle(masses):
     expected[corners, 2] = -DEPTH * shares(weights, loose.masses[corners])
     np.testing.assert_allclose(displacements, expected, atol=1e-5)
     # The tip is on the triangle, which follows it.
-    table = loose.model.contact_table()
+    table = loose.contact_table()
     np.testing.assert_allclose(table[:, :3], [[0.7, 0.3, 0.5 - DEPTH]], atol=1e-5)
     surface_velocity = weights @ loose.velocities[corners]
     normal = np.cross(*(loose.nodes[corners[1:]] - loose.nodes[corners[0]]))
     assert surface_velocity @ normal == pytest.approx(-(DEPTH + 0.02) / DT * normal[2], rel=1e-6)
     # What it gives the nodes is what it lacks.
     impulse = loose.masses @ loose.velocities
-    np.testing.assert_allclose(loose.model.wrenches[0, :3] * DT, -impulse, rtol=1e-9)
+    np.testing.assert_allclose(loose.wrenches[0, :3] * DT, -impulse, rtol=1e-9)
     np.testing.assert_allclose(
         np.cross(impulse / np.linalg.norm(impulse), normal / np.linalg.norm(normal)), 0.0, atol=1e-9
     )
@@ -408,7 +408,7 @@ def test_a_face_presses_a_single_vertex():
     assert not loose.velocities[1:].any()
     # Torque about the tool's origin: the vertex is beside it.
     force = 0.05 / DT / DT
-    np.testing.assert_allclose(loose.model.wrenches, [[0.0, 0.0, force, -0.04 * force, 0.03 * force, 0.0]], rtol=1e-9)
+    np.testing.assert_allclose(loose.wrenches, [[0.0, 0.0, force, -0.04 * force, 0.03 * force, 0.0]], rtol=1e-9)
 
 
 def test_an_edge_presses_an_edge():
@@ -417,7 +417,7 @@ def test_an_edge_presses_an_edge():
     expected = np.zeros((6, 3))
     expected[:2, 2] = -DEPTH * shares(np.array([0.35, 0.65]), 1.0)
     np.testing.assert_allclose(displacements, expected, atol=1e-5)
-    table = loose.model.contact_table()
+    table = loose.contact_table()
     np.testing.assert_allclose(table[:, :3].mean(axis=0), [0.3, 0.0, 1.0 - DEPTH], atol=1e-5)
     # The impulse is perpendicular to both edges.
     impulse = loose.velocities.sum(axis=0)
@@ -438,7 +438,7 @@ def test_an_edge_laid_over_the_rim_of_a_plate(tilt):
         assert (1.0 - part) * loose.nodes[0, 2] + part * loose.nodes[1, 2] == pytest.approx(
             bottom, abs=1.2 * RESIDUAL_TOLERANCE
         )
-    table = loose.model.contact_table()
+    table = loose.contact_table()
     pushed = table[np.abs(table[:, 3:6]).max(axis=1) > 0.0]
     assert set(pushed[:, 0].round(3).tolist()) == set(rims)
     np.testing.assert_allclose(pushed[:, 1], 0.0, atol=1e-9)
@@ -462,10 +462,10 @@ def test_no_speed_is_too_high(name, speed):
     # All that was above the place that was met is at most as high as the tool's lowest point.
     assert loose.nodes[corner, 2].min() <= lowest + 1e-4
     # What was not met on the way, and is dragged over the tool by what was, is left to the next step.
-    assert loose.model.residual <= (RESIDUAL_TOLERANCE if speed < 400.0 else 0.06)
-    assert loose.model.wrenches[0, 2] > 0.0
+    assert loose.residual <= (RESIDUAL_TOLERANCE if speed < 400.0 else 0.06)
+    assert loose.wrenches[0, 2] > 0.0
     given = loose.masses @ loose.velocities
-    np.testing.assert_allclose(loose.model.wrenches[0, :3] * DT, -given, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(loose.wrenches[0, :3] * DT, -given, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.13])
@@ -495,9 +495,9 @@ def test_a_tool_beside_a_part_that_is_inside_out_is_left_alone():
     loose = LooseOrgans([box], [(BOX, (0.1, 0.05, -1.5 - 0.3 - 0.0625), LEVEL)])
     loose.nodes = nodes
     loose.step((0.0, 0.0, 0.0))
-    assert not loose.model.detectors[0][0].flags.any()
+    assert not loose.detectors[0][0].flags.any()
     np.testing.assert_array_equal(loose.nodes, nodes)
-    np.testing.assert_array_equal(loose.model.wrenches, 0.0)
+    np.testing.assert_array_equal(loose.wrenches, 0.0)
 
 
 @pytest.mark.parametrize("collapsed", ["a corner on another", "a corner on the opposite side"])
@@ -515,7 +515,7 @@ def test_a_triangle_without_area_does_no_harm(collapsed):
             loose.step((0.0, 0.0, -0.05 / DT), moved=nodes)
             assert np.isfinite(loose.nodes).all()
             assert np.isfinite(loose.velocities).all()
-            assert np.isfinite(loose.model.wrenches).all()
+            assert np.isfinite(loose.wrenches).all()
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.2])
@@ -545,9 +545,9 @@ def test_moving_the_whole_scene_turns_forces_with_it(name, friction):
         second.step(turned @ velocity, turned @ spin)
         np.testing.assert_allclose(second.nodes, first.nodes @ turned.T + shift, atol=1e-9)
         np.testing.assert_allclose(second.velocities, first.velocities @ turned.T, atol=1e-6)
-        wrench = first.model.wrenches[0]
+        wrench = first.wrenches[0]
         expected = np.concatenate([turned @ wrench[:3], turned @ wrench[3:]])
-        np.testing.assert_allclose(second.model.wrenches[0], expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
+        np.testing.assert_allclose(second.wrenches[0], expected, atol=1e-6 * (1.0 + np.abs(expected).max()))
         touched += bool(wrench.any())
     assert touched > 10
 
@@ -566,8 +566,8 @@ def test_neither_the_order_of_triangles_nor_that_of_vertices_matters(friction):
     for _ in range(2):
         for loose in (first, second):
             loose.step((0.5, 0.2, -0.1 / DT), (0.2, 0.1, 0.3))
-        assert len(first.model.contact_table()) > 20
+        assert len(first.contact_table()) > 20
         np.testing.assert_allclose(second.nodes[renamed], first.nodes, atol=1e-6)
-        expected = first.model.wrenches
+        expected = first.wrenches
         assert np.abs(expected).max() > 100.0
-        np.testing.assert_allclose(second.model.wrenches, expected, atol=1e-6 * np.abs(expected).max())
+        np.testing.assert_allclose(second.wrenches, expected, atol=1e-6 * np.abs(expected).max())

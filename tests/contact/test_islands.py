@@ -105,8 +105,8 @@ def test_a_tool_on_another_organ_changes_nothing():
         impulses = []
         for _ in range(40):
             loose.step(velocities, np.zeros_like(velocities))
-            impulses.append(loose.model.nodal_impulses.copy())
-        return loose.nodes, np.array(impulses), loose.model.wrenches
+            impulses.append(loose.nodal_impulses.copy())
+        return loose.nodes, np.array(impulses), loose.wrenches
 
     nodes, impulses, wrenches = press((0, 1))
     for k in range(2):

@@ -164,17 +164,17 @@ def test_a_plate_on_a_flat_surface_is_pressed_evenly():
     organ = box_surface((3.0, 3.0, 0.5), 0.1)
     loose = LooseOrgans([organ], [(PLATE, (0.013, 0.021, 0.25 + 0.05 + 0.001), (0.0, 0.0, 0.0, 1.0))])
     loose.step((0.0, 0.0, -0.01 / DT))
-    flags = loose.model.detectors[0][0].flags
+    flags = loose.detectors[0][0].flags
     np.testing.assert_array_equal(flags, PLATE.face == BOTTOM)
     forces = np.empty(PLATE.nodes.shape)
     spread_forces(
-        loose.model.contact_table(), 0, loose.positions[0], np.eye(3).ravel(), np.array(PLATE.nodes),
+        loose.contact_table(), 0, loose.positions[0], np.eye(3).ravel(), np.array(PLATE.nodes),
         np.array(PLATE.face), np.array(PLATE.areas), flags, 0.25, DT, forces,
     )  # fmt: skip
-    np.testing.assert_allclose(forces.sum(axis=0), loose.model.wrenches[0, :3], rtol=1e-9)
+    np.testing.assert_allclose(forces.sum(axis=0), loose.wrenches[0, :3], rtol=1e-9)
     assert not forces[PLATE.face != BOTTOM].any()
     pressures = forces[flags, 2] / PLATE.areas[flags]
-    mean = loose.model.wrenches[0, 2] / 0.8
+    mean = loose.wrenches[0, 2] / 0.8
     assert np.average(pressures, weights=PLATE.areas[flags]) == pytest.approx(mean)
     inner = (np.abs(PLATE.nodes[flags, :2]) < [0.49, 0.39]).all(axis=1)
     np.testing.assert_allclose(pressures[inner], mean, rtol=0.5)
