@@ -276,6 +276,37 @@ def list_around(triangles: np.ndarray, t: int, around: np.ndarray) -> int:
 
 
 @array_kernel
+def fill_boxes(local: np.ndarray, triangles: np.ndarray, near: np.ndarray, found: int, boxes: np.ndarray) -> None:
+    """Write the boxes around triangles, least and greatest coordinates, into boxes (6, T) [u].
+
+    Args:
+        local: (3, V) [u].
+        triangles: (T, 3).
+        near: Which of them.
+        found: How many those are; all triangles if it is negative.
+        boxes: Written, in the order of `near`.
+    """
+    for k in range(found if found >= 0 else triangles.shape[0]):
+        t = near[k] if found >= 0 else k
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        for axis in range(3):
+            boxes[axis, k] = min(local[axis, a], local[axis, b], local[axis, c])
+            boxes[3 + axis, k] = max(local[axis, a], local[axis, b], local[axis, c])
+
+
+@array_kernel
+def _fill_away(boxes: np.ndarray, count: int, x: float, y: float, z: float, away: np.ndarray) -> None:
+    """Write how far a point is from boxes (6, T), squared, into away (T,) [u2]."""
+    low_x, low_y, low_z, high_x, high_y, high_z = boxes[0], boxes[1], boxes[2], boxes[3], boxes[4], boxes[5]
+    # Without a branch, for vector instructions.
+    for k in range(count):
+        along_x = max(low_x[k] - x, x - high_x[k], 0.0)
+        along_y = max(low_y[k] - y, y - high_y[k], 0.0)
+        along_z = max(low_z[k] - z, z - high_z[k], 0.0)
+        away[k] = along_x * along_x + along_y * along_y + along_z * along_z
+
+
+@array_kernel
 def find_nearest(
     local: np.ndarray,
     triangles: np.ndarray,
@@ -285,6 +316,8 @@ def find_nearest(
     y: float,
     z: float,
     reach: float,
+    boxes: np.ndarray,
+    away: np.ndarray,
     nearest: np.ndarray,
 ) -> int:
     """The triangle of an organ that is nearest to a point.
@@ -298,6 +331,8 @@ def find_nearest(
         y: The point.
         z: The point.
         reach: How far away it may be [u].
+        boxes: (6, T) around those to look at, see `fill_boxes`.
+        away: (T,) workspace.
         nearest: (4,) written: its distance, positive outside of the organ and negative inside [u]; weights of the
             closest point.
 
@@ -305,28 +340,13 @@ def find_nearest(
         It; -1 if there is none.
     """
     best, least, steepest = -1, reach * reach, 0.0
-    for k in range(found if found >= 0 else triangles.shape[0]):
+    count = found if found >= 0 else triangles.shape[0]
+    _fill_away(boxes, count, x, y, z, away)
+    for k in range(count):
+        if away[k] > least * TIE:
+            continue
         t = near[k] if found >= 0 else k
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        # Most are apart along the first axis that is asked.
-        outside = max(
-            min(local[0, a], local[0, b], local[0, c]) - x, x - max(local[0, a], local[0, b], local[0, c]), 0.0
-        )
-        away = outside * outside
-        if away > least * TIE:
-            continue
-        outside = max(
-            min(local[1, a], local[1, b], local[1, c]) - y, y - max(local[1, a], local[1, b], local[1, c]), 0.0
-        )
-        away += outside * outside
-        if away > least * TIE:
-            continue
-        outside = max(
-            min(local[2, a], local[2, b], local[2, c]) - z, z - max(local[2, a], local[2, b], local[2, c]), 0.0
-        )
-        away += outside * outside
-        if away > least * TIE:
-            continue
         wa, wb, wc = closest_weights(local, a, b, c, x, y, z)
         dx = x - wa * local[0, a] - wb * local[0, b] - wc * local[0, c]
         dy = y - wa * local[1, a] - wb * local[1, b] - wc * local[1, c]
@@ -425,22 +445,29 @@ def gather_sunk_corners(
     reach = SUNK * tool.extent[7]
     nearest, normal, near, around = scratch.nearest, scratch.normal, scratch.near, scratch.around
     heights, behind, turned = scratch.corner_heights, scratch.corner_behind, scratch.turned
+    boxes, away, others = scratch.boxes, scratch.away, scratch.other_boxes
     found = list_near(tool.extent, local, triangles, reach, near, scratch.codes)
+    fill_boxes(local, triangles, near, found, boxes)
+    has_last = False
     for corner in range(corners.shape[0]):
         x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
         if heights[corner] < -RESIDUAL_TOLERANCE or count == room:
             continue
-        t = find_nearest(local, triangles, near, found, x, y, z, reach, nearest)
+        t = find_nearest(local, triangles, near, found, x, y, z, reach, boxes, away, nearest)
         depth = -nearest[0]
         if t < 0:
             # Nothing is near, or it is in so far, where the organ has been put already, that the nearest way out may be
             # the wrong one. It slid no farther than to the triangles around the one where it was.
             if not (settled and behind[corner]):
                 continue
-            t = find_nearest(last, triangles, organ.candidates, swept, x, y, z, reach, nearest)
+            fill_boxes(last, triangles, organ.candidates, swept, others)
+            has_last = False
+            t = find_nearest(last, triangles, organ.candidates, swept, x, y, z, reach, others, away, nearest)
             if t < 0 or not encloses(local, triangles, x, y, z, turned):
                 continue
-            t = find_nearest(local, triangles, around, list_around(triangles, t, around), x, y, z, np.inf, nearest)
+            beside = list_around(triangles, t, around)
+            fill_boxes(local, triangles, around, beside, others)
+            t = find_nearest(local, triangles, around, beside, x, y, z, np.inf, others, away, nearest)
             depth = -nearest[0]
             if depth <= MARGIN:
                 continue
@@ -455,8 +482,15 @@ def gather_sunk_corners(
         known = False
         for row in range(first_row, count):
             known = known or names[row] == name
+        if known:
+            continue
         # What was deep in it before may have another way out.
-        if known or find_nearest(last, triangles, near, found, x, y, z, np.inf, nearest) < 0 or nearest[0] < -reach:
+        if not has_last:
+            fill_boxes(last, triangles, near, found, others)
+            has_last = True
+        if find_nearest(last, triangles, near, found, x, y, z, np.inf, others, away, nearest) < 0:
+            continue
+        if nearest[0] < -reach:
             continue
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         fill_local_normal(local, triangles[t], normal)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from spatula_env._kernels import array_kernel
-from spatula_env.contact.corners import SUNK, encloses, find_nearest, list_near
+from spatula_env.contact.corners import SUNK, encloses, fill_boxes, find_nearest, list_near
 
 PRECISION = 1e-5
 """To which a depth is found [u]."""
@@ -183,17 +183,19 @@ def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float
     """
     corners, extent, turned = tool.corners, tool.extent, scratch.turned
     greatest, reach = known, SUNK * extent[7]
-    nearest, near = scratch.nearest, scratch.near
+    nearest, near, boxes, away = scratch.nearest, scratch.near, scratch.boxes, scratch.away
     found = list_near(extent, local, triangles, reach, near, scratch.codes)
     if found == 0 and not encloses(local, triangles, corners[0, 0], corners[0, 1], corners[0, 2], turned):
         # No surface is near the tool: it is outside as a whole.
         return known
+    fill_boxes(local, triangles, near, found, boxes)
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
-        t = find_nearest(local, triangles, near, found, x, y, z, np.inf, nearest)
+        t = find_nearest(local, triangles, near, found, x, y, z, np.inf, boxes, away, nearest)
         if (t < 0 or nearest[0] < -greatest) and encloses(local, triangles, x, y, z, turned):
             # Beyond `reach` another triangle than those near the tool may be the nearest.
             if t < 0 or nearest[0] < -reach:
-                find_nearest(local, triangles, near, -1, x, y, z, np.inf, nearest)
+                fill_boxes(local, triangles, near, -1, scratch.other_boxes)
+                find_nearest(local, triangles, near, -1, x, y, z, np.inf, scratch.other_boxes, away, nearest)
             greatest = max(greatest, abs(nearest[0]))
     return surface_depth(tool, local, triangles, found, greatest, scratch)

@@ -47,6 +47,9 @@ PASSES_UNDECIDED = 2
 PASSES_AS_MET = 6
 """After so many passes corners of the tool push a triangle also where they are, and not only where they met it."""
 
+ROUNDING = 1e-12
+"""Of a height between two others, at most, in the size of the greater."""
+
 PARALLEL = 1e-6
 """Edges whose directions have a smaller sine than this are parallel."""
 
@@ -245,8 +248,10 @@ def fill_heights(
     a: int,
     b: int,
     heights: np.ndarray,
-) -> None:
+) -> bool:
     """Write how far the ends of an organ's edge are before the tool's faces; between two queries that changes linearly.
+
+    It ends at a face that keeps edge and tool apart all the time.
 
     Args:
         plane_normals: (P, 3) of the tool.
@@ -256,13 +261,22 @@ def fill_heights(
         a: First vertex of the edge.
         b: Second vertex.
         heights: (P, 4) written: of a and b at time 0, of a and b at time 1; negative behind a face [u].
+
+    Returns:
+        Whether there is such a face.
     """
     for p in range(plane_offsets.shape[0]):
         nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
-        heights[p, 0] = nx * last[0, a] + ny * last[1, a] + nz * last[2, a] - offset
-        heights[p, 1] = nx * last[0, b] + ny * last[1, b] + nz * last[2, b] - offset
-        heights[p, 2] = nx * local[0, a] + ny * local[1, a] + nz * local[2, a] - offset
-        heights[p, 3] = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
+        a_before = nx * last[0, a] + ny * last[1, a] + nz * last[2, a] - offset
+        b_before = nx * last[0, b] + ny * last[1, b] + nz * last[2, b] - offset
+        a_now = nx * local[0, a] + ny * local[1, a] + nz * local[2, a] - offset
+        b_now = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
+        heights[p, 0], heights[p, 1], heights[p, 2], heights[p, 3] = a_before, b_before, a_now, b_now
+        # Heights in between are within these, but for rounding.
+        least, greatest = min(a_before, b_before, a_now, b_now), max(a_before, b_before, a_now, b_now)
+        if least - MARGIN > ROUNDING * greatest:
+            return True
+    return False
 
 
 @array_kernel
@@ -410,17 +424,6 @@ def border_reached(heights: np.ndarray, which: int, time: float, met: int, sampl
 
 
 @array_kernel
-def edge_misses(extent: np.ndarray, last: np.ndarray, local: np.ndarray, a: int, b: int) -> bool:
-    """Whether the box around an edge's way between two queries is apart from the box around the tool."""
-    for axis in range(3):
-        low = min(min(local[axis, a], local[axis, b]), min(last[axis, a], last[axis, b]))
-        high = max(max(local[axis, a], local[axis, b]), max(last[axis, a], last[axis, b]))
-        if low > extent[3 + axis] + MARGIN or high < extent[axis] - MARGIN:
-            return True
-    return False
-
-
-@array_kernel
 def gather_edges(
     table: Any,
     count: int,
@@ -447,10 +450,11 @@ def gather_edges(
         t = candidates[k]
         for side in range(3):
             a, b = triangles[t, side], triangles[t, (side + 1) % 3]
-            # Two triangles share an edge, in opposite directions.
-            if a > b or codes[a] & codes[b] != 0 or edge_misses(extent, last, local, a, b):
+            # Two triangles share an edge, in opposite directions. Codes are of what vertices were and are beyond.
+            if a > b or codes[a] & codes[b] != 0:
                 continue
-            fill_heights(plane_normals, plane_offsets, last, local, a, b, heights)
+            if fill_heights(plane_normals, plane_offsets, last, local, a, b, heights):
+                continue
             way = 0.0
             for axis in range(3):
                 way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))

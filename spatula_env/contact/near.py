@@ -87,17 +87,6 @@ def follow_motion(near: Any, points: np.ndarray) -> None:
 
 
 @inline_kernel
-def within_reach(near: Any, points: np.ndarray) -> bool:
-    """Whether all vertices (V, 3) are within reach of where they were when what is near was found."""
-    placed, reach = near.placed, near.reach
-    beyond = False
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0] - placed[0, i], points[i, 1] - placed[1, i], points[i, 2] - placed[2, i]
-        beyond |= x * x + y * y + z * z > reach[i] * reach[i]
-    return not beyond
-
-
-@inline_kernel
 def forget_gaps(near: Any) -> None:
     """Have gaps of pairs measured anew: vertices come from somewhere else, or other pairs are near."""
     for kind in range(2):
@@ -125,23 +114,55 @@ def mark_beyond(near: Any, held: np.ndarray, points: np.ndarray, beyond: np.ndar
         beyond[i] = max(here, there) > (SOON * reach[i]) ** 2
 
 
+@array_kernel
+def _fill_shifts(
+    placed: np.ndarray, reach: np.ndarray, held: np.ndarray, points: np.ndarray, shift: np.ndarray
+) -> bool:
+    """See `measure_shifts`."""
+    # Plain, and with few arrays besides the one that is written: such a loop becomes vector instructions.
+    along_x, along_y, along_z = placed[0], placed[1], placed[2]
+    beyond = False
+    for i in range(points.shape[0]):
+        u, v, w = along_x[i], along_y[i], along_z[i]
+        x, y, z = points[i, 0] - u, points[i, 1] - v, points[i, 2] - w
+        r, s, t = held[i, 0] - u, held[i, 1] - v, held[i, 2] - w
+        here, there, allowed = x * x + y * y + z * z, r * r + s * s + t * t, reach[i] * reach[i]
+        beyond |= (here > allowed) | (there > allowed)
+        shift[i] = np.sqrt(max(here, there))
+    return not beyond
+
+
 @inline_kernel
-def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> None:
-    """Write how far vertices have got from where they were when what is near was found, and from where they come.
+def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> bool:
+    """Write how far vertices have got from where they were when what is near was found.
 
     Args:
         near: `Near`.
         held: (V, 3) where they come from [u].
         points: (V, 3) where they are [u].
+
+    Returns:
+        Whether all of them are within reach, there and here.
     """
-    placed, shift, moved = near.placed, near.shift, near.moved
+    return bool(_fill_shifts(near.placed, near.reach, held, points, near.shift))
+
+
+@array_kernel
+def _fill_ways(placed: np.ndarray, held: np.ndarray, points: np.ndarray, moved: np.ndarray) -> None:
+    """See `measure_ways`."""
+    along_x, along_y, along_z = placed[0], placed[1], placed[2]
     for i in range(points.shape[0]):
-        u, v, w = placed[0, i], placed[1, i], placed[2, i]
-        x, y, z = points[i, 0] - u, points[i, 1] - v, points[i, 2] - w
-        r, s, t = held[i, 0] - u, held[i, 1] - v, held[i, 2] - w
-        shift[i] = np.sqrt(max(x * x + y * y + z * z, r * r + s * s + t * t))
-        x, y, z = x - r, y - s, z - t
+        u, v, w = along_x[i], along_y[i], along_z[i]
+        x = (points[i, 0] - u) - (held[i, 0] - u)
+        y = (points[i, 1] - v) - (held[i, 1] - v)
+        z = (points[i, 2] - w) - (held[i, 2] - w)
         moved[i] = np.sqrt(x * x + y * y + z * z)
+
+
+@inline_kernel
+def measure_ways(near: Any, held: np.ndarray, points: np.ndarray) -> None:
+    """Write how far vertices have got from where they come from, both (V, 3) [u]."""
+    _fill_ways(near.placed, held, points, near.moved)
 
 
 @inline_kernel
@@ -279,6 +300,21 @@ def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: 
 
 
 @array_kernel
+def _mark_stirred(
+    shift: np.ndarray, starts: np.ndarray, around: np.ndarray, calm: np.ndarray, stirred: np.ndarray
+) -> None:
+    """Write which patches have a vertex that has got farther than leaves them calm; see `skin.Skin` and `skin.Near`."""
+    least = np.inf
+    for p in range(calm.shape[0]):
+        stirred[p] = False
+        least = min(least, calm[p])
+    for i in range(shift.shape[0]):
+        if shift[i] > least:
+            for m in range(starts[i], starts[i + 1]):
+                stirred[around[m]] |= shift[i] > calm[around[m]]
+
+
+@array_kernel
 def _first_turned(
     first: int,
     triangles: np.ndarray,
@@ -286,6 +322,7 @@ def _first_turned(
     starts: np.ndarray,
     cones: np.ndarray,
     calm: np.ndarray,
+    stirred: np.ndarray,
     steep: np.ndarray,
     rotation: np.ndarray,
     shift: np.ndarray,
@@ -298,19 +335,17 @@ def _first_turned(
         triangles: See `skin.Skin`, as `order` and `starts`, of the triangles.
         order: See there.
         starts: See there.
-        cones: See `skin.Near`, as the next four.
+        cones: See `skin.Near`, as the next five.
         calm: See there.
+        stirred: See there.
         steep: See there.
         rotation: See there.
         shift: See there.
         points: (V, 3) where the vertices are [u].
     """
-    farthest = 0.0
-    for i in range(shift.shape[0]):
-        farthest = max(farthest, shift[i])
     for p in range(first, calm.shape[0]):
         # What is in no such cone is looked at anyway.
-        if cones[p, 3] > FLAT or farthest <= calm[p]:
+        if not stirred[p] or cones[p, 3] > FLAT:
             continue
         x, y, z = cones[p, 0], cones[p, 1], cones[p, 2]
         along_x = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
@@ -332,21 +367,25 @@ def _first_turned(
 @inline_kernel
 def has_turned(skin: Any, near: Any, points: np.ndarray) -> bool:
     """Whether a triangle has turned so far that its patch may be folded, where vertices (V, 3) are, shifts measured."""
+    calm, stirred, shift = near.calm, near.stirred, near.shift
+    _mark_stirred(shift, skin.around_starts, skin.around, calm, stirred)
     patch = _first_turned(
-        0, skin.triangles, skin.triangle_order, skin.triangle_starts, near.cones, near.calm, near.steep, near.rotation,
-        near.shift, points,
+        0, skin.triangles, skin.triangle_order, skin.triangle_starts, near.cones, calm, stirred, near.steep,
+        near.rotation, shift, points,
     )  # fmt: skip
-    return bool(patch < near.calm.shape[0])
+    return bool(patch < calm.shape[0])
 
 
 @inline_kernel
 def mark_turned(skin: Any, near: Any, points: np.ndarray, beyond: np.ndarray) -> None:
     """Mark the vertices (V,) of patches that may be folded, see `has_turned`."""
     triangles, order, starts, patches = skin.triangles, skin.triangle_order, skin.triangle_starts, near.calm.shape[0]
+    calm, stirred, shift = near.calm, near.stirred, near.shift
+    _mark_stirred(shift, skin.around_starts, skin.around, calm, stirred)
     patch = -1
     while patch < patches:
         patch = _first_turned(
-            patch + 1, triangles, order, starts, near.cones, near.calm, near.steep, near.rotation, near.shift, points
+            patch + 1, triangles, order, starts, near.cones, calm, stirred, near.steep, near.rotation, shift, points
         )
         if patch < patches:
             for m in range(starts[patch], starts[patch + 1]):

@@ -424,8 +424,9 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
         progress.depth = progress.least
     crosses = progress.met or near.crossing[skin.CROSSINGS] > 0.0
     if not crosses and world.settings[KEEPS_APART] > 0.0:
-        # What has folded may cross where nobody has looked.
-        measure_shifts(near, points.held, vertices)
+        # What has folded may cross where nobody has looked. Shifts were measured when contacts were looked for.
+        if progress.is_over:
+            measure_shifts(near, points.held, vertices)
         crosses = near.counts[skin.IS_KNOWN] != 1 or has_turned(world.skin, near, vertices)
     if crosses and _uncross(world, points, progress.tried, points.held, vertices):
         progress.is_over = True

@@ -52,6 +52,37 @@ def _polar(matrix: np.ndarray) -> bool:
     return True
 
 
+@array_kernel
+def _sum_points(before: np.ndarray, now: np.ndarray) -> tuple[float, float, float, float, float, float]:
+    """The sums of points (3, V) and of others (V, 3)."""
+    # Sums are numbers: in arrays each would be written and read again for every point.
+    x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(now.shape[0]):
+        x, y, z = x + before[0, i], y + before[1, i], z + before[2, i]
+        u, v, w = u + now[i, 0], v + now[i, 1], w + now[i, 2]
+    return x, y, z, u, v, w
+
+
+@array_kernel
+def _fill_products(
+    before: np.ndarray, now: np.ndarray, first: tuple[float, float, float], second: tuple[float, float, float],
+    sums: np.ndarray,
+) -> None:  # fmt: skip
+    """Write the sums of products (3, 3) of points (V, 3) from `second` and what they were (3, V) from `first`."""
+    first_x, first_y, first_z = first
+    second_x, second_y, second_z = second
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(now.shape[0]):
+        x, y, z = before[0, i] - first_x, before[1, i] - first_y, before[2, i] - first_z
+        p, q, r = now[i, 0] - second_x, now[i, 1] - second_y, now[i, 2] - second_z
+        xx, xy, xz = xx + p * x, xy + p * y, xz + p * z
+        yx, yy, yz = yx + q * x, yy + q * y, yz + q * z
+        zx, zy, zz = zx + r * x, zy + r * y, zz + r * z
+    sums[0, 0], sums[0, 1], sums[0, 2] = xx, xy, xz
+    sums[1, 0], sums[1, 1], sums[1, 2] = yx, yy, yz
+    sums[2, 0], sums[2, 1], sums[2, 2] = zx, zy, zz
+
+
 @inline_kernel
 def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> None:
     """Write the rigid motion that takes points to where they are now in the sense of least squares, about.
@@ -63,22 +94,9 @@ def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift:
         shift: (3,) written: a point x has gone to rotation x + shift [u].
     """
     count = now.shape[0]
-    first, second = np.zeros(3), np.zeros(3)
-    for i in range(count):
-        for axis in range(3):
-            first[axis] += before[axis, i]
-            second[axis] += now[i, axis]
-    for axis in range(3):
-        first[axis] /= count
-        second[axis] /= count
-    rotation[:] = 0.0
-    for i in range(count):
-        x, y, z = before[0, i] - first[0], before[1, i] - first[1], before[2, i] - first[2]
-        for axis in range(3):
-            p = now[i, axis] - second[axis]
-            rotation[axis, 0] += p * x
-            rotation[axis, 1] += p * y
-            rotation[axis, 2] += p * z
+    x, y, z, u, v, w = _sum_points(before, now)
+    first, second = (x / count, y / count, z / count), (u / count, v / count, w / count)
+    _fill_products(before, now, first, second, rotation)
     if not _polar(rotation):
         rotation[:] = 0.0
         for axis in range(3):

@@ -30,7 +30,7 @@ from spatula_env.contact.near import (
     mark_beyond,
     mark_turned,
     measure_shifts,
-    within_reach,
+    measure_ways,
 )
 from spatula_env.contact.rows import ON_EDGES, ON_TRIANGLE, constraint_name
 from spatula_env.contact.skin import CROSSINGS, EDGE_PAIRS, IS_KNOWN, NEAR, SKIN, TOO_MANY, VERTEX_PAIRS
@@ -450,6 +450,7 @@ def gather_organs(
         return count
     if afresh:
         forget_gaps(near)
+    measure_ways(near, held, vertices)
     for kind in range(2):
         count = _gather_pairs(constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction)
     return count
@@ -490,25 +491,24 @@ def see_near(
 
     Whether the surface has folded meanwhile is asked where a solve has ended: see `keep_uncrossed`.
     """
-    if within_reach(near, vertices) and within_reach(near, held):
-        measure_shifts(near, held, vertices)
+    if measure_shifts(near, held, vertices):
         return
     find_again(skin, near, held, vertices, thrown, mean_edge)
+    measure_shifts(near, held, vertices)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # It is thrown far; where solves put it is nearer.
         find_again(skin, near, held, vertices, vertices, mean_edge)
-    measure_shifts(near, held, vertices)
+        measure_shifts(near, held, vertices)
 
 
 @inline_kernel
 def find_again(
     skin: Any, near: Any, reference: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
 ) -> None:
-    """Find what is near, keeping in mind which sides are known."""
+    """Find what is near, keeping in mind which sides are known. Shifts have been measured, and are to be anew."""
     names, sides = _known_sides(near)
     farthest, beyond = vertices.copy(), np.empty(vertices.shape[0], np.bool_)
     mark_beyond(near, reference, vertices, beyond)
-    measure_shifts(near, reference, vertices)
     mark_turned(skin, near, vertices, beyond)
     for i in range(vertices.shape[0]):
         here, there = 0.0, 0.0

@@ -44,6 +44,7 @@ class Skin(structref.StructRefProxy):
         edge_starts (P + 1,), edge_order (E,): the edges.
         vertex_starts (P + 1,), vertex_order (V,): the vertices.
         neighbour_starts (P + 1,), neighbours: patches that share a vertex with each one, itself included, ascending.
+        around_starts (V + 1,), around: patches with a triangle at each vertex.
         organs (V,): index of each vertex's organ.
         left_out: sorted names, without a side, of pairs that touch at rest.
     """
@@ -64,6 +65,7 @@ class Near(structref.StructRefProxy):
         cones (P, 4): around the normals of each patch: axis, and half the opening [rad].
         calm (P,): where vertices have got no farther than this since they were found, no triangle of a patch has turned
             much [u].
+        stirred (P,): whether one of them has, as was last looked at.
         steep (P,): cosine of the angle to its cone's axis from which on a triangle of a patch has turned far.
         folded (P,): whether a patch is not flat with all of its neighbours, itself included.
         boxes (P, 6): around what each patch can reach: lower and upper corner [u].
@@ -94,6 +96,8 @@ SKIN_FIELDS = [
     ("vertex_order", ARRAYS["i4"]),
     ("neighbour_starts", ARRAYS["i4"]),
     ("neighbours", ARRAYS["i4"]),
+    ("around_starts", ARRAYS["i4"]),
+    ("around", ARRAYS["i4"]),
     ("organs", ARRAYS["i4"]),
     ("left_out", ARRAYS["i8"]),
 ]
@@ -108,6 +112,7 @@ NEAR_FIELDS = [
     ("ends", ARRAYS["i8_2"]),
     ("cones", ARRAYS["f8_2"]),
     ("calm", ARRAYS["f8"]),
+    ("stirred", ARRAYS["b1"]),
     ("steep", ARRAYS["f8"]),
     ("folded", ARRAYS["b1"]),
     ("boxes", ARRAYS["f8_2"]),
@@ -143,12 +148,12 @@ CROSSED_FOR, CROSSINGS = 0, 1
 @kernel(SKIN(*[kind for _, kind in SKIN_FIELDS]))
 def _make_skin(
     triangles: Any, edges: Any, faces: Any, triangle_starts: Any, triangle_order: Any, edge_starts: Any,
-    edge_order: Any, vertex_starts: Any, vertex_order: Any, neighbour_starts: Any, neighbours: Any, organs: Any,
-    left_out: Any,
+    edge_order: Any, vertex_starts: Any, vertex_order: Any, neighbour_starts: Any, neighbours: Any, around_starts: Any,
+    around: Any, organs: Any, left_out: Any,
 ) -> Any:  # fmt: skip
     return Skin(
         triangles, edges, faces, triangle_starts, triangle_order, edge_starts, edge_order, vertex_starts, vertex_order,
-        neighbour_starts, neighbours, organs, left_out,
+        neighbour_starts, neighbours, around_starts, around, organs, left_out,
     )  # fmt: skip
 
 
@@ -159,7 +164,8 @@ def make_near(skin: Any) -> Any:
     return Near(
         np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0),
         np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((patches, 4)), np.zeros(patches),
-        np.zeros(patches), np.zeros(patches, np.bool_), np.zeros((patches, 6)), np.zeros(6, np.int64),
+        np.zeros(patches, np.bool_), np.zeros(patches), np.zeros(patches, np.bool_), np.zeros((patches, 6)),
+        np.zeros(6, np.int64),
         np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3), np.zeros(vertices),
         np.zeros(vertices), np.zeros(vertices), np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32),
         np.zeros(2), np.zeros(vertices, np.bool_),
@@ -234,6 +240,8 @@ def make_skin(surfaces: Sequence[IntArray], vertex_counts: Sequence[int]) -> Any
         vertex_order,
         np.cumsum([0, *map(len, neighbours)]).astype(np.int32),
         np.array([other for row in neighbours for other in sorted(row)], dtype=np.int32),
+        np.cumsum([0, *map(len, touched)]).astype(np.int32),
+        np.array([patch for patches in touched for patch in sorted(patches)], dtype=np.int32),
         organs,
         np.zeros(0, dtype=np.int64),
     )

@@ -185,6 +185,9 @@ class Scratch(NamedTuple):
         nearest: (4,) the nearest point of a surface.
         near: (T,) triangles near a tool,
         around: (T,) or around a triangle.
+        boxes: (6, T) around triangles near a tool,
+        other_boxes: (6, T) or around others.
+        away: (T,) how far a point is from boxes.
         codes: (V,) see `LocalOrgan`.
         turned: (3, V) an organ along a line.
         axes: (9,) of a group of rays.
@@ -204,6 +207,9 @@ class Scratch(NamedTuple):
     nearest: np.ndarray
     near: np.ndarray
     around: np.ndarray
+    boxes: np.ndarray
+    other_boxes: np.ndarray
+    away: np.ndarray
     codes: np.ndarray
     turned: np.ndarray
     axes: np.ndarray
@@ -323,7 +329,8 @@ CONSTRAINTS = ConstraintsType([("table", CONSTRAINT_TABLE)])
 structref.define_proxy(ScratchRoom, ScratchRoomType, ["scratch"])
 SCRATCH = _arrays(
     Scratch,
-    *("f8_2", "f8_2", "f8_2", "f8_2", "f8", "f8", "b1", "f8", "f8", "f8", "f8_2", "f8", "i4", "i4", "u1", "f8_2", "f8"),
+    *("f8_2", "f8_2", "f8_2", "f8_2", "f8", "f8", "b1", "f8", "f8", "f8", "f8_2", "f8", "i4", "i4"),
+    *("f8_2", "f8_2", "f8", "u1", "f8_2", "f8"),
 )
 ROOM = ScratchRoomType([("scratch", SCRATCH)])
 TOOLS = types.ListType(TOOL)
@@ -390,7 +397,8 @@ def _make_scratch(planes: int, corners: int, vertices: int, triangles: int) -> A
         np.empty((planes, 4)), np.empty((planes, 3)), np.empty((planes + 4, 3)), np.empty((planes + 4, 3)),
         np.empty(planes), np.empty(corners), np.empty(corners, np.bool_), np.empty(7), np.empty(3), np.empty(3),
         np.empty((3, 3)), np.empty(4), np.empty(triangles, np.int32), np.empty(triangles, np.int32),
-        np.empty(vertices, np.uint8), np.empty((3, vertices)), np.empty(9),
+        np.empty((6, triangles)), np.empty((6, triangles)), np.empty(triangles), np.empty(vertices, np.uint8),
+        np.empty((3, vertices)), np.empty(9),
     )  # fmt: skip
 
 

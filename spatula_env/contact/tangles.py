@@ -9,7 +9,7 @@ from numba import types
 
 from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.motion import copy_points
-from spatula_env.contact.near import find_cross_pairs, follow_motion, has_turned, measure_shifts, within_reach
+from spatula_env.contact.near import find_cross_pairs, follow_motion, has_turned, measure_shifts
 from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
 
 MOST_ATTEMPTS = 12
@@ -136,10 +136,7 @@ def place(skin: Any, near: Any, points: np.ndarray, is_free: bool) -> bool:
     """
     if is_free:
         follow_motion(near, points)
-    if not within_reach(near, points):
-        return False
-    measure_shifts(near, points, points)
-    if has_turned(skin, near, points):
+    if not measure_shifts(near, points, points) or has_turned(skin, near, points):
         return False
     find_crossings(skin, near, points)
     return True
@@ -189,7 +186,7 @@ def hold_back(
         if attempt < MOST_ATTEMPTS - 1:
             _move_zones(parents, involved, pushed, inverse_mass, start, goal, points)
         # A zone may take a vertex farther than it went by itself.
-        if attempt == MOST_ATTEMPTS - 1 or not within_reach(near, points):
+        if attempt == MOST_ATTEMPTS - 1 or not measure_shifts(near, points, points):
             copy_points(start, points)
         measure_shifts(near, start, points)
         crossings = join_crossing(skin, near, points, parents, involved)
