@@ -27,7 +27,6 @@ def depth_of_tools(
     rotation: np.ndarray,
     vertices: np.ndarray,
     known: float,
-    scratch: Any,
 ) -> float:
     """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
 
@@ -39,7 +38,6 @@ def depth_of_tools(
         rotation: (N, 9).
         vertices: (V, 3) of the organs [u].
         known: What is returned where no depth is greater [u].
-        scratch: `Scratch`.
     """
     depth, organ_count = known, len(world.surfaces)
     for k in range(tool_count):
@@ -47,7 +45,7 @@ def depth_of_tools(
             if looked_at[k * organ_count + o]:
                 local = world.memories[k * organ_count + o].organ.local
                 fill_local(position[k], rotation[k], vertices, world.first_vertices[o], local)
-                depth = pair_depth(world.tools[k].geometry, local, world.surfaces[o], depth, scratch)
+                depth = pair_depth(world.tools[k].geometry, local, world.surfaces[o], depth, world.room.scratch)
     return depth
 
 

@@ -7,7 +7,7 @@ then from that of its nodes relative to each other.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
@@ -43,13 +43,60 @@ ROUNDING = 1e-12
 """Energies that differ by less, in their size, are the same."""
 
 
+class MotionSums(NamedTuple):
+    """Sums over an organ's free nodes.
+
+    Attributes:
+        mass: [kg].
+        height: Of mass times height over what it was where counting began [kg u].
+        x: Of momentum [kg u/s], as the next two.
+        y: See there.
+        z: See there.
+        squares: Of mass times squared velocity [kg u2/s2].
+    """
+
+    mass: float
+    height: float
+    x: float
+    y: float
+    z: float
+    squares: float
+
+
+@array_kernel
+def sum_motion(
+    first: int, end: int, inverse_mass: np.ndarray, vertices: np.ndarray, velocities: np.ndarray, rest_height: float
+) -> MotionSums:
+    """`MotionSums` of an organ; arguments as of `limit_energy`, and the ledger's `REST_HEIGHT`."""
+    mass, height, squares = 0.0, -rest_height, 0.0
+    px, py, pz = 0.0, 0.0, 0.0
+    for i in range(first, end):
+        if inverse_mass[i] == 0.0:
+            continue
+        m = 1.0 / inverse_mass[i]
+        x, y, z = velocities[i, 0], velocities[i, 1], velocities[i, 2]
+        mass += m
+        height += m * vertices[i, 2]
+        px += m * x
+        py += m * y
+        pz += m * z
+        squares += m * (x * x + y * y + z * z)
+    return MotionSums(mass, height, px, py, pz, squares)
+
+
+@array_kernel
+def energy_of(sums: Any, gravity: float) -> float:
+    """An organ's energy of motion and height [kg u2/s2], from its `MotionSums` and gravity [u/s2]."""
+    energy: float = 0.5 * sums.squares + gravity * sums.height
+    return energy
+
+
 @array_kernel
 def passive_share(
     first: int,
     end: int,
     inverse_mass: np.ndarray,
-    vertices: np.ndarray,
-    velocities: np.ndarray,
+    sums: Any,
     nodal_impulses: np.ndarray,
     step_work: float,
     gravity: float,
@@ -65,8 +112,7 @@ def passive_share(
         first: Index of the organ's first vertex.
         end: Index after its last one.
         inverse_mass: (V,) [1/kg]; fixed nodes have zero.
-        vertices: (V, 3) [u].
-        velocities: (V, 3) with all impulses [u/s].
+        sums: `MotionSums` of the organ, with all impulses.
         nodal_impulses: (V, 3) of the tools [kg u/s].
         step_work: What they do [kg u2/s2]; it is in the ledger.
         gravity: [u/s2].
@@ -76,27 +122,19 @@ def passive_share(
     Returns:
         From 0 to 1; 1 unless energy would come from nothing.
     """
-    height, mass = -ledger[REST_HEIGHT], 0.0
-    px, py, pz = 0.0, 0.0, 0.0
-    jx, jy, jz = 0.0, 0.0, 0.0
-    for i in range(first, end):
-        if inverse_mass[i] == 0.0:
-            continue
-        m = 1.0 / inverse_mass[i]
-        mass += m
-        height += m * vertices[i, 2]
-        px += m * velocities[i, 0]
-        py += m * velocities[i, 1]
-        pz += m * velocities[i, 2]
-        jx += nodal_impulses[i, 0]
-        jy += nodal_impulses[i, 1]
-        jz += nodal_impulses[i, 2]
+    mass, px, py, pz = sums.mass, sums.x, sums.y, sums.z
     if mass == 0.0:
         return 1.0
     least = 0.5 * mass * mean_edge**2
-    allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least) - gravity * height
+    allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least) - gravity * sums.height
     if 0.5 * (px * px + py * py + pz * pz) / mass <= allowed:
         return 1.0
+    jx, jy, jz = 0.0, 0.0, 0.0
+    for i in range(first, end):
+        if inverse_mass[i] != 0.0:
+            jx += nodal_impulses[i, 0]
+            jy += nodal_impulses[i, 1]
+            jz += nodal_impulses[i, 2]
     # Taking away the share x of the impulses leaves squares x^2 / 2 - x slope too much.
     squares = (jx * jx + jy * jy + jz * jz) / mass
     slope = (px * jx + py * jy + pz * jz) / mass - step_work
@@ -122,7 +160,7 @@ def limit_energy(
     first: int,
     end: int,
     inverse_mass: np.ndarray,
-    vertices: np.ndarray,
+    sums: Any,
     velocities: np.ndarray,
     gravity: float,
     mean_edge: float,
@@ -139,7 +177,7 @@ def limit_energy(
         first: Index of the organ's first vertex.
         end: Index after its last one.
         inverse_mass: (V,) [1/kg]; fixed nodes have zero.
-        vertices: (V, 3) [u].
+        sums: `MotionSums` of the organ.
         velocities: (V, 3); changed [u/s].
         gravity: [u/s2].
         mean_edge: Of the organ with the smallest [u].
@@ -148,27 +186,15 @@ def limit_energy(
     Returns:
         What was dissipated [kg u2/s2].
     """
-    height, mass, squares = -ledger[REST_HEIGHT], 0.0, 0.0
-    px, py, pz = 0.0, 0.0, 0.0
-    for i in range(first, end):
-        if inverse_mass[i] == 0.0:
-            continue
-        m = 1.0 / inverse_mass[i]
-        x, y, z = velocities[i, 0], velocities[i, 1], velocities[i, 2]
-        mass += m
-        height += m * vertices[i, 2]
-        px += m * x
-        py += m * y
-        pz += m * z
-        squares += m * (x * x + y * y + z * z)
+    mass = sums.mass
     if mass == 0.0:
         return 0.0
-    px, py, pz = px / mass, py / mass, pz / mass
+    px, py, pz = sums.x / mass, sums.y / mass, sums.z / mass
     of_mean = 0.5 * mass * (px * px + py * py + pz * pz)
-    of_nodes = max(0.5 * squares - of_mean, 0.0)
+    of_nodes = max(0.5 * sums.squares - of_mean, 0.0)
     least = 0.5 * mass * mean_edge**2
     allowed = ledger[WORK] + ENERGY_TOLERANCE * max(ledger[GREATEST_WORK], least)
-    excess = of_mean + of_nodes + gravity * height - allowed
+    excess = of_mean + of_nodes + gravity * sums.height - allowed
     if excess <= 0.0 or of_nodes == 0.0:
         return 0.0
     excess = min(excess, of_nodes)
@@ -180,26 +206,6 @@ def limit_energy(
             velocities[i, 2] = pz + scale * (velocities[i, 2] - pz)
     dissipated: float = excess
     return dissipated
-
-
-@array_kernel
-def energy_of(
-    first: int,
-    end: int,
-    inverse_mass: np.ndarray,
-    vertices: np.ndarray,
-    velocities: np.ndarray,
-    gravity: float,
-    rest_height: float,
-) -> float:
-    """An organ's energy of motion and height [kg u2/s2]; arguments as of `limit_energy`."""
-    squares, height = 0.0, -rest_height
-    for i in range(first, end):
-        if inverse_mass[i] > 0.0:
-            m = 1.0 / inverse_mass[i]
-            height += m * vertices[i, 2]
-            squares += m * (velocities[i, 0] ** 2 + velocities[i, 1] ** 2 + velocities[i, 2] ** 2)
-    return 0.5 * squares + gravity * height
 
 
 @array_kernel
@@ -332,18 +338,15 @@ def keep_passive(world: Any, count: int, motions: Any, organs: Any, outcome: Any
     for o in range(first_vertices.shape[0]):
         first = first_vertices[o]
         end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
+        sums = sum_motion(first, end, inverse_mass, vertices, velocities, ledger[o, REST_HEIGHT])
         if ledger[o, STAGE] != TOUCHED:
             # What it does is its own.
-            ledger[o, ENERGY] = energy_of(
-                first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT]
-            )
+            ledger[o, ENERGY] = energy_of(sums, gravity)
             ledger[o, WORK] = max(ledger[o, WORK], ledger[o, ENERGY])
             ledger[o, GREATEST_WORK] = ledger[o, WORK]
             continue
         work = ledger[o, WORK] - before[o, WORK]
-        share = passive_share(
-            first, end, inverse_mass, vertices, velocities, nodal_impulses, work, gravity, mean_edge, ledger[o]
-        )
+        share = passive_share(first, end, inverse_mass, sums, nodal_impulses, work, gravity, mean_edge, ledger[o])
         if share < 1.0:
             for i in range(first, end):
                 for axis in range(3):
@@ -354,8 +357,10 @@ def keep_passive(world: Any, count: int, motions: Any, organs: Any, outcome: Any
             sum_impulses(
                 count, rows, features, tool_count, motions.positions, vertices, nodal_impulses, wrenches
             )  # fmt: skip
-        limit_energy(first, end, inverse_mass, vertices, velocities, gravity, mean_edge, ledger[o])
-        ledger[o, ENERGY] = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+            sums = sum_motion(first, end, inverse_mass, vertices, velocities, ledger[o, REST_HEIGHT])
+        if limit_energy(first, end, inverse_mass, sums, velocities, gravity, mean_edge, ledger[o]) > 0.0:
+            sums = sum_motion(first, end, inverse_mass, vertices, velocities, ledger[o, REST_HEIGHT])
+        ledger[o, ENERGY] = energy_of(sums, gravity)
 
 
 @kernel(types.void(WORLD_CONTACTS, F8_2, F8_2))
@@ -374,7 +379,8 @@ def admit_energy(world: Any, vertices: np.ndarray, velocities: np.ndarray) -> No
         end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
         if ledger[o, STAGE] == UNKNOWN:
             ledger[o, REST_HEIGHT], ledger[o, STAGE] = sum_heights(first, end, inverse_mass, vertices), FREE
-        energy = energy_of(first, end, inverse_mass, vertices, velocities, gravity, ledger[o, REST_HEIGHT])
+        sums = sum_motion(first, end, inverse_mass, vertices, velocities, ledger[o, REST_HEIGHT])
+        energy = energy_of(sums, gravity)
         given = energy - ledger[o, ENERGY]
         # An unchanged state has exactly the same.
         if given > ROUNDING * abs(energy):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import array_kernel, inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.corners import gather_corners, gather_sunk_corners
 from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, entry_plane
 from spatula_env.contact.rows import ON_EDGE, ON_GROUND, ON_NODE, ON_VERTEX, append_constraint, constraint_name
@@ -29,7 +29,6 @@ from spatula_env.contact.structures import (
     PLANE,
     POINT,
     WEIGHTS,
-    reserve,
 )
 
 EDGE_PART = 0.5
@@ -280,6 +279,25 @@ def fill_heights(
 
 
 @array_kernel
+def fill_clipping(heights: np.ndarray, clipping: np.ndarray) -> int:
+    """Write those rows of heights (P, 4), from `fill_heights`, whose faces may clip the edge, into clipping (P, 4).
+
+    The whole edge stays behind the others all the time.
+
+    Returns:
+        How many there are.
+    """
+    count = 0
+    for p in range(heights.shape[0]):
+        one, other, third, fourth = heights[p, 0], heights[p, 1], heights[p, 2], heights[p, 3]
+        least, greatest = min(one, other, third, fourth), max(one, other, third, fourth)
+        if greatest - MARGIN > -ROUNDING * max(-least, greatest):
+            clipping[count, 0], clipping[count, 1], clipping[count, 2], clipping[count, 3] = one, other, third, fourth
+            count += 1
+    return count
+
+
+@array_kernel
 def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]:
     """The part of an organ's edge that is in the tool, or touches it, at a time between two queries.
 
@@ -348,7 +366,7 @@ def meeting_time(heights: np.ndarray, samples: int) -> float:
     """When, between two queries, an edge of the organ first touched the tool.
 
     Args:
-        heights: (P, 4) from `fill_heights` [u].
+        heights: (P, 4) from `fill_heights`, or those rows that `fill_clipping` leaves [u].
         samples: At how many times in between it is looked at.
 
     Returns:
@@ -445,7 +463,7 @@ def gather_edges(
     local, last, candidates, codes = organ.local, organ.last_local, organ.candidates, organ.codes
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
     ridges, corners = tool.ridges, tool.corners
-    contact, heights = scratch.contact, scratch.heights[: plane_offsets.shape[0]]
+    contact, heights, clipping = scratch.contact, scratch.heights[: plane_offsets.shape[0]], scratch.clipping
     for k in range(found):
         t = candidates[k]
         for side in range(3):
@@ -459,7 +477,7 @@ def gather_edges(
             for axis in range(3):
                 way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
             samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
-            time = meeting_time(heights, samples)
+            time = meeting_time(clipping[: fill_clipping(heights, clipping)], samples)
             if time > 1.0:
                 continue
             first, end, plane_in, plane_out = clip_edge(heights, time)
@@ -501,13 +519,14 @@ def gather_edges(
     return count
 
 
-@inline_kernel
+@array_kernel
 def gather_features(
-    constraints: Any,
+    table: Any,
     count: int,
     tool: Any,
     organ: Any,
     triangles: np.ndarray,
+    found: int,
     placement: Any,
     again: bool,
     attempt: int,
@@ -515,15 +534,16 @@ def gather_features(
     trial: Any,
     scratch: Any,
 ) -> int:
-    """Append constraints where vertices, corners and edges have met, making room for them.
+    """Append constraints where vertices, corners and edges have met.
 
     Args:
-        constraints: `Constraints`.
+        table: `ConstraintTable` with room for 9 more for each candidate and each corner of the tool.
         count: How many there are.
         tool: `ToolGeometry`.
         organ: `LocalOrgan`. In the first pass, `attempt` 0, it is where its springs have thrown it; later where solves
             have put it.
         triangles: (T, 3) of the organ.
+        found: How many candidates there are; see `find_candidates`.
         placement: `Placement` of the tool.
         again: See `gather_edges`.
         attempt: Which pass this is.
@@ -534,12 +554,7 @@ def gather_features(
     Returns:
         The new count.
     """
-    found = find_candidates(tool.extent, organ, triangles)
-    if found == 0:
-        return count
-    corners = tool.corners.shape[0]
-    reserve(constraints, count, count + 9 * found + 9 * corners)
-    table, undecided = constraints.table, attempt < PASSES_UNDECIDED
+    corners, undecided = tool.corners.shape[0], attempt < PASSES_UNDECIDED
     count = gather_vertices(table, count, tool, organ, placement, 0 if undecided else tried, trial)
     first = count
     count = gather_corners(

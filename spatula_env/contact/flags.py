@@ -151,13 +151,18 @@ def fill_local(
     position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray, first_vertex: int, local: np.ndarray
 ) -> None:
     """Write an organ's vertices, in the tool's frame, into local (3, V)."""
-    for i in range(local.shape[1]):
-        x = vertices[first_vertex + i, 0] - position[0]
-        y = vertices[first_vertex + i, 1] - position[1]
-        z = vertices[first_vertex + i, 2] - position[2]
-        local[0, i] = rotation[0] * x + rotation[3] * y + rotation[6] * z
-        local[1, i] = rotation[1] * x + rotation[4] * y + rotation[7] * z
-        local[2, i] = rotation[2] * x + rotation[5] * y + rotation[8] * z
+    own = vertices[first_vertex : first_vertex + local.shape[1]]
+    along_x, along_y, along_z = local[0], local[1], local[2]
+    # Numbers that cannot change while the organ is written: such a loop becomes vector instructions.
+    left, back, down = position[0], position[1], position[2]
+    xx, xy, xz = rotation[0], rotation[3], rotation[6]
+    yx, yy, yz = rotation[1], rotation[4], rotation[7]
+    zx, zy, zz = rotation[2], rotation[5], rotation[8]
+    for i in range(own.shape[0]):
+        x, y, z = own[i, 0] - left, own[i, 1] - back, own[i, 2] - down
+        along_x[i] = xx * x + xy * y + xz * z
+        along_y[i] = yx * x + yy * y + yz * z
+        along_z[i] = zx * x + zy * y + zz * z
 
 
 @array_kernel

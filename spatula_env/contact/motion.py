@@ -135,8 +135,7 @@ def tool_passes(
 def copy_points(points: np.ndarray, into: np.ndarray) -> None:
     """Copy points (V, 3) into an array of that shape; assigning arrays compiles checks of their shapes, for seconds."""
     for i in range(points.shape[0]):
-        for axis in range(3):
-            into[i, axis] = points[i, axis]
+        into[i, 0], into[i, 1], into[i, 2] = points[i, 0], points[i, 1], points[i, 2]
 
 
 @array_kernel

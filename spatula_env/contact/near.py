@@ -147,24 +147,6 @@ def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> bool:
     return bool(_fill_shifts(near.placed, near.reach, held, points, near.shift))
 
 
-@array_kernel
-def _fill_ways(placed: np.ndarray, held: np.ndarray, points: np.ndarray, moved: np.ndarray) -> None:
-    """See `measure_ways`."""
-    along_x, along_y, along_z = placed[0], placed[1], placed[2]
-    for i in range(points.shape[0]):
-        u, v, w = along_x[i], along_y[i], along_z[i]
-        x = (points[i, 0] - u) - (held[i, 0] - u)
-        y = (points[i, 1] - v) - (held[i, 1] - v)
-        z = (points[i, 2] - w) - (held[i, 2] - w)
-        moved[i] = np.sqrt(x * x + y * y + z * z)
-
-
-@inline_kernel
-def measure_ways(near: Any, held: np.ndarray, points: np.ndarray) -> None:
-    """Write how far vertices have got from where they come from, both (V, 3) [u]."""
-    _fill_ways(near.placed, held, points, near.moved)
-
-
 @inline_kernel
 def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int) -> tuple[np.ndarray, np.ndarray]:
     """The pairs and their distances, `count` of them, in arrays that have room for as many as are wanted."""

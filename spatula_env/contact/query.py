@@ -208,13 +208,13 @@ def remember_poses(tools: Any) -> None:
 
 
 @inline_kernel
-def detect(world: Any, plan: Any, tools: Any, points: Any, scratch: Any) -> int:
+def detect(world: Any, plan: Any, tools: Any, points: Any) -> int:
     """Decide the flags of all tools' contact nodes, where the organs would be without contact, as published.
 
     Returns:
         0; otherwise what `raycast.cast_columns` returned.
     """
-    organ_count = len(world.surfaces)
+    organ_count, axes, normal = len(world.surfaces), world.room.scratch.axes, world.room.scratch.normal
     tools.quiet[:] = False
     for k in range(tools.position.shape[0]):
         tool, rays = world.tools[k].geometry, world.tools[k].rays
@@ -234,7 +234,7 @@ def detect(world: Any, plan: Any, tools: Any, points: Any, scratch: Any) -> int:
                 memory.unfeasible[:] = False
                 tools.quiet[k * organ_count + o] = True
                 continue
-            status: int = cast_columns(position, rotation, own, triangles, rays, memory, organ, scratch.axes)
+            status: int = cast_columns(position, rotation, own, triangles, rays, memory, organ, axes)
             if status != 0:
                 return status
             for i in range(memory.hits.shape[0]):
@@ -242,7 +242,7 @@ def detect(world: Any, plan: Any, tools: Any, points: Any, scratch: Any) -> int:
             remember_flags(memory)
             lead_by_motion(tool, memory, organ, triangles)
             grade = 0 if plan.first_step == 0 else 2
-            decide_flags(tool, memory, organ.local, triangles, plan.first_step, True, grade, scratch.normal)
+            decide_flags(tool, memory, organ.local, triangles, plan.first_step, True, grade, normal)
     return 0
 
 
@@ -256,7 +256,6 @@ def _gather_pair(
     k: int,
     o: int,
     count: int,
-    scratch: Any,
     numbers: np.ndarray,
 ) -> int:
     """Append the constraints of a tool and an organ in one pass. Returns the new count."""
@@ -273,15 +272,16 @@ def _gather_pair(
     placement = Placement(
         position, rotation, tools.linear_velocity[k], tools.angular_velocity[k], world.friction[k], k, first
     )
-    before, trial = count, world.trial.table
+    before, trial, scratch = count, world.trial.table, world.room.scratch
     for look in range(2):
         if attempt > 0 or plan.predicts:
             fill_local(position, rotation, points.vertices if look == 0 else points.thrown, first, organ.local)
-        if with_features:
-            again = attempt > 0 and not plan.is_divided
+        found = find_candidates(tool.extent, organ, triangles) if with_features else 0
+        if found > 0:
+            reserve(world.constraints, count, count + 9 * (found + tool.corners.shape[0]))
             count = gather_features(
-                world.constraints, count, tool, organ, triangles, placement, again, attempt, progress.tried, trial,
-                scratch,
+                world.constraints.table, count, tool, organ, triangles, found, placement,
+                attempt > 0 and not plan.is_divided, attempt, progress.tried, trial, scratch,
             )  # fmt: skip
         # Where less was thrown into the tool than expected, it is looked where that really is.
         if attempt > 0 or not plan.predicts or count > before:
@@ -310,9 +310,7 @@ def _gather_pair(
 
 
 @inline_kernel
-def gather_contacts(
-    world: Any, plan: Any, tools: Any, points: Any, progress: Any, scratch: Any, numbers: np.ndarray
-) -> int:
+def gather_contacts(world: Any, plan: Any, tools: Any, points: Any, progress: Any, numbers: np.ndarray) -> int:
     """Write the constraints of one pass: of organs with each other, with the ground and with tools.
 
     Returns:
@@ -334,12 +332,12 @@ def gather_contacts(
         )  # fmt: skip
     for k in range(tools.position.shape[0]):
         for o in range(len(world.surfaces)):
-            count = _gather_pair(world, plan, tools, points, progress, k, o, count, scratch, numbers)
+            count = _gather_pair(world, plan, tools, points, progress, k, o, count, numbers)
     return count
 
 
 @inline_kernel
-def measure_tools(world: Any, plan: Any, tools: Any, vertices: np.ndarray, attempt: int, scratch: Any) -> float:
+def measure_tools(world: Any, plan: Any, tools: Any, vertices: np.ndarray, attempt: int) -> float:
     """How deep tools and organs are in each other [u], where vertices (V, 3) are: what is allowed if it is no more.
 
     Between queries it is enough to know that it is not too deep.
@@ -351,7 +349,7 @@ def measure_tools(world: Any, plan: Any, tools: Any, vertices: np.ndarray, attem
             tools.looked_at[index] = tools.passes[k] and (attempt > 0 or not tools.quiet[index])
     allowed = 0.0 if plan.is_last else RESIDUAL_TOLERANCE
     depth: float = depth_of_tools(
-        world, tools.position.shape[0], tools.looked_at, tools.position, tools.rotation, vertices, allowed, scratch
+        world, tools.position.shape[0], tools.looked_at, tools.position, tools.rotation, vertices, allowed
     )
     return depth
 
@@ -368,7 +366,7 @@ def _uncross(world: Any, points: Any, known: int, held: np.ndarray, vertices: np
 
 
 @inline_kernel
-def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any, crosses: bool, scratch: Any) -> bool:
+def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any, crosses: bool) -> bool:
     """Have the organs keep their places beside the tools where nothing else helps, if that is better.
 
     Returns:
@@ -390,7 +388,7 @@ def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any,
             _uncross(world, points, 0, points.reference, points.kept)
         left = progress.depth
         if plan.first_step != 0:
-            left = measure_tools(world, plan, tools, points.kept, progress.attempt, scratch)
+            left = measure_tools(world, plan, tools, points.kept, progress.attempt)
         if left <= max(progress.depth, SUNK_DEPTH) and near.crossing[skin.CROSSINGS] <= crossings:
             progress.depth, crossings = left, near.crossing[skin.CROSSINGS]
             copy_points(points.kept, points.vertices)
@@ -401,7 +399,7 @@ def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any,
 
 
 @inline_kernel
-def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settled: bool, scratch: Any) -> bool:
+def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settled: bool) -> bool:
     """Whether contacts are looked for again, although they hold (`settled`) or it was tried often enough.
 
     That is so where a tool is in an organ still, or organs cross; the organs are then put where that is not so.
@@ -409,7 +407,7 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
     near, attempt, vertices = world.near, progress.attempt, points.vertices
     with_features = plan.first_step != 0
     if with_features:
-        progress.depth = measure_tools(world, plan, tools, vertices, attempt, scratch)
+        progress.depth = measure_tools(world, plan, tools, vertices, attempt)
     if not plan.is_divided and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
         # Rows are missing, or could not be kept.
         progress.sinks = progress.sinks or settled or progress.depth > SUNK_DEPTH
@@ -431,7 +429,7 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
     if crosses and _uncross(world, points, progress.tried, points.held, vertices):
         progress.is_over = True
         if with_features:
-            progress.depth = measure_tools(world, plan, tools, vertices, attempt, scratch)
+            progress.depth = measure_tools(world, plan, tools, vertices, attempt)
         most = MOST_RETRIES if progress.depth > SUNK_DEPTH else 1
         if progress.retries < most:
             # Tools go on, and push where the organ has been left.
@@ -441,7 +439,7 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
             progress.afresh, progress.is_over, progress.sinks = True, False, False
             progress.tries, progress.least = 0, np.inf
             return True
-    if _arrest_tools(world, plan, tools, points, progress, crosses, scratch):
+    if _arrest_tools(world, plan, tools, points, progress, crosses):
         progress.is_over = True
     return bool(progress.is_over)
 
@@ -495,7 +493,6 @@ def resolve_query(
     progress: Any,
     holders: np.ndarray,
     starts: np.ndarray,
-    scratch: Any,
     numbers: np.ndarray,
 ) -> int:
     """Find and solve for the contacts of a query, pass after pass.
@@ -508,7 +505,6 @@ def resolve_query(
         progress: `QueryProgress`, written.
         holders: (V,) workspace of `islands.find_islands`.
         starts: (N + 2,) likewise.
-        scratch: `Scratch`.
         numbers: Columns of the result; penetration is written.
 
     Returns:
@@ -519,7 +515,7 @@ def resolve_query(
     copy_points(points.reference, points.held)
     for attempt in range(MOST_LOOKS):
         progress.attempt = attempt
-        count = gather_contacts(world, plan, tools, points, progress, scratch, numbers)
+        count = gather_contacts(world, plan, tools, points, progress, numbers)
         table = world.constraints.table
         measure_gaps(count, table.rows, table.features, inverse_mass, mean, points.vertices)
         order = np.empty(count, np.int64)
@@ -527,7 +523,7 @@ def resolve_query(
         # The first solve is there for friction too, which holds a surface that only touches.
         settled = attempt > 0 and greatest_violation(order, table.rows, table.features) <= RESIDUAL_TOLERANCE
         if settled or attempt >= progress.last_attempt or progress.is_over:
-            if progress.is_over or not goes_on(world, plan, tools, points, progress, settled, scratch):
+            if progress.is_over or not goes_on(world, plan, tools, points, progress, settled):
                 break
             continue
         solve_contacts(world, plan, points, progress, count, islands, order, starts)

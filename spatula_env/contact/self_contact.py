@@ -30,7 +30,6 @@ from spatula_env.contact.near import (
     mark_beyond,
     mark_turned,
     measure_shifts,
-    measure_ways,
 )
 from spatula_env.contact.rows import ON_EDGES, ON_TRIANGLE, constraint_name
 from spatula_env.contact.skin import CROSSINGS, EDGE_PAIRS, IS_KNOWN, NEAR, SKIN, TOO_MANY, VERTEX_PAIRS
@@ -274,25 +273,47 @@ class _Vertices(NamedTuple):
         held: (V, 3) as in `gather_organs`, as the next two [u].
         vertices: (V, 3) [u].
         reference: (V, 3) [u].
-        shift: (V,) see `skin.Near`, as the next two [u].
-        moved: (V,) [u].
+        placed: (3, V) see `skin.Near`, as the next two [u].
+        shift: (V,) [u].
         tangled: (V,).
     """
 
     held: np.ndarray
     vertices: np.ndarray
     reference: np.ndarray
+    placed: np.ndarray
     shift: np.ndarray
-    moved: np.ndarray
     tangled: np.ndarray
 
 
 @array_kernel
-def _greatest_of_both(of: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
-    """The greatest entry for the vertices of one feature and the greatest for those of the other, together."""
+def _shift_of_both(of: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
+    """How far the vertices of one feature have got at most and those of the other, together [u]; of shifts (V,)."""
     if is_edges:
         return float(max(of[a], of[b]) + max(of[c], of[d]))
     return float(max(of[a], of[b], of[c]) + of[d])
+
+
+@array_kernel
+def _squared_way(organs: Any, i: int) -> float:
+    """How far a vertex has got from where it was last on its right side, squared [u2]."""
+    squared = 0.0
+    for axis in range(3):
+        placed = organs.placed[axis, i]
+        way = (organs.vertices[i, axis] - placed) - (organs.held[i, axis] - placed)
+        squared += way * way
+    return squared
+
+
+@array_kernel
+def _way_of_both(organs: Any, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
+    """How far the vertices of one feature have got from there at most and those of the other, together [u]."""
+    of_a, of_b, of_c, of_d = (
+        _squared_way(organs, a), _squared_way(organs, b), _squared_way(organs, c), _squared_way(organs, d),
+    )  # fmt: skip
+    if is_edges:
+        return float(np.sqrt(max(of_a, of_b)) + np.sqrt(max(of_c, of_d)))
+    return float(np.sqrt(max(of_a, of_b, of_c)) + np.sqrt(of_d))
 
 
 @array_kernel
@@ -337,9 +358,9 @@ def _append_pairs(
         else:
             a, b, c, d = triangles[second, 0], triangles[second, 1], triangles[second, 2], first
         # What was farther apart than it has moved since does not touch.
-        if _greatest_of_both(organs.shift, a, b, c, d, is_edges) < of.distances[m] - touching:
+        if _shift_of_both(organs.shift, a, b, c, d, is_edges) < of.distances[m] - touching:
             continue
-        way = _greatest_of_both(organs.moved, a, b, c, d, is_edges)
+        way = _way_of_both(organs, a, b, c, d, is_edges)
         if way < gaps[m] - touching:
             continue
         # Of what crosses nobody knows the side: it is left to the springs to pull it apart.
@@ -393,7 +414,7 @@ def _gather_pairs(
         near.edge_gaps if is_edges else near.vertex_gaps,
         skin.edges, skin.triangles, skin.left_out,
     )  # fmt: skip
-    organs = _Vertices(held, vertices, reference, near.shift, near.moved, near.tangled)
+    organs = _Vertices(held, vertices, reference, near.placed, near.shift, near.tangled)
     room, done, end = np.zeros((10, 9)), 0, near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]
     while done < end:
         reserve(constraints, count, count + 1)
@@ -450,9 +471,11 @@ def gather_organs(
         return count
     if afresh:
         forget_gaps(near)
-    measure_ways(near, held, vertices)
     for kind in range(2):
-        count = _gather_pairs(constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction)
+        if near.counts[EDGE_PAIRS if kind == 1 else VERTEX_PAIRS] > 0:
+            count = _gather_pairs(
+                constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction
+            )
     return count
 
 

@@ -76,7 +76,6 @@ class Near(structref.StructRefProxy):
         rotation (3, 3), motion (3,): that motion takes a point x to rotation x + motion [u].
         reach (V,): how far a vertex may get from where it is placed before they are to be found anew [u].
         shift (V,): how far it has got, as was last looked at [u].
-        moved (V,): how far it has got from where it was last on its right side [u].
         vertex_gaps, edge_gaps (.,): how far apart pairs were there [u]; -1 where nobody has asked.
         order (P,): patches by where they begin along x.
         crossing (2,): for how long organs have crossed themselves or each other [s]; in how many places.
@@ -123,7 +122,6 @@ NEAR_FIELDS = [
     ("motion", ARRAYS["f8"]),
     ("reach", ARRAYS["f8"]),
     ("shift", ARRAYS["f8"]),
-    ("moved", ARRAYS["f8"]),
     ("vertex_gaps", ARRAYS["f8"]),
     ("edge_gaps", ARRAYS["f8"]),
     ("order", ARRAYS["i4"]),
@@ -167,7 +165,7 @@ def make_near(skin: Any) -> Any:
         np.zeros(patches, np.bool_), np.zeros(patches), np.zeros(patches, np.bool_), np.zeros((patches, 6)),
         np.zeros(6, np.int64),
         np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3), np.zeros(vertices),
-        np.zeros(vertices), np.zeros(vertices), np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32),
+        np.zeros(vertices), np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32),
         np.zeros(2), np.zeros(vertices, np.bool_),
     )  # fmt: skip
 

@@ -341,9 +341,7 @@ def _finish_step(
 
 
 @inline_kernel
-def stop_tools(
-    world: Any, plan: Any, tools: Any, motions: Any, organs: Any, crossings: float, depth: float, scratch: Any
-) -> float:
+def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, crossings: float, depth: float) -> float:
     """Have tools and organs stay where they were before the step, if they end it deeper in each other than they were.
 
     Where an organ is pinned or wound up, there may be no place for it beside the tool. A hand that meets this stops, so
@@ -357,13 +355,12 @@ def stop_tools(
         organs: `OrganMotion`, of which the vertices are written.
         crossings: In how many places organs crossed before the step.
         depth: How deep tools and organs are in each other [u].
-        scratch: `Scratch`.
 
     Returns:
         How deep they are then [u]; `depth` if nothing was done.
     """
-    pose_tools(motions, 0.0, tools, scratch.axes)
-    before: float = measure_tools(world, plan, tools, organs.start, 1, scratch)
+    pose_tools(motions, 0.0, tools, world.room.scratch.axes)
+    before: float = measure_tools(world, plan, tools, organs.start, 1)
     if before >= depth:
         return depth
     copy_points(organs.start, organs.vertices)
@@ -430,7 +427,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     sweeps = MOST_SWEEPS if fastest * dt <= SLOW else MOST_SWEEPS_MOVING
     if queries > 1:
         sweeps = MOST_SWEEPS_DIVIDED
-    held, kept, scratch = np.empty_like(start), np.empty_like(start), world.room.scratch
+    held, kept, axes = np.empty_like(start), np.empty_like(start), world.room.scratch.axes
     holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 2, np.int64)
     plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, sweeps, relaxation)
     progress, count, organ_done = begin_query(near, 0, 0), 0, 0.0
@@ -451,23 +448,23 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         if division.predicts and is_last:
             thrown = np.empty_like(vertices)
             fill_thrown(vertices, organs.free_vertices, expected, thrown)
-        pose_tools(motions, tool_part, tools, scratch.axes)
+        pose_tools(motions, tool_part, tools, axes)
         plan = QueryPlan(first_step, parts > 1, queries == 1, is_last, division.predicts, sweeps, relaxation)
         points = QueryPoints(vertices, reference, thrown, held, kept)
-        status = detect(world, plan, tools, points, scratch)
+        status = detect(world, plan, tools, points)
         if status != 0:
             return status
         progress = begin_query(near, progress.tried, progress.passed)
-        count = resolve_query(world, plan, tools, points, progress, holders, starts, scratch, numbers)
+        count = resolve_query(world, plan, tools, points, progress, holders, starts, numbers)
         if not is_last:
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
     if first_step != 0 and progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
-        depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth, scratch)
+        depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
         numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
     numbers[RESIDUAL] = progress.depth
     if first_step == 0:
-        numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0, scratch)
+        numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0)
     _finish_step(world, plan, progress, count, motions, organs, outcome, holders, starts)
     return 0

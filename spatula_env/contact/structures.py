@@ -171,7 +171,8 @@ class Scratch(NamedTuple):
     """Workspace of kernels that make no arrays, for tools of up to P planes and K corners and organs as `LocalOrgan`.
 
     Attributes:
-        heights: (P, 4) of an edge's ends over the planes.
+        heights: (P, 4) of an edge's ends over the planes,
+        clipping: (P, 4) and over those that may clip it.
         under: (P, 3) of a triangle's corners under the planes.
         polygon: (P + 4, 3) what is left of a triangle,
         clipped: (P + 4, 3) or here.
@@ -194,6 +195,7 @@ class Scratch(NamedTuple):
     """
 
     heights: np.ndarray
+    clipping: np.ndarray
     under: np.ndarray
     polygon: np.ndarray
     clipped: np.ndarray
@@ -329,7 +331,7 @@ CONSTRAINTS = ConstraintsType([("table", CONSTRAINT_TABLE)])
 structref.define_proxy(ScratchRoom, ScratchRoomType, ["scratch"])
 SCRATCH = _arrays(
     Scratch,
-    *("f8_2", "f8_2", "f8_2", "f8_2", "f8", "f8", "b1", "f8", "f8", "f8", "f8_2", "f8", "i4", "i4"),
+    *("f8_2", "f8_2", "f8_2", "f8_2", "f8_2", "f8", "f8", "b1", "f8", "f8", "f8", "f8_2", "f8", "i4", "i4"),
     *("f8_2", "f8_2", "f8", "u1", "f8_2", "f8"),
 )
 ROOM = ScratchRoomType([("scratch", SCRATCH)])
@@ -394,9 +396,10 @@ def make_constraints(capacity: int) -> Any:
 @inline_kernel
 def _make_scratch(planes: int, corners: int, vertices: int, triangles: int) -> Any:
     return Scratch(
-        np.empty((planes, 4)), np.empty((planes, 3)), np.empty((planes + 4, 3)), np.empty((planes + 4, 3)),
-        np.empty(planes), np.empty(corners), np.empty(corners, np.bool_), np.empty(7), np.empty(3), np.empty(3),
-        np.empty((3, 3)), np.empty(4), np.empty(triangles, np.int32), np.empty(triangles, np.int32),
+        np.empty((planes, 4)), np.empty((planes, 4)), np.empty((planes, 3)), np.empty((planes + 4, 3)),
+        np.empty((planes + 4, 3)), np.empty(planes), np.empty(corners), np.empty(corners, np.bool_), np.empty(7),
+        np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(4), np.empty(triangles, np.int32),
+        np.empty(triangles, np.int32),
         np.empty((6, triangles)), np.empty((6, triangles)), np.empty(triangles), np.empty(vertices, np.uint8),
         np.empty((3, vertices)), np.empty(9),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from numba import types
 from numba.experimental import structref
 
 from spatula_env._kernels import inline_kernel, kernel
-from spatula_env.contact.motion import Motions, OrganMotion, StepOutcome, turn_by
+from spatula_env.contact.motion import Motions, OrganMotion, StepOutcome, copy_points, turn_by
 from spatula_env.contact.pressure import tool_pressures
 from spatula_env.contact.settings import CONTACT_COUNT, CROSSED_FOR, PENETRATION, RESIDUAL, STOPPED
 from spatula_env.contact.step import resolve_step
@@ -265,9 +265,7 @@ def couple_worlds(
         if status != 0:
             state.diverged[w] = True
             continue
-        for i in range(resolved.shape[0]):
-            for axis in range(3):
-                state.nodes[w, i, axis] = resolved[i, axis]
+        copy_points(resolved, state.nodes[w])
         sums.penetrations[w], sums.crossed_for[w] = result[PENETRATION], result[CROSSED_FOR]
         sums.residuals[w] = max(sums.residuals[w], result[RESIDUAL])
         if result[STOPPED] > 0.0 and not restrained:

@@ -19,6 +19,7 @@ from spatula_env.contact.energy import (
     passive_share,
     scale_impulses,
     sum_heights,
+    sum_motion,
 )
 from spatula_env.contact.response import (
     measure_gaps,
@@ -449,8 +450,11 @@ class Energies:
     def limit(self, allowed, greatest_work=0.0, mean_edge=0.0):
         ledger = np.array([allowed, greatest_work, self.rest_height, 1.0])
         return limit_energy(
-            FIRST, END, self.inverse_mass, self.vertices, self.velocities, self.gravity, mean_edge, ledger
+            FIRST, END, self.inverse_mass, self.sums(), self.velocities, self.gravity, mean_edge, ledger
         )
+
+    def sums(self):
+        return sum_motion(FIRST, END, self.inverse_mass, self.vertices, self.velocities, self.rest_height)
 
     def assert_others_untouched(self):
         others = np.r_[0:FIRST, END:12]
@@ -518,9 +522,7 @@ def test_impulses_give_an_organ_no_more_energy_than_they_do_work(seed, part):
     without, with_all = excess(0.0), excess(1.0)
     allowed = without + part * (with_all - without)
     ledger = np.array([allowed + work, -1e9, organ.rest_height, 1.0])
-    share = passive_share(
-        FIRST, END, organ.inverse_mass, organ.vertices, organ.velocities, impulses, work, organ.gravity, 0.0, ledger
-    )
+    share = passive_share(FIRST, END, organ.inverse_mass, organ.sums(), impulses, work, organ.gravity, 0.0, ledger)
     if with_all <= without:
         assert share == 1.0
     else:
