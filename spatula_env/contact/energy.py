@@ -142,7 +142,7 @@ def passive_share(
     if squares == 0.0 or slope <= 0.0:
         return 1.0
     root = slope * slope - 2.0 * squares * excess
-    taken = (slope - np.sqrt(root)) / squares if root > 0.0 else slope / squares
+    taken: float = (slope - np.sqrt(root)) / squares if root > 0.0 else slope / squares
     return 1.0 - min(taken, 1.0)
 
 

@@ -8,10 +8,28 @@ that takes longest is then swept alone, and none is looked at again that already
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from spatula_env._kernels import array_kernel, inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.structures import GAP, GROUND, INERTIA, NORMAL, ORGANS, OWNER, POINT
+
+
+class IslandRoom(NamedTuple):
+    """Room for islands of constraints of N tools with V vertices.
+
+    Attributes:
+        starts: (N + 2,) int64, where the islands begin in an order of constraints; last where they end.
+        holders: (V,) int64 workspace, all -1 between two calls.
+        parents: (N + 1,) int64 workspace.
+        sizes: (N + 1,) int64 workspace.
+    """
+
+    starts: np.ndarray
+    holders: np.ndarray
+    parents: np.ndarray
+    sizes: np.ndarray
 
 
 @array_kernel
@@ -22,31 +40,23 @@ def _root(parents: np.ndarray, tool: int) -> int:
     return tool
 
 
-@inline_kernel
-def find_islands(
-    count: int,
-    features: np.ndarray,
-    inverse_mass: np.ndarray,
-    tool_count: int,
-    holders: np.ndarray,
-    order: np.ndarray,
-    starts: np.ndarray,
-) -> int:
-    """Sort constraints into islands; in an island they keep their order.
+@array_kernel
+def _island_of(c: int, features: np.ndarray, tool_count: int, room: Any) -> int:
+    """The tool that stands for a constraint's island; -1 for one of the ground that no tool shares."""
+    owner = features[c, OWNER]
+    if owner == GROUND:
+        owner = room.holders[features[c, 0]]
+    elif owner == ORGANS:
+        owner = tool_count
+    return _root(room.parents, owner) if owner >= 0 else -1
 
-    Args:
-        count: How many constraints.
-        features: See `structures.Constraints`.
-        inverse_mass: (V,) [1/kg]; fixed vertices have zero, and connect nothing.
-        tool_count: N.
-        holders: (V,) int64 workspace, all -1; left so.
-        order: (count,) int64 written: indices of constraints, first those of the ground that no tool shares.
-        starts: (N + 2,) int64 written: where the islands begin in `order`; last where they end.
 
-    Returns:
-        How many islands there are.
-    """
-    parents, roots = np.arange(tool_count + 1), np.empty(count, np.int64)
+@array_kernel
+def _join(count: int, features: np.ndarray, inverse_mass: np.ndarray, tool_count: int, room: Any) -> None:
+    """Write who holds each vertex, and join tools that hold one in common; arguments as of `find_islands`."""
+    holders, parents = room.holders, room.parents
+    for k in range(tool_count + 1):
+        parents[k] = k
     for c in range(count):
         owner = features[c, OWNER]
         if owner == GROUND:
@@ -63,16 +73,33 @@ def find_islands(
             elif holders[vertex] != owner:
                 mine, other = _root(parents, owner), _root(parents, holders[vertex])
                 parents[max(mine, other)] = min(mine, other)
-    sizes, lone = np.zeros(tool_count + 1, np.int64), 0
+
+
+@array_kernel
+def find_islands(
+    count: int, features: np.ndarray, inverse_mass: np.ndarray, tool_count: int, order: np.ndarray, room: Any
+) -> int:
+    """Sort constraints into islands; in an island they keep their order.
+
+    Args:
+        count: How many constraints.
+        features: See `structures.Constraints`.
+        inverse_mass: (V,) [1/kg]; fixed vertices have zero, and connect nothing.
+        tool_count: N.
+        order: (count,) int64 written: indices of constraints, first those of the ground that no tool shares.
+        room: `IslandRoom`, of which `starts` is written.
+
+    Returns:
+        How many islands there are.
+    """
+    starts, sizes, lone = room.starts, room.sizes, 0
+    _join(count, features, inverse_mass, tool_count, room)
+    for k in range(tool_count + 1):
+        sizes[k] = 0
     for c in range(count):
-        owner = features[c, OWNER]
-        if owner == GROUND:
-            owner = holders[features[c, 0]]
-        elif owner == ORGANS:
-            owner = tool_count
-        roots[c] = _root(parents, owner) if owner >= 0 else -1
-        if owner >= 0:
-            sizes[roots[c]] += 1
+        island = _island_of(c, features, tool_count, room)
+        if island >= 0:
+            sizes[island] += 1
         else:
             lone += 1
     islands = 0
@@ -84,15 +111,17 @@ def find_islands(
             islands += 1
     lone = 0
     for c in range(count):
-        if roots[c] < 0:
+        island = _island_of(c, features, tool_count, room)
+        if island < 0:
             order[lone] = c
             lone += 1
         else:
-            order[sizes[roots[c]]] = c
-            sizes[roots[c]] += 1
+            order[sizes[island]] = c
+            sizes[island] += 1
+    for c in range(count):
         if features[c, OWNER] != GROUND:
             for corner in range(4 if features[c, OWNER] == ORGANS else 3):
-                holders[features[c, corner]] = -1
+                room.holders[features[c, corner]] = -1
     return islands
 
 

@@ -134,8 +134,10 @@ def tool_passes(
 @array_kernel
 def copy_points(points: np.ndarray, into: np.ndarray) -> None:
     """Copy points (V, 3) into an array of that shape; assigning arrays compiles checks of their shapes, for seconds."""
-    for i in range(points.shape[0]):
-        into[i, 0], into[i, 1], into[i, 2] = points[i, 0], points[i, 1], points[i, 2]
+    # Of numbers in a row vector instructions are made.
+    numbers, copied = points.reshape(points.size), into.reshape(into.size)
+    for k in range(numbers.shape[0]):
+        copied[k] = numbers[k]
 
 
 @array_kernel

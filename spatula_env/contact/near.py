@@ -21,6 +21,7 @@ from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.corners import closest_weights
 from spatula_env.contact.rigid_fit import fit_motion, move_back, move_points
 from spatula_env.contact.skin import (
+    ASKED_FOR,
     CROSS_IS_KNOWN,
     CROSS_PAIRS,
     EDGE_PAIRS,
@@ -389,7 +390,12 @@ def _find_folded(skin: Any, near: Any, moved: np.ndarray) -> None:
     """Write which patches are not flat with all of their neighbours; mark those that were flat as if they had moved."""
     starts, neighbours, cones, folded = skin.neighbour_starts, skin.neighbours, near.cones, near.folded
     for p in range(moved.shape[0]):
-        is_folded = False
+        is_known, is_folded = True, False
+        for m in range(starts[p], starts[p + 1]):
+            is_known &= not moved[neighbours[m]]
+        if is_known:
+            # Its cone and theirs are as they were.
+            continue
         for m in range(starts[p], starts[p + 1]):
             is_folded |= not _is_flat(cones, p, neighbours[m])
         # Its neighbours were not looked at.
@@ -779,7 +785,8 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
     _find_folded(skin, near, moved)
     known = near.patch_pairs[: 0 if whole else near.counts[PATCH_PAIRS]]
     pairs = _merged(known, moved, _close_patches(skin, near, moved))
-    _pair_features(skin, near, pairs, moved, not whole and near.counts[CROSS_IS_KNOWN] == 1)
+    # What may cross is kept up to date while it is asked for, and else found when it is.
+    _pair_features(skin, near, pairs, moved, not whole and near.counts[CROSS_IS_KNOWN] == ASKED_FOR)
 
 
 @kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i8"]))

@@ -117,6 +117,30 @@ class QueryPoints(NamedTuple):
     kept: np.ndarray
 
 
+class Meeting(NamedTuple):
+    """A tool and an organ.
+
+    Attributes:
+        tool: `ToolGeometry`.
+        memory: `NodeMemory` of the two.
+        organ: `LocalOrgan`.
+        triangles: (T, 3) of the organ, counting its own vertices.
+        first_vertex: Of the organ, among all organs'.
+        friction: Coefficient.
+        owner: The tool's index.
+        pair: Index of the two among all pairs of a tool (outer) and an organ (inner).
+    """
+
+    tool: Any
+    memory: Any
+    organ: Any
+    triangles: np.ndarray
+    first_vertex: int
+    friction: float
+    owner: int
+    pair: int
+
+
 class QueryPlan(NamedTuple):
     """What is asked of a query.
 
@@ -207,6 +231,53 @@ def remember_poses(tools: Any) -> None:
             tools.last_rotation[k, entry] = tools.rotation[k, entry]
 
 
+@array_kernel
+def _any(values: np.ndarray) -> bool:
+    """Whether any entry (n,) is true."""
+    found = False
+    for i in range(values.shape[0]):
+        found |= values[i]
+    return found
+
+
+@array_kernel
+def _all(values: np.ndarray) -> bool:
+    """Whether all entries (n,) are true."""
+    holds = True
+    for i in range(values.shape[0]):
+        holds &= values[i]
+    return holds
+
+
+@array_kernel
+def _detect_pair(met: Any, rays: Any, plan: Any, tools: Any, points: Any, axes: np.ndarray, normal: np.ndarray) -> int:
+    """See `detect`; of a `Meeting`."""
+    tool, memory, organ, triangles, k = met.tool, met.memory, met.organ, met.triangles, met.owner
+    if not tools.passes[k] and not _any(memory.flags):
+        memory.unfeasible[:] = False
+        return 0
+    position, rotation = tools.position[k], tools.rotation[k]
+    own = points.thrown[met.first_vertex : met.first_vertex + organ.local.shape[1]]
+    fill_local(tools.last_position[k], tools.last_rotation[k], points.reference, met.first_vertex, organ.last_local)
+    fill_local(position, rotation, own, 0, organ.local)
+    if _all(memory.outside) and find_candidates(tool.extent, organ, triangles) == 0:
+        # Nothing came near a tool that was outside.
+        memory.flags[:] = False
+        memory.unfeasible[:] = False
+        tools.quiet[met.pair] = True
+        return 0
+    status: int = cast_columns(position, rotation, own, triangles, rays, memory, organ, axes)
+    if status != 0:
+        return status
+    for i in range(memory.hits.shape[0]):
+        memory.outside[i] = memory.hits[i, 0, 1] <= 0
+    remember_flags(memory)
+    lead_by_motion(tool, memory, organ, triangles)
+    grade = 0 if plan.first_step == 0 else 2
+    decide_flags(tool, memory, organ.local, triangles, plan.first_step, True, grade, normal)
+    return 0
+
+
 @inline_kernel
 def detect(world: Any, plan: Any, tools: Any, points: Any) -> int:
     """Decide the flags of all tools' contact nodes, where the organs would be without contact, as published.
@@ -217,33 +288,83 @@ def detect(world: Any, plan: Any, tools: Any, points: Any) -> int:
     organ_count, axes, normal = len(world.surfaces), world.room.scratch.axes, world.room.scratch.normal
     tools.quiet[:] = False
     for k in range(tools.position.shape[0]):
-        tool, rays = world.tools[k].geometry, world.tools[k].rays
-        position, rotation = tools.position[k], tools.rotation[k]
+        shape, friction = world.tools[k], world.friction[k]
         for o in range(organ_count):
-            pair = world.memories[k * organ_count + o]
-            memory, organ, triangles, first = pair.nodes, pair.organ, world.surfaces[o], world.first_vertices[o]
-            if not tools.passes[k] and not memory.flags.any():
-                memory.unfeasible[:] = False
-                continue
-            own = points.thrown[first : first + organ.local.shape[1]]
-            fill_local(tools.last_position[k], tools.last_rotation[k], points.reference, first, organ.last_local)
-            fill_local(position, rotation, own, 0, organ.local)
-            if memory.outside.all() and find_candidates(tool.extent, organ, triangles) == 0:
-                # Nothing came near a tool that was outside.
-                memory.flags[:] = False
-                memory.unfeasible[:] = False
-                tools.quiet[k * organ_count + o] = True
-                continue
-            status: int = cast_columns(position, rotation, own, triangles, rays, memory, organ, axes)
+            index = k * organ_count + o
+            both = world.memories[index]
+            met = Meeting(
+                shape.geometry, both.nodes, both.organ, world.surfaces[o], world.first_vertices[o], friction, k, index
+            )
+            status = _detect_pair(met, shape.rays, plan, tools, points, axes, normal)
             if status != 0:
-                return status
-            for i in range(memory.hits.shape[0]):
-                memory.outside[i] = memory.hits[i, 0, 1] <= 0
-            remember_flags(memory)
-            lead_by_motion(tool, memory, organ, triangles)
-            grade = 0 if plan.first_step == 0 else 2
-            decide_flags(tool, memory, organ.local, triangles, plan.first_step, True, grade, normal)
+                return int(status)
     return 0
+
+
+@array_kernel
+def _append_contacts(
+    table: Any,
+    count: int,
+    met: Any,
+    plan: Any,
+    tools: Any,
+    points: Any,
+    attempt: int,
+    sinks: bool,
+    tried: int,
+    trial: Any,
+    scratch: Any,
+    numbers: np.ndarray,
+) -> int:
+    """See `_gather_pair`.
+
+    Returns:
+        The new count; where there is no room, minus the room that is wanted, and nothing is done yet.
+    """
+    tool, memory, organ, triangles, k = met.tool, met.memory, met.organ, met.triangles, met.owner
+    first, with_features = met.first_vertex, plan.first_step != 0
+    position, rotation = tools.position[k], tools.rotation[k]
+    silent = attempt == 0 and tools.quiet[met.pair]
+    if silent or (not tools.passes[k] and not _any(memory.flags)):
+        fill_record(tool, memory, points.thrown, first, triangles, position, rotation, True)
+        return count
+    placement = Placement(
+        position, rotation, tools.linear_velocity[k], tools.angular_velocity[k], met.friction, k, first
+    )
+    before, least = count, count + tool.nodes.shape[0] + (triangles.shape[0] if sinks else 0)
+    for look in range(2):
+        if attempt > 0 or plan.predicts:
+            fill_local(position, rotation, points.vertices if look == 0 else points.thrown, first, organ.local)
+        found = find_candidates(tool.extent, organ, triangles) if with_features else 0
+        wanted = least + (9 * (found + tool.corners.shape[0]) if found > 0 else 0)
+        if wanted > table.names.shape[0]:
+            return -int(wanted)
+        if found > 0:
+            count = gather_features(
+                table, count, tool, organ, triangles, found, placement, attempt > 0 and not plan.is_divided, attempt,
+                tried, trial, scratch,
+            )  # fmt: skip
+        # Where less was thrown into the tool than expected, it is looked where that really is.
+        if attempt > 0 or not plan.predicts or count > before:
+            break
+    if count > before:
+        # Contact moves the organ on from where its nodes were found to be outside.
+        memory.outside[:] = False
+    if attempt == 0:
+        # A tool that was put into an organ came through no face. Then the published method decides.
+        if with_features and count == before and not _any(memory.flags):
+            for grade in (1, 0):
+                if decide_flags(
+                    tool, memory, organ.local, triangles, plan.first_step, True, grade, scratch.normal
+                )[0] > 0:  # fmt: skip
+                    break
+            drop_outside(tool.nodes, memory.flags, organ.local, triangles, scratch)
+        fill_record(tool, memory, points.thrown, first, triangles, position, rotation, True)
+        for i in range(memory.record.shape[0]):
+            numbers[PENETRATION] = max(numbers[PENETRATION], memory.record[i, 3])
+    if sinks:
+        count = gather_sunk_triangles(table, count, tool, organ, triangles, placement, tried, trial, scratch)
+    return int(gather_nodes(table, count, tool, memory, organ.last_local, triangles, placement))
 
 
 @inline_kernel
@@ -258,55 +379,21 @@ def _gather_pair(
     count: int,
     numbers: np.ndarray,
 ) -> int:
-    """Append the constraints of a tool and an organ in one pass. Returns the new count."""
-    organ_count = len(world.surfaces)
-    pair, tool, triangles, first = (
-        world.memories[k * organ_count + o], world.tools[k].geometry, world.surfaces[o], world.first_vertices[o],
-    )  # fmt: skip
-    memory, organ, attempt, with_features = pair.nodes, pair.organ, progress.attempt, plan.first_step != 0
-    position, rotation = tools.position[k], tools.rotation[k]
-    silent = attempt == 0 and tools.quiet[k * organ_count + o]
-    if silent or (not tools.passes[k] and not memory.flags.any()):
-        fill_record(tool, memory, points.thrown, first, triangles, position, rotation, True)
-        return count
-    placement = Placement(
-        position, rotation, tools.linear_velocity[k], tools.angular_velocity[k], world.friction[k], k, first
+    """Append the constraints of a tool and an organ in one pass, making room for them. Returns the new count."""
+    index, constraints = k * len(world.surfaces) + o, world.constraints
+    shape, both, trial, scratch = world.tools[k], world.memories[index], world.trial.table, world.room.scratch
+    met = Meeting(
+        shape.geometry, both.nodes, both.organ, world.surfaces[o], world.first_vertices[o], world.friction[k], k, index
     )
-    before, trial, scratch = count, world.trial.table, world.room.scratch
-    for look in range(2):
-        if attempt > 0 or plan.predicts:
-            fill_local(position, rotation, points.vertices if look == 0 else points.thrown, first, organ.local)
-        found = find_candidates(tool.extent, organ, triangles) if with_features else 0
-        if found > 0:
-            reserve(world.constraints, count, count + 9 * (found + tool.corners.shape[0]))
-            count = gather_features(
-                world.constraints.table, count, tool, organ, triangles, found, placement,
-                attempt > 0 and not plan.is_divided, attempt, progress.tried, trial, scratch,
-            )  # fmt: skip
-        # Where less was thrown into the tool than expected, it is looked where that really is.
-        if attempt > 0 or not plan.predicts or count > before:
-            break
-    if count > before:
-        # Contact moves the organ on from where its nodes were found to be outside.
-        memory.outside[:] = False
-    if attempt == 0:
-        # A tool that was put into an organ came through no face. Then the published method decides.
-        if with_features and count == before and not memory.flags.any():
-            for grade in (1, 0):
-                if decide_flags(
-                    tool, memory, organ.local, triangles, plan.first_step, True, grade, scratch.normal
-                )[0] > 0:  # fmt: skip
-                    break
-            drop_outside(tool.nodes, memory.flags, organ.local, triangles, scratch)
-        fill_record(tool, memory, points.thrown, first, triangles, position, rotation, True)
-        for i in range(memory.record.shape[0]):
-            numbers[PENETRATION] = max(numbers[PENETRATION], memory.record[i, 3])
-    if progress.sinks:
-        count = gather_sunk_triangles(
-            world.constraints, count, tool, organ, triangles, placement, progress.tried, trial, scratch
+    attempt, sinks, tried = progress.attempt, progress.sinks, progress.tried
+    appended = -1
+    while appended < 0:
+        appended = _append_contacts(
+            constraints.table, count, met, plan, tools, points, attempt, sinks, tried, trial, scratch, numbers
         )
-    reserve(world.constraints, count, count + tool.nodes.shape[0])
-    return int(gather_nodes(world.constraints.table, count, tool, memory, organ.last_local, triangles, placement))
+        if appended < 0:
+            reserve(constraints, count, -appended)
+    return int(appended)
 
 
 @inline_kernel
@@ -491,8 +578,7 @@ def resolve_query(
     tools: Any,
     points: Any,
     progress: Any,
-    holders: np.ndarray,
-    starts: np.ndarray,
+    room: Any,
     numbers: np.ndarray,
 ) -> int:
     """Find and solve for the contacts of a query, pass after pass.
@@ -503,8 +589,7 @@ def resolve_query(
         tools: `QueryTools`, whose flags have been decided.
         points: `QueryPoints`; vertices are moved.
         progress: `QueryProgress`, written.
-        holders: (V,) workspace of `islands.find_islands`.
-        starts: (N + 2,) likewise.
+        room: `IslandRoom`.
         numbers: Columns of the result; penetration is written.
 
     Returns:
@@ -519,14 +604,14 @@ def resolve_query(
         table = world.constraints.table
         measure_gaps(count, table.rows, table.features, inverse_mass, mean, points.vertices)
         order = np.empty(count, np.int64)
-        islands = find_islands(count, table.features, inverse_mass, tool_count, holders, order, starts)
+        islands = find_islands(count, table.features, inverse_mass, tool_count, order, room)
         # The first solve is there for friction too, which holds a surface that only touches.
         settled = attempt > 0 and greatest_violation(order, table.rows, table.features) <= RESIDUAL_TOLERANCE
         if settled or attempt >= progress.last_attempt or progress.is_over:
             if progress.is_over or not goes_on(world, plan, tools, points, progress, settled):
                 break
             continue
-        solve_contacts(world, plan, points, progress, count, islands, order, starts)
+        solve_contacts(world, plan, points, progress, count, islands, order, room.starts)
         if not plan.is_last:
             progress.passed = note_passed(count, progress.passed, table, world.earlier.table, tools.position)
     return count

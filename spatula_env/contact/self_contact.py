@@ -406,6 +406,7 @@ def _gather_pairs(
     reference: np.ndarray,
     mean_edge: float,
     friction: float,
+    room: np.ndarray,
 ) -> int:
     """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
     of = _Pairs(
@@ -415,7 +416,7 @@ def _gather_pairs(
         skin.edges, skin.triangles, skin.left_out,
     )  # fmt: skip
     organs = _Vertices(held, vertices, reference, near.placed, near.shift, near.tangled)
-    room, done, end = np.zeros((10, 9)), 0, near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]
+    done, end = 0, near.counts[EDGE_PAIRS if is_edges else VERTEX_PAIRS]
     while done < end:
         reserve(constraints, count, count + 1)
         count, done = _append_pairs(
@@ -471,10 +472,11 @@ def gather_organs(
         return count
     if afresh:
         forget_gaps(near)
+    room = np.zeros((10, 9))
     for kind in range(2):
         if near.counts[EDGE_PAIRS if kind == 1 else VERTEX_PAIRS] > 0:
             count = _gather_pairs(
-                constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction
+                constraints, count, skin, near, kind == 1, held, vertices, reference, mean_edge, friction, room
             )
     return count
 

@@ -69,8 +69,8 @@ class Near(structref.StructRefProxy):
         steep (P,): cosine of the angle to its cone's axis from which on a triangle of a patch has turned far.
         folded (P,): whether a patch is not flat with all of its neighbours, itself included.
         boxes (P, 6): around what each patch can reach: lower and upper corner [u].
-        counts (6,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known; how many
-            pairs of patches.
+        counts (6,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known, or
+            `ASKED_FOR`; how many pairs of patches.
         found_at (3, V): where the vertices were when they were found [u].
         placed (3, V): the same, moved on as the organs have rolled and slid since as a whole [u].
         rotation (3, 3), motion (3,): that motion takes a point x to rotation x + motion [u].
@@ -138,6 +138,9 @@ VERTEX_PAIRS, EDGE_PAIRS, CROSS_PAIRS, IS_KNOWN, CROSS_IS_KNOWN, PATCH_PAIRS = 0
 
 TOO_MANY = 2
 """In the place of whether they are known: an organ is so crumpled that nobody looks."""
+
+ASKED_FOR = 2
+"""In the place of whether the third kind is known: it is, and somebody has asked since what is near was found."""
 
 CROSSED_FOR, CROSSINGS = 0, 1
 """Places in `Near.crossing`."""

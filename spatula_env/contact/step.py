@@ -12,7 +12,7 @@ from spatula_env.contact import skin
 from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.energy import keep_passive
 from spatula_env.contact.flags import fill_local, fill_rotation
-from spatula_env.contact.islands import find_islands
+from spatula_env.contact.islands import IslandRoom, find_islands
 from spatula_env.contact.motion import (
     MOTIONS,
     ORGAN_MOTION,
@@ -270,8 +270,7 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
 
 @inline_kernel
 def solve_impulses(
-    world: Any, plan: Any, count: int, tried: int, velocities: np.ndarray, holders: np.ndarray, starts: np.ndarray,
-    tool_count: int,
+    world: Any, plan: Any, count: int, tried: int, velocities: np.ndarray, room: Any, tool_count: int
 ) -> None:  # fmt: skip
     """Give the organs the impulses that stop their surfaces at what they touch.
 
@@ -281,8 +280,7 @@ def solve_impulses(
         count: How many constraints there are.
         tried: How many pushed in the last position solve.
         velocities: (V, 3) changed [u/s].
-        holders: (V,) workspace of `islands.find_islands`.
-        starts: (N + 2,) likewise.
+        room: `IslandRoom`.
         tool_count: N.
     """
     table, inverse_mass, dt, sweeps = world.constraints.table, world.inverse_mass, world.settings[DT], plan.sweeps
@@ -293,8 +291,8 @@ def solve_impulses(
         start_warm(count, table, IMPULSE, tried, world.trial.table, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
         sweeps = MOST_SWEEPS_VELOCITY
-    order = np.empty(count, np.int64)
-    islands = find_islands(count, features, inverse_mass, tool_count, holders, order, starts)
+    order, starts = np.empty(count, np.int64), room.starts
+    islands = find_islands(count, features, inverse_mass, tool_count, order, room)
     solve_velocities(order[: starts[0]], rows, features, inverse_mass, velocities, dt, 1, VELOCITY_TOLERANCE)
     for island in range(islands):
         solve_velocities(
@@ -312,8 +310,7 @@ def _finish_step(
     motions: Any,
     organs: Any,
     outcome: Any,
-    holders: np.ndarray,
-    starts: np.ndarray,
+    room: Any,
 ) -> None:
     """Remember what the next step needs, give the organs their impulses, and add up what tools felt."""
     near, numbers, dt, passed, tried = world.near, outcome.numbers, world.settings[DT], progress.passed, progress.tried
@@ -330,7 +327,7 @@ def _finish_step(
     measure_gaps(
         count, table.rows, table.features, world.inverse_mass, world.settings[MEAN_INVERSE_MASS], organs.vertices
     )
-    solve_impulses(world, plan, count, tried, organs.velocities, holders, starts, tool_count)
+    solve_impulses(world, plan, count, tried, organs.velocities, room, tool_count)
     numbers[CONTACT_COUNT] = count
     sum_impulses(
         count, table.rows, table.features, tool_count, motions.positions, organs.vertices, outcome.nodal_impulses,
@@ -428,7 +425,10 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     if queries > 1:
         sweeps = MOST_SWEEPS_DIVIDED
     held, kept, axes = np.empty_like(start), np.empty_like(start), world.room.scratch.axes
-    holders, starts = np.full(vertex_count, -1), np.zeros(tool_count + 2, np.int64)
+    room = IslandRoom(
+        np.zeros(tool_count + 2, np.int64), np.full(vertex_count, -1), np.empty(tool_count + 1, np.int64),
+        np.empty(tool_count + 1, np.int64),
+    )  # fmt: skip
     plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, sweeps, relaxation)
     progress, count, organ_done = begin_query(near, 0, 0), 0, 0.0
     for query in range(queries):
@@ -455,7 +455,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         if status != 0:
             return status
         progress = begin_query(near, progress.tried, progress.passed)
-        count = resolve_query(world, plan, tools, points, progress, holders, starts, numbers)
+        count = resolve_query(world, plan, tools, points, progress, room, numbers)
         if not is_last:
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
@@ -466,5 +466,5 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     numbers[RESIDUAL] = progress.depth
     if first_step == 0:
         numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0)
-    _finish_step(world, plan, progress, count, motions, organs, outcome, holders, starts)
+    _finish_step(world, plan, progress, count, motions, organs, outcome, room)
     return 0

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from spatula_env._kernels import array_kernel, inline_kernel
+from spatula_env._kernels import array_kernel
 from spatula_env.contact.depth import clip_triangle, fill_under
 from spatula_env.contact.features import pushed_by
 from spatula_env.contact.flags import fill_local_normal
 from spatula_env.contact.path import MARGIN
 from spatula_env.contact.rows import ON_SURFACE, append_constraint, constraint_name
-from spatula_env.contact.structures import reserve
 
 FACING = 0.1
 """A face pushes a triangle only if its normal goes against the triangle's, or is within this sine across it. Of the two
@@ -44,9 +43,9 @@ def _way_out(under: np.ndarray, facing: np.ndarray, weights: np.ndarray, count: 
     return best
 
 
-@inline_kernel
+@array_kernel
 def gather_sunk_triangles(
-    constraints: Any,
+    table: Any,
     count: int,
     tool: Any,
     organ: Any,
@@ -56,7 +55,7 @@ def gather_sunk_triangles(
     trial: Any,
     scratch: Any,
 ) -> int:
-    """Append a constraint for each triangle that is in the tool, making room for them: its deepest point goes out.
+    """Append a constraint for each triangle that is in the tool: its deepest point goes out. There is room for all.
 
     Arguments as in `features.gather_features`, whose candidates are looked at. Returns the new count.
     """
@@ -100,9 +99,8 @@ def gather_sunk_triangles(
         y = wa * local[1, a] + wb * local[1, b] + wc * local[1, c]
         z = wa * local[2, a] + wb * local[2, b] + wc * local[2, c]
         nx, ny, nz = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2]
-        reserve(constraints, count, count + 1)
         count = append_constraint(
-            constraints.table, count, (a, b, c), (wa, wb, wc), (nx, ny, nz),
+            table, count, (a, b, c), (wa, wb, wc), (nx, ny, nz),
             (x + deepest * nx, y + deepest * ny, z + deepest * nz), last, placement, p, name,
         )  # fmt: skip
     return count

@@ -10,7 +10,7 @@ from numba import types
 from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact.motion import copy_points
 from spatula_env.contact.near import find_cross_pairs, follow_motion, has_turned, measure_shifts
-from spatula_env.contact.skin import CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
+from spatula_env.contact.skin import ASKED_FOR, CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
 
 MOST_ATTEMPTS = 12
 """So often zones are let grow before all vertices stay where they were."""
@@ -64,6 +64,7 @@ def join_crossing(skin: Any, near: Any, points: np.ndarray, parents: np.ndarray,
     """
     if near.counts[CROSS_IS_KNOWN] == 0:
         find_cross_pairs(skin, near)
+    near.counts[CROSS_IS_KNOWN] = ASKED_FOR
     pairs, edges, triangles = near.cross_pairs, skin.edges, skin.triangles
     distances, shift = near.cross_distances, near.shift
     count = 0

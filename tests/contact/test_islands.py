@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loose import LooseOrgans
 
-from spatula_env.contact.islands import find_islands, greatest_violation
+from spatula_env.contact.islands import IslandRoom, find_islands, greatest_violation
 from spatula_env.contact.structures import (
     FEATURE_LENGTH,
     GAP,
@@ -33,11 +33,11 @@ seeds = st.integers(0, 2**32 - 1)
 
 def islands_of(features, inverse_mass, tools):
     """What stands alone on the ground, and the islands, as lists of constraints."""
-    holders, order = np.full(len(inverse_mass), -1), np.full(len(features), -1)
-    starts = np.zeros(tools + 2, dtype=np.int64)
-    count = find_islands(len(features), features, inverse_mass, tools, holders, order, starts)
-    assert (holders == -1).all()
-    ends = starts[: count + 1].tolist()
+    order = np.full(len(features), -1)
+    room = IslandRoom(*(np.full(size, -1) for size in (tools + 2, len(inverse_mass), tools + 1, tools + 1)))
+    count = find_islands(len(features), features, inverse_mass, tools, order, room)
+    assert (room.holders == -1).all()
+    ends = room.starts[: count + 1].tolist()
     assert ends[-1] == len(features)
     return order[: ends[0]].tolist(), [order[a:b].tolist() for a, b in pairwise(ends)]
 
