@@ -476,11 +476,14 @@ def gather_edges(
             way = 0.0
             for axis in range(3):
                 way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
-            samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
-            time = meeting_time(clipping[: fill_clipping(heights, clipping)], samples)
-            if time > 1.0:
-                continue
+            samples, time = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES), 0.0
             first, end, plane_in, plane_out = clip_edge(heights, time)
+            if first > end:
+                # Most of those that are here have touched already.
+                time = meeting_time(clipping[: fill_clipping(heights, clipping)], samples)
+                if time > 1.0:
+                    continue
+                first, end, plane_in, plane_out = clip_edge(heights, time)
             # An end that touches a face has come in by it.
             if plane_in < 0:
                 plane_in = touched_plane(heights, 0, time, plane_out)

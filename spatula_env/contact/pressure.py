@@ -27,6 +27,10 @@ without regard to that. Less is not resolved by the organ's mesh: a pressure on 
 contact would be a matter of how densely the face is covered with nodes."""
 
 
+ANY_FACE = -2
+"""In the place of a face: any."""
+
+
 @kernel(F8_2(CONSTRAINTS, types.int64))
 def contact_table(constraints: Any, count: int) -> np.ndarray:
     """Copy the first `count` constraints after a step: (count, 8) of point [u], impulse on the organ, owner, plane."""
@@ -46,6 +50,47 @@ def into_tool_frame(place: np.ndarray, position: np.ndarray, rotation: np.ndarra
     x, y, z = place[0] - position[0], place[1] - position[1], place[2] - position[2]
     for axis in range(3):
         point[axis] = rotation[axis] * x + rotation[3 + axis] * y + rotation[6 + axis] * z
+
+
+@array_kernel
+def _fill_falloff(
+    point: np.ndarray,
+    plane: int,
+    nodes: np.ndarray,
+    face: np.ndarray,
+    areas: np.ndarray,
+    reach: float,
+    first: int,
+    end: int,
+    shares: np.ndarray,
+) -> bool:
+    """Write what each node of a face would have of a push if all were alike in contact; see `share_push`.
+
+    Returns:
+        Whether the face, or any if it is `ANY_FACE`, has nodes between `first` and `end`.
+    """
+    x, y, z, squared = point[0], point[1], point[2], reach * reach
+    has_nodes = False
+    # Without a branch, for vector instructions.
+    for i in range(first, end):
+        u, v, w = nodes[i, 0] - x, nodes[i, 1] - y, nodes[i, 2] - z
+        falloff = 1.0 - (u * u + v * v + w * w) / squared
+        belongs = (face[i] == plane) | (plane == ANY_FACE)
+        has_nodes |= belongs
+        shares[i] = areas[i] * falloff * falloff if belongs & (falloff > 0.0) else 0.0
+    return has_nodes
+
+
+@array_kernel
+def _nearest_node(point: np.ndarray, plane: int, nodes: np.ndarray, face: np.ndarray, first: int, end: int) -> int:
+    """The node of a face, or of any if it is `ANY_FACE`, from `first` to `end` that is nearest to a point (3,)."""
+    nearest, least = 0, np.inf
+    for i in range(first, end):
+        x, y, z = nodes[i, 0] - point[0], nodes[i, 1] - point[1], nodes[i, 2] - point[2]
+        away = x * x + y * y + z * z
+        if away < least and (face[i] == plane or plane == ANY_FACE):
+            nearest, least = i, away
+    return nearest
 
 
 @array_kernel
@@ -78,28 +123,17 @@ def share_push(
     Returns:
         Their sum.
     """
-    total, touching, nearest, least = 0.0, 0.0, 0, np.inf
-    for grade in range(2):
-        # First the nodes of the face; where it has none, those of any.
-        low, high = (first, end) if grade == 0 else (0, nodes.shape[0])
-        total, touching = 0.0, 0.0
-        for i in range(low, high):
-            shares[i] = 0.0
-            if grade == 0 and face[i] != plane:
-                continue
-            x, y, z = nodes[i, 0] - point[0], nodes[i, 1] - point[1], nodes[i, 2] - point[2]
-            away = x * x + y * y + z * z
-            if away < least:
-                nearest, least = i, away
-            falloff = 1.0 - away / (reach * reach)
-            if falloff > 0.0:
-                shares[i] = areas[i] * falloff * falloff
-                total += shares[i]
-                touching += shares[i] if flags[i] and grade == 0 else 0.0
-        if least < np.inf:
-            break
+    # First the nodes of the face; where it has none, those of any.
+    low, high, touches = first, end, True
+    if not _fill_falloff(point, plane, nodes, face, areas, reach, low, high, shares):
+        low, high, touches = 0, nodes.shape[0], False
+        _fill_falloff(point, ANY_FACE, nodes, face, areas, reach, low, high, shares)
+    total, touching = 0.0, 0.0
+    for i in range(low, high):
+        total += shares[i]
+        touching += shares[i] if flags[i] and touches else 0.0
     if total == 0.0:
-        shares[nearest] = 1.0
+        shares[_nearest_node(point, plane if touches else ANY_FACE, nodes, face, low, high)] = 1.0
         return 1.0
     if touching == 0.0:
         return total
