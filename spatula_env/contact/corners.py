@@ -423,6 +423,26 @@ def drop_outside(points: np.ndarray, flags: np.ndarray, local: np.ndarray, trian
 
 
 @array_kernel
+def _find_slid(
+    organ: Any, triangles: np.ndarray, swept: int, x: float, y: float, z: float, reach: float, scratch: Any
+) -> int:
+    """The triangle that a corner has gone behind, of those around where it was at the last query; -1 if it is in none.
+
+    The nearest point is in `scratch.nearest`; see `find_nearest`.
+    """
+    local, last, nearest, around = organ.local, organ.last_local, scratch.nearest, scratch.around
+    boxes, away = scratch.other_boxes, scratch.away
+    fill_boxes(last, triangles, organ.candidates, swept, boxes)
+    t = find_nearest(last, triangles, organ.candidates, swept, x, y, z, reach, boxes, away, nearest)
+    if t < 0 or not encloses(local, triangles, x, y, z, scratch.turned):
+        return -1
+    found = list_around(triangles, t, around)
+    fill_boxes(local, triangles, around, found, boxes)
+    t = find_nearest(local, triangles, around, found, x, y, z, np.inf, boxes, away, nearest)
+    return t if -nearest[0] > MARGIN else -1
+
+
+@array_kernel
 def gather_sunk_corners(
     table: Any,
     count: int,
@@ -443,7 +463,7 @@ def gather_sunk_corners(
     """
     local, last, corners, names = organ.local, organ.last_local, tool.corners, table.names
     reach = SUNK * tool.extent[7]
-    nearest, normal, near, around = scratch.nearest, scratch.normal, scratch.near, scratch.around
+    nearest, normal, near = scratch.nearest, scratch.normal, scratch.near
     heights, behind, turned = scratch.corner_heights, scratch.corner_behind, scratch.turned
     boxes, away, others = scratch.boxes, scratch.away, scratch.other_boxes
     found = list_near(tool.extent, local, triangles, reach, near, scratch.codes)
@@ -460,17 +480,11 @@ def gather_sunk_corners(
             # the wrong one. It slid no farther than to the triangles around the one where it was.
             if not (settled and behind[corner]):
                 continue
-            fill_boxes(last, triangles, organ.candidates, swept, others)
             has_last = False
-            t = find_nearest(last, triangles, organ.candidates, swept, x, y, z, reach, others, away, nearest)
-            if t < 0 or not encloses(local, triangles, x, y, z, turned):
+            t = _find_slid(organ, triangles, swept, x, y, z, reach, scratch)
+            if t < 0:
                 continue
-            beside = list_around(triangles, t, around)
-            fill_boxes(local, triangles, around, beside, others)
-            t = find_nearest(local, triangles, around, beside, x, y, z, np.inf, others, away, nearest)
             depth = -nearest[0]
-            if depth <= MARGIN:
-                continue
         else:
             # Rows that its way has made, and that are all but kept, push no more, however deep a triangle beside says
             # that it is.

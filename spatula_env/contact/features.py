@@ -473,13 +473,13 @@ def gather_edges(
                 continue
             if fill_heights(plane_normals, plane_offsets, last, local, a, b, heights):
                 continue
-            way = 0.0
+            time, way = 0.0, 0.0
             for axis in range(3):
                 way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
-            samples, time = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES), 0.0
+            samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
+            # Most of those that are looked at have touched already.
             first, end, plane_in, plane_out = clip_edge(heights, time)
             if first > end:
-                # Most of those that are here have touched already.
                 time = meeting_time(clipping[: fill_clipping(heights, clipping)], samples)
                 if time > 1.0:
                     continue

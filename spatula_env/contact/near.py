@@ -661,8 +661,7 @@ def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndar
     ends, filled, counts = np.zeros((total, 3), np.int64), np.zeros(patch_count, np.bool_), near.counts
     near.vertex_pairs, near.vertex_distances = _new_lists(vertex_pairs, counts[VERTEX_PAIRS])
     near.edge_pairs, near.edge_distances = _new_lists(edge_pairs, counts[EDGE_PAIRS])
-    if with_crossings:
-        near.cross_pairs, near.cross_distances = _new_lists(cross_pairs, counts[CROSS_PAIRS])
+    near.cross_pairs, near.cross_distances = _new_lists(cross_pairs, counts[CROSS_PAIRS])
     edge_boxes, triangle_boxes = np.empty((skin.edges.shape[0], 6)), np.empty((skin.triangles.shape[0], 6))
     counts[VERTEX_PAIRS], counts[EDGE_PAIRS], counts[CROSS_PAIRS] = 0, 0, 0
     counts[IS_KNOWN], counts[CROSS_IS_KNOWN], counts[PATCH_PAIRS] = 1, 1 if with_crossings else 0, total
@@ -726,7 +725,7 @@ def find_cross_pairs(skin: Any, near: Any) -> None:
     triangle_boxes, edge_boxes = np.empty((skin.triangles.shape[0], 6)), np.empty((skin.edges.shape[0], 6))
     filled = np.zeros(patch_count, np.bool_)
     near.counts[CROSS_PAIRS] = 0
-    near.counts[CROSS_IS_KNOWN] = 1
+    near.counts[CROSS_IS_KNOWN] = ASKED_FOR
     patch_pairs = near.patch_pairs
     for k in range(near.counts[PATCH_PAIRS]):
         p, q = patch_pairs[k] // patch_count, patch_pairs[k] % patch_count

@@ -460,11 +460,11 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
-    if first_step != 0 and progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
-        depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
-        numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
     numbers[RESIDUAL] = progress.depth
     if first_step == 0:
         numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0)
+    elif progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
+        numbers[RESIDUAL] = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
+        numbers[STOPPED] = 1.0 if numbers[RESIDUAL] < progress.depth else 0.0
     _finish_step(world, plan, progress, count, motions, organs, outcome, room)
     return 0

@@ -16,6 +16,7 @@ from spatula_env.contact.features import (
     MOST_SAMPLES,
     border_reached,
     clip_edge,
+    fill_clipping,
     fill_heights,
     least_deep_plane,
     meeting_time,
@@ -279,6 +280,26 @@ def test_an_edge_that_touches_already_has_met_at_once():
     # And one that only comes near, not at all.
     away = columns([(-2.0, 0.1, 0.5), (2.0, -0.1, 0.5)])
     assert meeting_time(heights_of(BOX, away, away - [[0.0], [0.0], [0.3]]), MOST_SAMPLES) == 2.0
+
+
+@given(seeds)
+def test_faces_that_are_left_out_change_nothing_of_when_an_edge_touches(seed):
+    generator = np.random.default_rng(seed)
+    normals, offsets = faces_of(BOX)
+    last, now = generator.uniform(-0.8, 0.8, (2, 3, 2))
+    last[2], now[2] = 0.3 * last[2], 0.3 * now[2]
+    ends = np.concatenate([last, now], axis=1)
+    heights = np.ascontiguousarray(normals @ ends - offsets[:, None])
+    filled, clipping = np.empty_like(heights), np.empty_like(heights)
+    met = meeting_time(heights, MOST_SAMPLES)
+    if fill_heights(normals, offsets, last, now, 0, 1, filled):
+        assert (heights > MARGIN).all(axis=1).any()
+        assert met == 2.0
+        return
+    np.testing.assert_allclose(filled, heights, atol=1e-12)
+    left = clipping[: fill_clipping(filled, clipping)]
+    assert len(left) == (filled > MARGIN).any(axis=1).sum()
+    assert meeting_time(left, MOST_SAMPLES) == meeting_time(filled, MOST_SAMPLES)
 
 
 def test_an_end_on_the_rim_touches_the_face_by_which_the_edge_does_not_go_out():
