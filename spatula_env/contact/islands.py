@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from spatula_env._kernels import array_kernel
+from spatula_env._kernels import array_kernel, inline_kernel
 from spatula_env.contact.structures import GAP, GROUND, INERTIA, NORMAL, ORGANS, OWNER, POINT
 
 
@@ -30,6 +30,15 @@ class IslandRoom(NamedTuple):
     holders: np.ndarray
     parents: np.ndarray
     sizes: np.ndarray
+
+
+@inline_kernel
+def make_island_room(tool_count: int, vertex_count: int) -> IslandRoom:
+    """An `IslandRoom` for so many tools and vertices."""
+    return IslandRoom(
+        np.zeros(tool_count + 2, np.int64), np.full(vertex_count, -1), np.empty(tool_count + 1, np.int64),
+        np.empty(tool_count + 1, np.int64),
+    )  # fmt: skip
 
 
 @array_kernel

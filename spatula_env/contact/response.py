@@ -155,6 +155,22 @@ def start_pushed(
 
 
 @array_kernel
+def _bound_pushes(order: np.ndarray, rows: np.ndarray, features: np.ndarray) -> None:
+    """Write how far each constraint between organs may push at most, in the place of its impulse.
+
+    Some of what is asked for there may contradict the rest, and sweeps would push ever farther.
+    """
+    for c in order:
+        if features[c, OWNER] == ORGANS:
+            row = rows[c]
+            begun, apart = 0.0, 0.0
+            for axis in range(3):
+                begun += row[DISPLACEMENT + axis] * row[NORMAL + axis]
+                apart += row[POINT + axis] * row[NORMAL + axis]
+            row[IMPULSE] = begun + row[INERTIA] * (apart + GREATEST_PUSH * max(-row[GAP], 0.0))
+
+
+@array_kernel
 def solve_positions(
     order: np.ndarray,
     rows: np.ndarray,
@@ -182,15 +198,7 @@ def solve_positions(
     Returns:
         How many sweeps it took.
     """
-    # Between organs some of what is asked for may contradict the rest, and sweeps would push ever farther.
-    for c in order:
-        if features[c, OWNER] == ORGANS:
-            row = rows[c]
-            begun, apart = 0.0, 0.0
-            for axis in range(3):
-                begun += row[DISPLACEMENT + axis] * row[NORMAL + axis]
-                apart += row[POINT + axis] * row[NORMAL + axis]
-            row[IMPULSE] = begun + row[INERTIA] * (apart + GREATEST_PUSH * max(-row[GAP], 0.0))
+    _bound_pushes(order, rows, features)
     done = sweeps
     for sweep in range(sweeps):
         # The first sweep settles what stands alone, and the last one leaves nothing overdone.

@@ -12,7 +12,7 @@ from spatula_env.contact import skin
 from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.energy import keep_passive
 from spatula_env.contact.flags import fill_local, fill_rotation
-from spatula_env.contact.islands import IslandRoom, find_islands
+from spatula_env.contact.islands import find_islands, make_island_room
 from spatula_env.contact.motion import (
     MOTIONS,
     ORGAN_MOTION,
@@ -269,6 +269,43 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
 
 
 @inline_kernel
+def _begin_ways(start: np.ndarray, expected: np.ndarray, vertices: np.ndarray, queries: int) -> np.ndarray:
+    """Put vertices (V, 3) where the first query looks, before it moves them on. Returns the way of a divided step."""
+    if queries > 1:
+        copy_points(start, vertices)
+        ways: np.ndarray = expected - start
+        return ways
+    copy_points(expected, vertices)
+    return start
+
+
+@array_kernel
+def _effort(queries: int, way: float) -> tuple[int, float]:
+    """Most sweeps in a solve, and the factor on what one changes, in a step of so many queries.
+
+    Args:
+        queries: How many.
+        way: How far any point of a tool goes in the step [u].
+    """
+    if queries > 1:
+        # More may be asked than can be had, and what is overdone in one place is then missing in another.
+        return MOST_SWEEPS_DIVIDED, 1.0
+    return MOST_SWEEPS if way <= SLOW else MOST_SWEEPS_MOVING, OVER_RELAXATION
+
+
+@array_kernel
+def _parts_done(queries: int, organ_parts: int, tool_parts: int) -> tuple[float, float]:
+    """Which parts of their ways the organs and the tools have done after so many queries of a step.
+
+    The organs move first, against the tools where they were; then the tools.
+    """
+    organ_part = min(queries / organ_parts, 1.0)
+    if tool_parts > 1:
+        return organ_part, max((queries - organ_parts) / tool_parts, 0.0)
+    return organ_part, 0.0 if queries < organ_parts else 1.0
+
+
+@inline_kernel
 def solve_impulses(
     world: Any, plan: Any, count: int, tried: int, velocities: np.ndarray, room: Any, tool_count: int
 ) -> None:  # fmt: skip
@@ -388,9 +425,8 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         0; `NOT_FINITE` if the organs have gone out of all bounds; otherwise what `raycast.cast_columns` returned.
     """
     settings, near, numbers = world.settings, world.near, outcome.numbers
-    start, vertices = organs.start, organs.vertices
+    start, vertices, tool_count = organs.start, organs.vertices, motions.positions.shape[0]
     dt, mean_edge, warm_count = settings[DT], settings[MEAN_EDGE], world.warm_count
-    tool_count, vertex_count = motions.positions.shape[0], vertices.shape[0]
     if first_step == 0:
         # Both faces of a tool push against each other; what they come to in one step is not carried into the next.
         warm_count[0] = 0
@@ -411,33 +447,16 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             world.skin, near, start, expected if queries == 1 else start, mean_edge, settings[IS_FREE] > 0.0,
             warm_count[0], world.warm.table,
         )  # fmt: skip
-    reference, shift, crossings = start, start, near.crossing[skin.CROSSINGS]
-    if queries > 1:
-        shift = expected - start
-        copy_points(start, vertices)
-    elif division.predicts:
-        copy_points(expected, vertices)
+    reference, crossings = start, near.crossing[skin.CROSSINGS]
+    shift = _begin_ways(start, expected, vertices, queries)
     tools, fastest = make_tools(world, motions, passes)
-    # In a step that is divided more may be asked than can be had, and what is overdone in one place is then missing in
-    # another.
-    relaxation = OVER_RELAXATION if queries == 1 else 1.0
-    sweeps = MOST_SWEEPS if fastest * dt <= SLOW else MOST_SWEEPS_MOVING
-    if queries > 1:
-        sweeps = MOST_SWEEPS_DIVIDED
+    sweeps, relaxation = _effort(queries, fastest * dt)
     held, kept, axes = np.empty_like(start), np.empty_like(start), world.room.scratch.axes
-    room = IslandRoom(
-        np.zeros(tool_count + 2, np.int64), np.full(vertex_count, -1), np.empty(tool_count + 1, np.int64),
-        np.empty(tool_count + 1, np.int64),
-    )  # fmt: skip
+    room = make_island_room(tool_count, vertices.shape[0])
     plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, sweeps, relaxation)
     progress, count, organ_done = begin_query(near, 0, 0), 0, 0.0
     for query in range(queries):
-        # The organs move first, against the tools where they were; then the tools.
-        organ_part, tool_part = min((query + 1) / organ_parts, 1.0), 1.0
-        if parts > 1:
-            tool_part = max((query + 1 - organ_parts) / parts, 0.0)
-        elif query < organ_parts - 1:
-            tool_part = 0.0
+        organ_part, tool_part = _parts_done(query + 1, organ_parts, parts)
         if queries > 1:
             reference = vertices.copy()
             move_points(vertices, shift, organ_part - organ_done)
@@ -460,11 +479,11 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
-    numbers[RESIDUAL] = progress.depth
     if first_step == 0:
-        numbers[RESIDUAL] = measure_tools(world, plan, tools, vertices, 0)
+        progress.depth = measure_tools(world, plan, tools, vertices, 0)
     elif progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
-        numbers[RESIDUAL] = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
-        numbers[STOPPED] = 1.0 if numbers[RESIDUAL] < progress.depth else 0.0
+        depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
+        numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
+    numbers[RESIDUAL] = progress.depth
     _finish_step(world, plan, progress, count, motions, organs, outcome, room)
     return 0
