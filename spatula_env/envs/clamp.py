@@ -65,7 +65,7 @@ class ClampEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the ridge's top at rest.
 
     ## Observation Space
-    The observation is a `Box((87,), float32)` of these parts:
+    The observation is a `Box((88,), float32)` of these parts:
 
     | Num   | Observation                                                 | Min     | Max    | Name             | Unit |
     | ----- | ----------------------------------------------------------- | ------- | ------ | ---------------- | ---- |
@@ -91,6 +91,7 @@ class ClampEnv(SpatulaEnv):
     | 84    | slip allowed                                                | 0       | 0.02   | goal             | m    |
     | 85    | lift asked for minus lift                                   | -0.11   | 0.11   | error            | m    |
     | 86    | slip allowed minus slip                                     | -0.02   | 0.02   | error            | m    |
+    | 87    | for how long the goal has been held, of what is asked       | 0       | 1      | hold_progress    | 1    |
 
     With `reward="sparse"` goals are (lift, slip).
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.envs.control import VelocityControl
+from spatula_env.envs.incentives import Incentives
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
 from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import COST_PRESSURE, Safety
@@ -71,6 +72,8 @@ class Episodes:
         control: What an action means.
         observation_builder: How observations are laid out.
         action_space: Of one world.
+        incentives: What the ends of episodes pay.
+        horizon: After how many control steps environments cut episodes; None: never.
         steps_per_action: Physics steps in a control step.
         period: Length of a control step [s].
         goals: (W, G) what is asked in each world's episode.
@@ -136,8 +139,11 @@ class Episodes:
             settings.obs_mode,
             settings.observation,
             goal_interface=self._sparse,
+            hold_progress=not self._sparse or settings.terminate_on_success,
         )
         self.action_space = spaces.Box(-1.0, 1.0, (self.control.size,), dtype=np.float32)
+        self.incentives = Incentives(settings, self.task)
+        self.horizon: int | None = None
         self._steps_to_hold = max(1, round(self.task.hold_time / self.period))
         self.goals: FloatArray = np.zeros((count, len(self.task.goal_names)))
         self.achieved: FloatArray = np.zeros_like(self.goals)
@@ -360,11 +366,11 @@ class Episodes:
             reward[going] = self._judge(situation.rows(going), going)
         self._info["tangled"][:] = loads.tangled
         self._info["residual"][:] = np.where(lost, 0.0, loads.residuals * frames.length)
-        terminated = self._succeeded & self.settings.terminate_on_success
-        terminated |= loads.tangled & self.settings.terminate_on_tangle
+        badly = loads.tangled & self.settings.terminate_on_tangle
         if self.settings.damage_limit is not None:
-            terminated |= self._safety.damaged(self.settings.damage_limit)
-        return Outcome(reward, terminated, lost)
+            badly |= self._safety.damaged(self.settings.damage_limit)
+        reward = np.where(lost, 0.0, self.incentives.pay(reward, badly, self.horizon))
+        return Outcome(reward, badly | (self._succeeded & self.settings.terminate_on_success), lost)
 
     def save(self, worlds: IntArray) -> tuple[Physics, EpisodesState]:
         """All that the next step depends on in some worlds (n,) in which episodes have begun, as copies."""
@@ -572,7 +578,8 @@ class Episodes:
         builder = self.observation_builder
         noise = self._variation.sensor_noise(worlds, sum(part.size for part in builder.parts))
         pictures = None if self._draw_pictures is None else self._draw_pictures(worlds)
-        frames = builder.build(situation, goals, evaluation, noise, pictures)
+        held = np.minimum(self._held[worlds] / self._steps_to_hold, 1.0)
+        frames = builder.build(situation, goals, evaluation, held, noise, pictures)
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames = self._frames.show(worlds)

@@ -63,7 +63,7 @@ class FissureEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((80,), float32)` of these parts:
+    The observation is a `Box((81,), float32)` of these parts:
 
     | Num   | Observation                                             | Min     | Max    | Name               | Unit  |
     | ----- | ------------------------------------------------------- | ------- | ------ | ------------------ | ----- |
@@ -88,6 +88,7 @@ class FissureEnv(SpatulaEnv):
     | 77    | the target's place minus the blade's, along the fissure | -0.1016 | 0.1016 | error              | m     |
     | 78    | tilt of the line of sight minus the blade's             | -1.2    | 1.2    | error              | rad   |
     | 79    | share that is to be seen minus share that is seen       | -1      | 1      | error              | 1     |
+    | 80    | for how long the goal has been held, of what is asked   | 0       | 1      | hold_progress      | 1     |
 
     With `reward="sparse"` goals are (place, view, exposure). What is achieved is the blade's place along the fissure,
     the blade's tilt, and the share of the target that is seen.

@@ -52,30 +52,31 @@ class PalpateEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((100,), float32)` of these parts:
+    The observation is a `Box((101,), float32)` of these parts:
 
-    | Num   | Observation                                          | Min     | Max    | Name             | Unit |
-    | ----- | ---------------------------------------------------- | ------- | ------ | ---------------- | ---- |
-    | 0-2   | position of the spatula's middle (x, y, z)           | -0.0508 | 0.0508 | tool_position    | m    |
-    | 3-5   | velocity of the spatula in the last step             | -0.05   | 0.05   | tool_velocity    | m/s  |
-    | 6-8   | mean force on the spatula in the last step           | -10     | 10     | contact_force    | N    |
-    | 9-11  | its mean torque about the spatula's middle           | -0.2    | 0.2    | contact_torque   | N m  |
-    | 12    | share of the lower face's nodes in contact           | 0       | 1      | contact_share    | 1    |
-    | 13    | the same of the upper face                           | 0       | 1      | contact_share    | 1    |
-    | 14    | deepest contact, before the organ gives way          | 0       | 0.05   | contact_depth    | m    |
-    | 15    | greatest contact pressure on a node in the last step | 0       | 20000  | contact_pressure | Pa   |
-    | 16    | greatest mean pressure on a face                     | 0       | 20000  | contact_pressure | Pa   |
-    | 17-64 | displacement of 16 nodes of the organ (x, y, z)      | -0.1    | 0.1    | landmarks        | m    |
-    | 65-79 | 5 points of the path from the underside (x, y, z)    | -0.15   | 0.15   | path_ahead       | m    |
-    | 80    | farthest place on the path that has been felt        | 0       | 1      | progress         | 1    |
-    | 81-90 | share felt of each tenth of the path                 | 0       | 1      | felt             | 1    |
-    | 91    | force perpendicular to the spatula's faces           | -5      | 5      | normal_force     | N    |
-    | 92    | share of the path that is to be felt                 | 0       | 1      | goal             | 1    |
-    | 93-94 | place of the path's end (x, y)                       | -0.0508 | 0.0508 | goal             | m    |
-    | 95    | middle of the force's band                           | -5      | 5      | goal             | N    |
-    | 96    | share to be felt minus share felt                    | -1      | 1      | error            | 1    |
-    | 97-98 | path's end minus place of the spatula (x, y)         | -0.1016 | 0.1016 | error            | m    |
-    | 99    | middle of the band minus normal force                | -10     | 10     | error            | N    |
+    | Num   | Observation                                           | Min     | Max    | Name             | Unit |
+    | ----- | ----------------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the spatula's middle (x, y, z)            | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the spatula in the last step              | -0.05   | 0.05   | tool_velocity    | m/s  |
+    | 6-8   | mean force on the spatula in the last step            | -10     | 10     | contact_force    | N    |
+    | 9-11  | its mean torque about the spatula's middle            | -0.2    | 0.2    | contact_torque   | N m  |
+    | 12    | share of the lower face's nodes in contact            | 0       | 1      | contact_share    | 1    |
+    | 13    | the same of the upper face                            | 0       | 1      | contact_share    | 1    |
+    | 14    | deepest contact, before the organ gives way           | 0       | 0.05   | contact_depth    | m    |
+    | 15    | greatest contact pressure on a node in the last step  | 0       | 20000  | contact_pressure | Pa   |
+    | 16    | greatest mean pressure on a face                      | 0       | 20000  | contact_pressure | Pa   |
+    | 17-64 | displacement of 16 nodes of the organ (x, y, z)       | -0.1    | 0.1    | landmarks        | m    |
+    | 65-79 | 5 points of the path from the underside (x, y, z)     | -0.15   | 0.15   | path_ahead       | m    |
+    | 80    | farthest place on the path that has been felt         | 0       | 1      | progress         | 1    |
+    | 81-90 | share felt of each tenth of the path                  | 0       | 1      | felt             | 1    |
+    | 91    | force perpendicular to the spatula's faces            | -5      | 5      | normal_force     | N    |
+    | 92    | share of the path that is to be felt                  | 0       | 1      | goal             | 1    |
+    | 93-94 | place of the path's end (x, y)                        | -0.0508 | 0.0508 | goal             | m    |
+    | 95    | middle of the force's band                            | -5      | 5      | goal             | N    |
+    | 96    | share to be felt minus share felt                     | -1      | 1      | error            | 1    |
+    | 97-98 | path's end minus place of the spatula (x, y)          | -0.1016 | 0.1016 | error            | m    |
+    | 99    | middle of the band minus normal force                 | -10     | 10     | error            | N    |
+    | 100   | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress    | 1    |
 
     The 5 points of the path lie 0, 1/8, 1/4, 3/8 and 1/2 of its length ahead of the farthest place that has been felt,
     on the organ at rest, or at the path's end.

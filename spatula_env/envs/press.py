@@ -48,24 +48,25 @@ class PressEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((71,), float32)` of these parts:
+    The observation is a `Box((72,), float32)` of these parts:
 
-    | Num   | Observation                                     | Min     | Max    | Name             | Unit |
-    | ----- | ----------------------------------------------- | ------- | ------ | ---------------- | ---- |
-    | 0-2   | position of the spatula's middle (x, y, z)      | -0.0508 | 0.0508 | tool_position    | m    |
-    | 3-5   | velocity of the spatula in the last step        | -0.1    | 0.1    | tool_velocity    | m/s  |
-    | 6-8   | mean force on the spatula in the last step      | -10     | 10     | contact_force    | N    |
-    | 9-11  | mean torque on it about its middle              | -0.2    | 0.2    | contact_torque   | N m  |
-    | 12    | share of the lower face's nodes in contact      | 0       | 1      | contact_share    | 1    |
-    | 13    | the same of the upper face                      | 0       | 1      | contact_share    | 1    |
-    | 14    | deepest contact, before the organ gives way     | 0       | 0.05   | contact_depth    | m    |
-    | 15    | greatest pressure in the last step              | 0       | 20000  | contact_pressure | Pa   |
-    | 16    | mean pressure on the face that is pressed most  | 0       | 20000  | contact_pressure | Pa   |
-    | 17-64 | displacement of 16 nodes of the organ (x, y, z) | -0.1    | 0.1    | landmarks        | m    |
-    | 65-66 | place asked for (x, y)                          | -0.0508 | 0.0508 | goal             | m    |
-    | 67    | depth asked for                                 | -0.03   | 0.06   | goal             | m    |
-    | 68-69 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error            | m    |
-    | 70    | depth asked for minus depth there               | -0.09   | 0.09   | error            | m    |
+    | Num   | Observation                                           | Min     | Max    | Name             | Unit |
+    | ----- | ----------------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the spatula's middle (x, y, z)            | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the spatula in the last step              | -0.1    | 0.1    | tool_velocity    | m/s  |
+    | 6-8   | mean force on the spatula in the last step            | -10     | 10     | contact_force    | N    |
+    | 9-11  | mean torque on it about its middle                    | -0.2    | 0.2    | contact_torque   | N m  |
+    | 12    | share of the lower face's nodes in contact            | 0       | 1      | contact_share    | 1    |
+    | 13    | the same of the upper face                            | 0       | 1      | contact_share    | 1    |
+    | 14    | deepest contact, before the organ gives way           | 0       | 0.05   | contact_depth    | m    |
+    | 15    | greatest pressure in the last step                    | 0       | 20000  | contact_pressure | Pa   |
+    | 16    | mean pressure on the face that is pressed most        | 0       | 20000  | contact_pressure | Pa   |
+    | 17-64 | displacement of 16 nodes of the organ (x, y, z)       | -0.1    | 0.1    | landmarks        | m    |
+    | 65-66 | place asked for (x, y)                                | -0.0508 | 0.0508 | goal             | m    |
+    | 67    | depth asked for                                       | -0.03   | 0.06   | goal             | m    |
+    | 68-69 | place asked for minus place of the spatula            | -0.1016 | 0.1016 | error            | m    |
+    | 70    | depth asked for minus depth there                     | -0.09   | 0.09   | error            | m    |
+    | 71    | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress    | 1    |
 
     The organ lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
 

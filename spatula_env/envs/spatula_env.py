@@ -18,6 +18,7 @@ from spatula_env.arrays import FloatArray
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_action
 from spatula_env.envs.episodes import Episodes
+from spatula_env.envs.incentives import check_horizon
 from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.physics_listener import PhysicsListener, PhysicsStep
@@ -25,7 +26,7 @@ from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import RENDER_MODES
 from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.start_options import START_OPTIONS, own_options
-from spatula_env.envs.time_limit import is_told_in_steps, steps_in
+from spatula_env.envs.time_limit import read_step_limit, steps_in, told_in_steps
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 
 if TYPE_CHECKING:
@@ -74,7 +75,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     the tools, force and torque on them, and the goal.
 
     With `reward="sparse"` observations are dictionaries with Gymnasium-Robotics' goal interface: "achieved_goal" and
-    "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal.
+    "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal, unless
+    success ends episodes: then `hold_progress` is a part, for how long the goal has been held, and hindsight replay is
+    not to be used.
 
     `observation` changes what is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm, 1 mm/s,
     2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
@@ -98,6 +101,17 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     `reward="dense"`: the weighted sum of the task's terms, which `info` holds before weighting. `reward="sparse"`: 0
     within tolerance, -1 elsewhere; `compute_reward(achieved_goal, desired_goal, info)` gives it for any goals, one or
     many, as hindsight replay needs.
+
+    What ends an episode takes away what the rest of it would have paid. So that no end is worth more than going on,
+    whatever the discount, ends pay as follows, with B the sum of the positive weights (the best that a step can pay)
+    and H the control steps of a whole episode:
+
+    | Option                                | `reward="dense"`                                  | `reward="sparse"` |
+    | ------------------------------------- | ------------------------------------------------- | ----------------- |
+    | `terminate_on_success`                | every step pays B less, so that it pays 0 at best | as without        |
+    | `damage_limit`, `terminate_on_tangle` | the step that ends an episode so pays -B H        | that step pays -H |
+
+    `damage_limit` and `terminate_on_tangle` are refused without a time limit.
 
     ## Safety
     Pressure is a channel of its own and never a part of the reward. The *cost* of a step is the integral over time of
@@ -224,8 +238,11 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         before = set(vars(self))
         settings = self.definition.read(options, type(self).__name__)
-        if is_told_in_steps(self):
+        told = told_in_steps(self)
+        if told is not None:
             settings = replace(settings, episode_time=None)
+        cut_outside = read_step_limit(told)
+        check_horizon(settings, limited=settings.episode_time is not None or cut_outside is not None)
         self.simulation: Simulation
 
         def load(scene: Scene) -> Worlds:
@@ -242,6 +259,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._episodes, settings.width, settings.height, frames_per_second=settings.control_frequency
         )
         self._step_limit = steps_in(settings.episode_time, self._episodes.period)
+        self._set_horizon(self._step_limit if cut_outside is None else cut_outside)
         self._closed = False
         self._started = False
         self._pilot: Pilot | None = None

@@ -46,6 +46,7 @@ def check_training(config: TrainingConfig) -> list[str]:
     chosen = config.hyperparameters
     worlds = config.environment.num_envs
     if isinstance(chosen, SACHERConfig):
+        _check_hindsight(config)
         if steps is None:
             raise ValueError("environment.kwargs.max_episode_steps must be a number with algorithm 'sac_her'")
         whole = worlds * steps
@@ -65,6 +66,17 @@ def check_training(config: TrainingConfig) -> list[str]:
             f"{chosen.learning_starts}"
         )
     return notes
+
+
+def _check_hindsight(config: TrainingConfig) -> None:
+    """Check that what is replayed with other goals would have gone as it is told then."""
+    for name, why in (
+        ("terminate_on_success", "with another goal the episode would not have ended there"),
+        ("damage_limit", "the replay buffer does not keep what tells of damage"),
+        ("terminate_on_tangle", "the replay buffer does not keep what tells of tangles"),
+    ):
+        if config.environment.kwargs.get(name):
+            raise ValueError(f"environment.kwargs.{name} must be left out with algorithm 'sac_her': {why}")
 
 
 def rehearse_clone(config: TrainingConfig) -> None:

@@ -124,6 +124,14 @@ class Task(ABC):
         return self._weights
 
     @property
+    def best_reward(self) -> float:
+        """The greatest dense reward of a step: the sum of the positive weights, whose terms are 1 at most.
+
+        What ends of episodes pay is reckoned by it; a task with other terms overrides it.
+        """
+        return sum(weight for weight in self._weights.values() if weight > 0.0)
+
+    @property
     def hold_time(self) -> float:
         """How long the goal must be held without a break for success [s]."""
         return self._hold_time

@@ -93,7 +93,7 @@ def test_stable_baselines_checker_finds_nothing(obs_mode: str, reward: str) -> N
 def test_spaces(env: PressEnv, sparse_env: PressEnv) -> None:
     assert env.action_space == spaces.Box(-1.0, 1.0, (3,), np.float32)
     assert isinstance(env.observation_space, spaces.Box)
-    assert env.observation_space.shape == (71,)
+    assert env.observation_space.shape == (72,)
     assert isinstance(sparse_env.observation_space, spaces.Dict)
     assert set(sparse_env.observation_space) == {"observation", "achieved_goal", "desired_goal"}
     assert sparse_env.observation_space["observation"].shape == (65,)

@@ -93,7 +93,7 @@ def test_damage_ends_an_episode_when_asked_to(env: PressEnv) -> None:
     assert not any(terminated for _, terminated, _ in free)
     assert not any(info["is_damaged"] for *_, info in free)
     limit = 0.3 * free[-1][2]["episode_cost"]
-    with PressEnv(engine="batch", damage_limit=limit) as ending:
+    with PressEnv(engine="batch", damage_limit=limit, episode_time=10.0) as ending:
         shown = plunge(ending)
     assert shown[-1][1]
     assert [info["is_damaged"] for *_, info in shown] == [False] * (len(shown) - 1) + [True]
@@ -102,7 +102,7 @@ def test_damage_ends_an_episode_when_asked_to(env: PressEnv) -> None:
 
 
 def test_each_world_is_damaged_by_itself() -> None:
-    env = PressVectorEnv(2, damage_limit=0.0, autoreset_mode="disabled")
+    env = PressVectorEnv(2, damage_limit=0.0, episode_time=10.0, autoreset_mode="disabled")
     env.reset(seed=0, options={"goal": GOAL, "tool_position": np.array([ABOVE, (0.0, 0.0, 0.02)])})
     for _ in range(12):
         _, _, terminated, _, infos = env.step(np.stack([DOWN, UP]))
