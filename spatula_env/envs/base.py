@@ -167,6 +167,11 @@ class EpisodesEnv:
         """
         if self._episodes.settings.reward != "sparse":
             raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
+        if not self.task.hindsight:
+            raise AttributeError(
+                f"{self.definition.name} has no compute_reward: what is achieved in it depends on what is asked, so that "
+                "no step can be replayed as if something else had been asked"
+            )
         task, episodes = self.task, self._episodes
 
         def compute(achieved: NDArray[Any], desired: NDArray[Any], info: Any) -> NDArray[np.float32]:

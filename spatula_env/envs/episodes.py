@@ -138,8 +138,8 @@ class Episodes:
             self.control,
             settings.obs_mode,
             settings.observation,
-            goal_interface=self._sparse,
-            hold_progress=not self._sparse or settings.terminate_on_success,
+            goal_interface=self.has_goal_interface,
+            hold_progress=not self.has_goal_interface or settings.terminate_on_success,
         )
         self.action_space = spaces.Box(-1.0, 1.0, (self.control.size,), dtype=np.float32)
         self.incentives = Incentives(settings, self.task)
@@ -164,6 +164,11 @@ class Episodes:
         # Gymnasium's return type covers all spaces; of these it is an array, or a dictionary of arrays.
         self._observation = cast("Observation", create_empty_array(self.observation_builder.space, count))
         self._info: Info = {}
+
+    @property
+    def has_goal_interface(self) -> bool:
+        """Whether goals are entries of their own, which hindsight replay may exchange."""
+        return self._sparse and self.task.hindsight
 
     @property
     def count(self) -> int:

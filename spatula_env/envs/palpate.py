@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from spatula_env import scenes
+from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.settings import Definition
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
@@ -15,6 +16,12 @@ PALPATE = Definition(
     config=PalpateConfig,
     # The cube reaches 76 mm above the organ's top and 26 mm below it.
     workspace_height=0.025,
+    controls={
+        "velocity": ControlLayout(rotations="xy", max_turn=0.6),
+        "velocity_6d": ALL_SIX,
+        # A plate that stays level touches a round organ at its top, or with a rim.
+        "velocity_level": TRANSLATION,
+    },
     # A path is felt with 0.21 N at most.
     defaults={"max_speed": 0.05, "max_force": 0.6},
 )

@@ -75,6 +75,10 @@ class Task(ABC):
         description: What is asked, as a sentence that instructs; "" where nobody wrote one.
         goal_names: Names of the G numbers in a goal.
         goal_units: Their units.
+        hindsight: Whether what is achieved is the same whatever is asked for, so that a step may be replayed as if
+            something else had been asked.
+        definition: The number of what is asked, rewarded and counted. Policies, data sets and results carry it: with
+            another number they are of another task.
         extra_parts: The task's own pieces of the observation.
         setting: Where it is asked, as far as nothing of it is drawn at random.
     """
@@ -82,6 +86,8 @@ class Task(ABC):
     description: ClassVar[str] = ""
     goal_names: ClassVar[tuple[str, ...]]
     goal_units: ClassVar[tuple[str, ...]]
+    hindsight: ClassVar[bool] = True
+    definition: ClassVar[int] = 1
     extra_parts: tuple[PartSpec, ...] = ()
 
     def __init__(self, config: TaskConfig, setting: Setting, goal_low: ArrayLike, goal_high: ArrayLike) -> None:
