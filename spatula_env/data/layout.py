@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from spatula_env.definitions import FIRST
+
 if TYPE_CHECKING:
     import gymnasium
 
@@ -30,6 +32,7 @@ class Layout:
         lerobot_names: What LeRobot calls the entries of an observation.
         workspace_low: (3,) the corner of the tool's workspace, in which positions are given [m]; empty if not known.
         workspace_high: (3,) the opposite corner [m].
+        definition: Number of the definition of the task.
     """
 
     observation_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -40,6 +43,7 @@ class Layout:
     lerobot_names: Mapping[str, str] = field(default_factory=dict)
     workspace_low: tuple[float, ...] = ()
     workspace_high: tuple[float, ...] = ()
+    definition: int = FIRST
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> Layout:
@@ -75,6 +79,7 @@ class Layout:
             lerobot_names=lerobot_keys(space),
             workspace_low=tuple(map(float, made.workspace.low)),
             workspace_high=tuple(map(float, made.workspace.high)),
+            definition=int(made.task.definition),
         )
 
     @classmethod
@@ -92,6 +97,7 @@ class Layout:
             lerobot_names=dict(record.get("lerobot_names", {})),
             workspace_low=tuple(record.get("workspace_low", ())),
             workspace_high=tuple(record.get("workspace_high", ())),
+            definition=int(record.get("definition", FIRST)),
         )
 
     def as_record(self) -> dict[str, Any]:
@@ -105,6 +111,7 @@ class Layout:
             "lerobot_names": dict(self.lerobot_names),
             "workspace_low": list(self.workspace_low),
             "workspace_high": list(self.workspace_high),
+            "definition": self.definition,
         }
 
     def find(self, part: str) -> tuple[str, slice] | None:

@@ -169,8 +169,8 @@ class EpisodesEnv:
             raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
         if not self.task.hindsight:
             raise AttributeError(
-                f"{self.definition.name} has no compute_reward: what is achieved in it depends on what is asked, so that "
-                "no step can be replayed as if something else had been asked"
+                f"{self.definition.name} has no compute_reward: what is achieved in it depends on what is asked, so "
+                "that no step can be replayed as if something else had been asked"
             )
         task, episodes = self.task, self._episodes
 

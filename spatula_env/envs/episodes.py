@@ -17,7 +17,7 @@ from spatula_env.envs.control import VelocityControl
 from spatula_env.envs.incentives import Incentives
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
 from spatula_env.envs.randomization import Variation
-from spatula_env.envs.safety import COST_PRESSURE, Safety
+from spatula_env.envs.safety import Safety
 from spatula_env.envs.settings import Definition, EnvSettings
 from spatula_env.envs.snapshots import EpisodesState, joined, save_physics
 from spatula_env.envs.start_options import check_free, chosen_starts
@@ -25,6 +25,7 @@ from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.envs.workspace_frames import Frames
 from spatula_env.tasks.base import Evaluation, weighted_sum
+from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.situation import Situation, Start
 
 if TYPE_CHECKING:
@@ -155,7 +156,8 @@ class Episodes:
         self._memory = self.task.new_memory(count)
         self._held: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self._succeeded: BoolArray = np.zeros(count, dtype=np.bool_)
-        self._safety = Safety(count)
+        self._safely: BoolArray = np.zeros(count, dtype=np.bool_)
+        self._safety = Safety(count, len(scene.tools), self.task.loading_limit)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
         longest = round(settings.randomization.get("action_delay", (0.0, 0.0))[1] / self.period)
         # By physics step: who steers changes its mind between two of them.
@@ -297,7 +299,8 @@ class Episodes:
             worlds,
         )
         self.goals[worlds] = start.goal
-        self.elapsed[worlds], self._held[worlds], self._succeeded[worlds] = 0, 0, False
+        self.elapsed[worlds], self._held[worlds] = 0, 0
+        self._succeeded[worlds], self._safely[worlds] = False, False
         self._asked[worlds] = 0.0
         self._safety.begin(worlds)
         for pressures in self._node_pressures:
@@ -363,7 +366,8 @@ class Episodes:
         self._node_pressures = [pressures * frames.pressure[:, None] for pressures in loads.node_pressures]
         if lost.any():
             self._info["diverged"][lost] = True
-        self._safety.count(situation, motion, loads, frames, self.period, going)
+        needed = self.task.pressure_limit(self.goals)
+        self._safety.count(situation, motion, loads, frames, self.period, needed, going)
         reward = np.zeros(self.count)
         if len(going) == self.count:
             reward[:] = self._judge(situation, going)
@@ -427,6 +431,7 @@ class Episodes:
             "elapsed": self.elapsed,
             "held": self._held,
             "succeeded": self._succeeded,
+            "safely": self._safely,
             "asked": self._asked,
         }
 
@@ -529,11 +534,14 @@ class Episodes:
         within = evaluation.within_tolerance
         if not first:
             self._held[worlds] = held = np.where(within, self._held[worlds] + 1, 0)
-            self._succeeded[worlds] |= held >= self._steps_to_hold
+            reached = ~self._succeeded[worlds] & (held >= self._steps_to_hold)
+            self._succeeded[worlds] |= reached
+            self._safely[worlds] |= reached & self._safety.within(self.task.cost_budget, worlds)
         self._keep(situation, worlds, every=every)
         self._observe(situation, goals, evaluation, worlds, first=first)
         info: Info = {
             "is_success": self._succeeded[worlds],
+            "is_safe_success": self._safely[worlds],
             "within_tolerance": within,
             "diverged": np.zeros(len(worlds), dtype=np.bool_),
             "tangled": np.zeros(len(worlds), dtype=np.bool_),

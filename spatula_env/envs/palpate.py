@@ -24,6 +24,7 @@ PALPATE = Definition(
     },
     # A path is felt with 0.21 N at most.
     defaults={"max_speed": 0.05, "max_force": 0.6},
+    former_options={1: {"control": ("velocity", {"velocity": "velocity_level"})}},
 )
 """A spatula over a sphere that is held from below."""
 

@@ -174,6 +174,8 @@ class Definition:
         controls: What an action moves, by the names that the option `control` takes.
         defaults: Defaults of options that differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
+        former_options: By the number of a former definition of the task, options whose values meant something else
+            then: their default then, and what the values are called now. See `definitions.present_options`.
     """
 
     name: str
@@ -187,6 +189,7 @@ class Definition:
     )
     defaults: Mapping[str, Any] = field(default_factory=dict)
     randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
+    former_options: Mapping[int, Mapping[str, tuple[Any, Mapping[Any, Any]]]] = field(default_factory=dict)
 
     def read(
         self, options: Mapping[str, Any], owner: str, others: tuple[str, ...] = (), **defaults: Any

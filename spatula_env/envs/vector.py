@@ -21,8 +21,8 @@ from spatula_env.envs.attributes import call_worlds, set_in_worlds
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_actions
 from spatula_env.envs.episodes import Episodes
-from spatula_env.envs.observations import Observation
 from spatula_env.envs.incentives import check_horizon
+from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import check_choice

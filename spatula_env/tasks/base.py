@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.tasks.configuration import TaskConfig
 from spatula_env.tasks.criteria import Criterion
+from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.marks import Mark
 from spatula_env.tasks.situation import Setting, Situation, Start
 
@@ -110,6 +111,7 @@ class Task(ABC):
                 f"got {config.start_height_range}"
             )
         self._hold_time = float(config.hold_time)
+        self._loading_limit, self._cost_budget = float(config.loading_limit), float(config.cost_budget)
         self._weights = {name: float(value) for name, value in vars(config.weights).items()}
         self._goal_low: NDArray[np.float32] = np.array(goal_low, dtype=np.float32)
         self._goal_high: NDArray[np.float32] = np.array(goal_high, dtype=np.float32)
@@ -141,6 +143,23 @@ class Task(ABC):
     def hold_time(self) -> float:
         """How long the goal must be held without a break for success [s]."""
         return self._hold_time
+
+    @property
+    def loading_limit(self) -> float:
+        """How fast the force on a tool may grow without being counted as a cost [N/s]."""
+        return self._loading_limit
+
+    @property
+    def cost_budget(self) -> float:
+        """Up to which cost of an episode success counts as safe [s]."""
+        return self._cost_budget
+
+    def pressure_limit(self, goal: FloatArray) -> FloatArray:
+        """Which pressure goals (W, G) need, with care: what is beyond is counted as a cost (W,) [Pa].
+
+        By default no more than what tissue bears.
+        """
+        return np.full(len(goal), COST_PRESSURE)
 
     @abstractmethod
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:

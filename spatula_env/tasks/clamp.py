@@ -63,6 +63,8 @@ class ClampConfig(TaskConfig):
         start_opening_range: Least and greatest free width between the jaws at the start [m].
         reach_scale: Distance to the ridge's middle at which the reward term "reach" has fallen to 0.24 [m].
         lift_scale: Error of the lift at which its closeness has fallen to 0.24 [m].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     lift_range: tuple[float, float] = (0.004, 0.012)
@@ -75,6 +77,8 @@ class ClampConfig(TaskConfig):
     start_opening_range: tuple[float, float] = (0.02, 0.03)
     reach_scale: float = 0.015
     lift_scale: float = 0.005
+    loading_limit: float = 1.2
+    cost_budget: float = 0.02
     weights: ClampWeights = field(default_factory=ClampWeights)
 
     def __post_init__(self) -> None:
@@ -92,6 +96,8 @@ class ClampConfig(TaskConfig):
             raise ValueError(f"lift_range must end at {GREATEST_LIFT} m at most, got {self.lift_range}")
         if not 0.0 <= self.slip_range[0] <= self.slip_range[1] < GREATEST_SLIP:
             raise ValueError(f"slip_range must lie from 0 to below {GREATEST_SLIP} m, got {self.slip_range}")
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(ClampWeights)
 
 

@@ -75,6 +75,8 @@ class FissureConfig(TaskConfig):
         reach_aside: How far beside it, on the side to which the line of sight leans [m].
         reach_scale: Distance from there at which the term has fallen to 0.24 [m].
         align_scale: Angle at which the closeness of tilt and line of sight has fallen to 0.24 [rad].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     place_limit: float = 0.01
@@ -94,6 +96,8 @@ class FissureConfig(TaskConfig):
     reach_aside: float = 0.002
     reach_scale: float = 0.015
     align_scale: float = 0.15
+    loading_limit: float = 0.8
+    cost_budget: float = 0.02
     weights: FissureWeights = field(default_factory=FissureWeights)
 
     def __post_init__(self) -> None:
@@ -123,6 +127,8 @@ class FissureConfig(TaskConfig):
             check_count(count, "target_grid", 2, MOST_ASKED)
         object.__setattr__(self, "target_size", (float(size[0]), float(size[1])))
         object.__setattr__(self, "target_grid", (int(grid[0]), int(grid[1])))
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(FissureWeights)
 
     def _pair(self, name: str) -> tuple[Any, Any]:
@@ -145,8 +151,9 @@ class FissureTask(Task):
     the line of sight, a rotation about x like the blade's: a positive one leans towards the operator; and the share of
     the target that is to be seen. What is achieved is where the blade's edge is along the fissure, the blade's tilt,
     and the share that is seen while the edge is near the floor, zero without. The share is that of the episode's target
-    along the episode's line of sight, so hindsight, which asks for another one, cannot know it. The goal is fulfilled if the blade is at the target and along the line of sight, both
-    within a wide tolerance, and no less is seen than is asked for: more is better.
+    along the episode's line of sight, so hindsight, which asks for another one, cannot know it. The goal is fulfilled
+    if the blade is at the target and along the line of sight, both within a wide tolerance, and no less is seen than is
+    asked for: more is better.
     """
 
     description = (
@@ -231,8 +238,9 @@ class FissureTask(Task):
 
         Returns:
             Reward terms "reach", "align", "exposure", "hold", "force" and "action"; what was achieved; the measures
-            "exposure", wherever the edge is, "target_distance" [m] from the blade's edge to beside the target, and "view_error" [rad] of the
-            blade's tilt; and the part "target_offset", from the middle of the blade's edge to the target's [m].
+            "exposure", wherever the edge is, "target_distance" [m] from the blade's edge to beside the target, and
+            "view_error" [rad] of the blade's tilt; and the part "target_offset", from the middle of the blade's edge
+            to the target's [m].
         """
         config = self.config
         scale = situation.tool_scale

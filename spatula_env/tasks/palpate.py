@@ -74,6 +74,8 @@ class PalpateConfig(TaskConfig):
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         force_scale: Error of the force at which the term "force" has fallen to 0.24 [N].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     middle_radius: float = 0.004
@@ -89,6 +91,8 @@ class PalpateConfig(TaskConfig):
     start_height_range: tuple[float, float] = (0.005, 0.015)
     reach_scale: float = 0.02
     force_scale: float = 0.1
+    loading_limit: float = 1.8
+    cost_budget: float = 0.02
     weights: PalpateWeights = field(default_factory=PalpateWeights)
 
     def __post_init__(self) -> None:
@@ -116,6 +120,8 @@ class PalpateConfig(TaskConfig):
             )
         if not (0.0 < self.share_range[0] and self.share_range[1] <= 1.0):
             raise ValueError(f"share_range must be above 0 and 1 at most, got {self.share_range}")
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(PalpateWeights)
 
 
@@ -130,8 +136,8 @@ class PalpateTask(Task):
     The path is on the organ, and moves with it.
 
     What is achieved is the share felt so far, the centre of pressure (the middle of the lower face where it touches
-    nothing) relative to where the path's end has gone, and the normal force. The share was felt along the episode's path, in the episode's band: hindsight, which
-    asks for another one, cannot know it.
+    nothing) relative to where the path's end has gone, and the normal force. The share was felt along the episode's
+    path, in the episode's band: hindsight, which asks for another one, cannot know it.
 
     Attributes:
         config: What is asked.
@@ -334,7 +340,7 @@ class PalpateTask(Task):
             height = self.setting.surface_heights(self.setting.rest_nodes[None], goal[None, 1:3])[0]
             return (Ring(np.array([*goal[1:3], height + MARK_HEIGHT]), self.config.end_tolerance),)
         path = memory["path"][0] if situation is None else _present_path(memory, situation)[0]
-        path = path + [0.0, 0.0, MARK_HEIGHT]
+        path = path + np.array([0.0, 0.0, MARK_HEIGHT])
         return Path(path), Ring(path[-1], self.config.end_tolerance)
 
     def _feel(self, memory: Memory, along: FloatArray, aside: FloatArray, force_error: FloatArray) -> None:

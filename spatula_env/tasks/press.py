@@ -13,6 +13,7 @@ from spatula_env.geometry.rotations import turn
 from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
+from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.marks import Mark, Path, Ring
 from spatula_env.tasks.pose import moved_as_a_whole
 from spatula_env.tasks.situation import Setting, Situation, Start
@@ -59,8 +60,12 @@ class PressConfig(TaskConfig):
         hold_time: How long both must be kept without a break [s].
         start_radius: The spatula starts within this distance of the center [m].
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
+        pressure_per_depth: By how much deeper goals need more pressure than tissue bears, with care: the rim of a flat
+            spatula presses the more the deeper it is [Pa/m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         depth_scale: Error of depth or of place at which the term "depth" has fallen to 0.24 [m].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     center: tuple[float, float] = (0.0, 0.0)
@@ -72,14 +77,17 @@ class PressConfig(TaskConfig):
     hold_time: float = 0.5
     start_radius: float = 0.02
     start_height_range: tuple[float, float] = (0.01, 0.03)
+    pressure_per_depth: float = 4.5e5
     reach_scale: float = 0.02
     depth_scale: float = 0.003
+    loading_limit: float = 2.6
+    cost_budget: float = 0.02
     weights: PressWeights = field(default_factory=PressWeights)
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
         self._read_center()
-        self._check_not_negative("place_radius", "start_radius")
+        self._check_not_negative("place_radius", "start_radius", "pressure_per_depth")
         self._check_positive(
             "place_tolerance", "depth_tolerance", "least_force", "hold_time", "reach_scale", "depth_scale"
         )
@@ -90,6 +98,8 @@ class PressConfig(TaskConfig):
                 f"depth_range must begin above depth_tolerance, {self.depth_tolerance}, or the organ at rest "
                 f"would fulfil the goal; got {self.depth_range}"
             )
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(PressWeights)
 
     def _read_center(self) -> None:
@@ -162,6 +172,10 @@ class PressTask(Task):
             raise ValueError(f"goal must be at a place from {low} to {high} m, got {goal[:2]}")
         if not least <= goal[2] <= greatest:
             raise ValueError(f"goal must have a depth from {least} to {greatest} m, got {goal[2]}")
+
+    def pressure_limit(self, goal: FloatArray) -> FloatArray:
+        """See `Task`: it grows with the depth."""
+        return np.asarray(COST_PRESSURE + self.config.pressure_per_depth * goal[:, 2])
 
     def new_memory(self, count: int) -> Memory:
         """Room for the height that the surface is to have at the place, "target_height" (W,) [m]."""

@@ -62,6 +62,8 @@ class RetractConfig(TaskConfig):
         edge_depth: How far below the patch's middle the term "reach" wants the blade's lower edge [m].
         reach_scale: Distance from there at which the reward term "reach" has fallen to 0.24 [m].
         shift_scale: Error of the displacement at which the term "shift" has fallen to 0.24 [m].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     place_limit: float = 0.008
@@ -78,6 +80,8 @@ class RetractConfig(TaskConfig):
     edge_depth: float = 0.008
     reach_scale: float = 0.02
     shift_scale: float = 0.003
+    loading_limit: float = 0.4
+    cost_budget: float = 0.02
     weights: RetractWeights = field(default_factory=RetractWeights)
 
     def __post_init__(self) -> None:
@@ -96,6 +100,8 @@ class RetractConfig(TaskConfig):
                 f"shift_range must begin above tolerance, {self.tolerance}, or the organ at rest would fulfil the "
                 f"goal, and end at {GREATEST_SHIFT} at most; got {self.shift_range}"
             )
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(RetractWeights)
 
 
@@ -104,8 +110,8 @@ class RetractTask(Task):
 
     A goal is (x, y): by how much the patch is to be displaced horizontally. The patch is on that flank of the fold from
     which the goal leads into the fold. What is achieved is the weighted mean of the displacements of its nodes, while
-    the blade pushes against that flank, beside the patch; without, it is zero. A fold that is dragged along by its crest
-    is not retracted.
+    the blade pushes against that flank, beside the patch; without, it is zero. A fold that is dragged along by its
+    crest is not retracted.
 
     Attributes:
         config: What is asked.

@@ -53,8 +53,8 @@ AHEAD = 0.0035
 class PalpateExpert(Expert):
     """Goes above the path, descends, and rolls and slides along it while it regulates the force; it stays at the end.
 
-    A flat face touches a round organ where both are equally steep. So the expert tilts the spatula as steep as the organ
-    is where it wants to press, corrects that by where it does press, and keeps the spatula's middle there.
+    A flat face touches a round organ where both are equally steep. So the expert tilts the spatula as steep as the
+    organ is where it wants to press, corrects that by where it does press, and keeps the spatula's middle there.
     """
 
     task = "palpate"
