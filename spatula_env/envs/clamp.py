@@ -100,7 +100,8 @@ class ClampEnv(SpatulaEnv):
     both jaws touch the organ with the faces that they turn to each other, and ends when neither does. Its *slip* is how
     far the part of the ridge that was between the jaws when the grip began has moved along their faces since; while not
     both jaws touch, it counts as 20 mm. A step is *within tolerance* if the lift is within 1 mm of the goal's and the
-    slip is no greater than the goal's.
+    slip is no greater than the goal's, while either jaw presses on the ridge with 80 to 250 mN; with less or more the
+    slip counts as 20 mm, so that neither a loose grip holds nor one that crushes.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
@@ -124,9 +125,12 @@ class ClampEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 1.2 N/s and a pressure of 2.67 kPa on; safe
+    success costs 20 ms at most.
+
     ## Info
-    Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; and `gripped`, 1 with
-    a grip and 0 without.
+    Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; `gripped`, 1 with a
+    grip and 0 without; and `grip_force`, that of the jaw that presses less [N].
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. Another default has
@@ -136,7 +140,7 @@ class ClampEnv(SpatulaEnv):
     | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = CLAMP

@@ -29,9 +29,11 @@ class PressEnv(SpatulaEnv):
     given depth (5 to 18 mm) at a given place (within 15 mm of the organ's axis), and to keep it
     there for half a second.
 
-    Depth is measured on the organ: it is the height of the surface at rest, at the spatula's place, minus its
-    height now. The organ sinks, sways and gives way around the spatula: in the middle, its surface goes up to
-    3 mm deeper than the spatula does, and how much depends on the place. The depth has to be regulated.
+    Depth is measured on the organ: it is the height that the surface would have at the spatula's place if nothing
+    pressed on it, where the organ lies now, minus the height that it has. It counts while the spatula's lower face
+    presses on the organ with 20 mN at least, and is zero without. The organ sinks, sways and gives way around the
+    spatula: in the middle, its surface goes up to 3 mm deeper than the spatula does, and how much depends on the place.
+    The depth has to be regulated.
 
     `SpatulaEnv` tells what all environments have in common.
 
@@ -68,7 +70,8 @@ class PressEnv(SpatulaEnv):
     | 70    | depth asked for minus depth there                     | -0.09   | 0.09   | error            | m    |
     | 71    | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress    | 1    |
 
-    The organ lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
+    The organ lies free: who pushes it aside can roll it away, and then displacements stay at their bounds, and no depth
+    is achieved.
 
     With `reward="sparse"` goals are (x, y, depth).
 
@@ -97,6 +100,9 @@ class PressEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 2.6 N/s and a pressure of 2.67 kPa and 0.45 kPa more for each millimetre of
+    depth on; safe success costs 20 ms at most.
+
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `depth`, `depth_error` and `place_error` [m].
 
@@ -104,7 +110,7 @@ class PressEnv(SpatulaEnv):
     Those of `SpatulaEnv`; `task` changes fields of `PressConfig`.
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = PRESS

@@ -80,7 +80,9 @@ class RetractEnv(SpatulaEnv):
     With `reward="sparse"` goals are displacements (x, y).
 
     ## Rewards
-    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally.
+    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally, while the blade
+    pushes against the patch's flank with 10 mN at least, its lower edge 2 mm or more below the patch's middle. Without,
+    the displacement counts as zero: a fold that is dragged along by its crest is not retracted.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
@@ -104,6 +106,9 @@ class RetractEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 0.4 N/s and a pressure of 2.67 kPa on; safe
+    success costs 20 ms at most.
+
     ## Info
     Besides what every environment tells (see `SpatulaEnv`):
 
@@ -111,6 +116,7 @@ class RetractEnv(SpatulaEnv):
     | ------------- | ---------------------------------------------------- | ---- |
     | `shift`       | how far the patch is from where it was, horizontally | m    |
     | `shift_error` | distance of its displacement from the goal           | m    |
+    | `pushing`     | whether the blade pushes against its flank, 0 or 1   | 1    |
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `RetractConfig`. Other defaults have
@@ -121,7 +127,7 @@ class RetractEnv(SpatulaEnv):
     | `max_force` | **float \| None**  | `0.5`   | With a greater one no tool pushes on |
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = RETRACT

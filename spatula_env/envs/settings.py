@@ -95,7 +95,7 @@ class EnvSettings:
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
         control: "velocity": what the task needs. "velocity_6d": six degrees of freedom.
         reward: "dense": the weighted sum of the task's terms. "sparse": 0 within tolerance, -1 elsewhere, with
-            Gymnasium-Robotics' goal interface.
+            Gymnasium-Robotics' goal interface where the task offers hindsight.
         task: What to change in the task's configuration, by name.
         max_speed: Of the grip along each axis [m/s].
         max_rotation_rate: Of the tools about each axis [rad/s].
@@ -106,7 +106,7 @@ class EnvSettings:
         episode_time: After which an episode is cut [s]; None: never.
         terminate_on_success: Whether success ends an episode.
         terminate_on_tangle: Whether an episode ends in which organs stay crossed; see `info["tangled"]`.
-        damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
+        damage_limit: An episode ends when its dose exceeds this [Pa s]; None: never.
         randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
         observation: Fields of `ObservationSettings` to change, by name.
         render_mode: None, "rgb_array" or, for one agent, "human".

@@ -77,7 +77,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     With `reward="sparse"` observations are dictionaries with Gymnasium-Robotics' goal interface: "achieved_goal" and
     "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal, unless
     success ends episodes: then `hold_progress` is a part, for how long the goal has been held, and hindsight replay is
-    not to be used.
+    not to be used. Press, Retract and Clamp have it. In Fissure and Palpate what is achieved depends on what is asked,
+    so that no step can be replayed as if something else had been asked: there is no `compute_reward`, and observations
+    are as with the dense reward.
 
     `observation` changes what is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm, 1 mm/s,
     2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
@@ -113,14 +115,17 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     `damage_limit` and `terminate_on_tangle` are refused without a time limit.
 
-    ## Safety
-    Pressure is a channel of its own and never a part of the reward. The *cost* of a step is the integral over time of
-    what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is a pressure above 4.0 kPa
-    (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15 minutes (J. Rosenorn and
-    N. Diemer, J Neurosurg 63:608, 1985): they are doses, not limits for a moment. `damage_limit` ends an episode whose
-    cost exceeds it. A tool that has met more than `max_force` in a physics step does not move on against that force in
-    the next one, and does not turn: the protective stop that robots have. Velocities in observations are those that
-    were reached.
+    ## Safety What an organ suffers is a channel of its own and never a part of the reward. The *cost* of a step is the
+    time by which limits were exceeded, weighted by how far: its length times the sum of two parts, what the force on a
+    tool has grown faster than the task's `loading_limit`, as a part of that, and what the greatest contact pressure
+    exceeds by what the goal needs, as a part of that. The same thing done more slowly costs less, and done with care
+    next to nothing: success is *safe* if the cost until then is within the task's `cost_budget`. The *dose* of a step
+    is the integral over time of what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is
+    a pressure above 4.0 kPa (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15
+    minutes (J. Rosenorn and N. Diemer, J Neurosurg 63:608, 1985): they are no limits for a moment. A dose grows with
+    the time that a goal is held. `damage_limit` ends an episode whose dose exceeds it. A tool that has met more than
+    `max_force` in a physics step does not move on against that force in the next one, and does not turn: the protective
+    stop that robots have. Velocities in observations are those that were reached.
 
     ## Episode End
     Success is to have been within tolerance for `hold_time` without a break; `info["is_success"]` stays true until the
@@ -156,21 +161,24 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | Key                      | Meaning                                                                             |
     | ------------------------ | ----------------------------------------------------------------------------------- |
     | `is_success`             | whether the goal has been held in this episode                                      |
+    | `is_safe_success`        | whether it has with a cost, until then, within the task's budget                    |
     | `within_tolerance`       | whether it is fulfilled now                                                         |
     | `diverged`               | whether physics has broken down, which only a vector environment lives to tell      |
     | `tangled`                | whether organs have crossed themselves or each other for longer than 0.1 s          |
     | `residual`               | how deep tools and organs were left in each other in a physics step, at most [m]    |
-    | `is_damaged`             | whether the cost of the episode exceeds `damage_limit`                              |
+    | `is_damaged`             | whether the dose of the episode exceeds `damage_limit`                              |
     | `hold_time`              | for how long the goal has been kept [s]                                             |
     | `time`                   | since the reset [s]                                                                 |
     | `force`                  | magnitude of the contact force, averaged over the step [N]                          |
     | `peak_force`             | greatest force on a tool in a physics step of it [N]                                |
     | `peak_pressure`          | greatest contact pressure in a physics step of it [Pa]                              |
     | `mean_pressure`          | the greatest normal force on a face of a tool by its area, averaged over it [Pa]    |
-    | `cost`                   | of the step [Pa s]                                                                  |
+    | `cost`                   | of the step [s]                                                                     |
+    | `dose`                   | of the step [Pa s]                                                                  |
     | `violation`              | whether there was one in the step                                                   |
     | `work`                   | done by the tools on the organ in the step [J]                                      |
-    | `episode_cost`           | sum over the episode [Pa s]                                                         |
+    | `episode_cost`           | sum over the episode [s]                                                            |
+    | `episode_dose`           | sum over the episode [Pa s]                                                         |
     | `episode_work`           | sum over the episode [J]                                                            |
     | `episode_violation_time` | length of the steps with a violation [s]                                            |
     | `episode_peak_force`     | greatest in the episode [N]                                                         |
@@ -198,7 +206,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `episode_time`         | **float \| None**  | `None`       | After which the episode is cut; `make` passes 10 [s]|
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
     | `terminate_on_tangle`  | **bool**           | `False`      | Whether `tangled` ends the episode                  |
-    | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |
+    | `damage_limit`         | **float \| None**  | `None`       | Dose that ends the episode [Pa s]                   |
     | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
     | `observation`          | **dict**           | `None`       | Fields of `ObservationSettings` to change           |
     | `render_mode`          | **str \| None**    | `None`       | `None`, `"rgb_array"` or `"human"`                  |

@@ -1,4 +1,4 @@
-"""Policies that evade the tasks earn less than the expert, and what they earn is reckoned as the environment pays it."""
+"""Policies that evade the tasks earn less than the expert, and what they earn is what the environment pays."""
 
 from __future__ import annotations
 

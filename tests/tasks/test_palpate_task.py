@@ -117,12 +117,12 @@ def test_the_centre_of_pressure_is_where_the_force_acts(
     )
     plate = task.setting.tools[0].vertices
     centre, normal, touching = centre_of_pressure(situation, plate.min(axis=0), plate.max(axis=0), 0.01)
-    assert centre[0] == pytest.approx(arm + [0.001, 0.002, 0.003], abs=1e-12)
+    assert centre[0] - situation.tool_position[0] == pytest.approx(arm, abs=1e-12)
     assert normal == pytest.approx([FORCE])
     assert touching.tolist() == [True]
     off = replace(situation, contact_force=0.01 * situation.contact_force)
     middle, _, touching = centre_of_pressure(off, plate.min(axis=0), plate.max(axis=0), 0.01)
-    assert middle[0] == pytest.approx(turn(turned, [0.0, 0.0, -HALF_THICKNESS]) + [0.001, 0.002, 0.003])
+    assert middle[0] - situation.tool_position[0] == pytest.approx(turn(turned, [0.0, 0.0, -HALF_THICKNESS]))
     assert touching.tolist() == [False]
 
 
@@ -134,7 +134,7 @@ def test_a_plate_that_presses_with_its_rim_feels_there(task: PalpateTask) -> Non
     beside = episode.be(end, contact_torque=torque)
     assert beside.measures["path_distance"] == pytest.approx([0.008])
     assert beside.measures["share"].tolist() == [0.0]
-    assert beside.achieved[0, 1:3] == pytest.approx(end[:2] + [0.0, 0.008], abs=1e-7)
+    assert beside.achieved[0, 1:3] - end[:2] == pytest.approx([0.0, 0.008], abs=1e-7)
     assert episode.be(end).measures["share"][0] > 0.0
 
 
