@@ -134,6 +134,11 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
         warnings.simplefilter("ignore")
         env, _ = make_training_env(_alone(config), 0, config.hyperparameters.gamma)
         try:
+            if config.algorithm == "sac_her" and not base_of(env).env.task.hindsight:
+                raise ValueError(
+                    f"algorithm must not be 'sac_her' with {config.environment.id}: what is achieved in it depends on "
+                    "what is asked, so that hindsight would be wrong"
+                )
             model = make_model(_alone(config), env, 0)
             steps: Any = base_of(env).env.max_episode_steps
             policy = acting_policy(model, model.get_vec_normalize_env(), export_metadata(config))
