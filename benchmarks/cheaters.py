@@ -51,7 +51,7 @@ def options_of(task: str) -> list[dict[str, Any]]:
     ]
 
 
-RETREAT_AT, RETREAT_FOR = 0.75, 4
+RETREAT_AT, RETREAT_FOR = 0.55, 5
 """From which progress of the hold on a delaying policy retreats, and for how many control steps."""
 
 ASIDE, LOW, PUSHING = 0.03, -0.045, 40
