@@ -95,6 +95,11 @@ def expert_of(env: Any, task: str) -> Expert:
     return expert
 
 
+def act_of(expert: Expert) -> Act:
+    """An expert as what `play` takes: it needs no count of steps."""
+    return lambda observation, step: expert(observation)
+
+
 def cheaters_of(env: Any, task: str, seed: int) -> dict[str, Act]:
     """All cheaters that a task knows, by name.
 
@@ -111,7 +116,7 @@ def cheaters_of(env: Any, task: str, seed: int) -> dict[str, Act]:
     found: dict[str, Act] = {
         "delay": _delay(expert_of(env, task), vertical),
         "dive": lambda observation, step: -vertical,
-        "still": lambda observation, step: 0.0 * vertical,
+        "still": lambda observation, step: np.zeros_like(vertical),
         "random": lambda observation, step: generator.uniform(-1.0, 1.0, shape).astype(np.float32),
     }
     more = {"Press": _hover, "Retract": _drag, "Clamp": _squeeze, "Fissure": _from_half_the_depth, "Palpate": _level}
@@ -185,14 +190,14 @@ def _squeeze(env: Any, generator: np.random.Generator) -> dict[str, Act]:
     """Grip as the expert does, but to any width."""
     expert: Any = expert_of(env, "Clamp")
     expert.squeeze = generator.uniform(0.125, 0.65, env.num_envs)
-    return {"squeeze": lambda observation, step: expert(observation)}
+    return {"squeeze": act_of(expert)}
 
 
 def _from_half_the_depth(env: Any, generator: np.random.Generator) -> dict[str, Act]:
     """Open the fissure between its lips."""
     expert: Any = expert_of(env, "Fissure")
     expert.low, expert.wall = 0.013, 0.008
-    return {"half": lambda observation, step: expert(observation)}
+    return {"half": act_of(expert)}
 
 
 def _level(env: Any, generator: np.random.Generator) -> dict[str, Act]:
@@ -264,8 +269,7 @@ def measure(tasks: Sequence[str], engines: Sequence[str], episodes: int, seed: i
             env = make(task, episodes, engine)
             try:
                 seeds = range(seed, seed + episodes)
-                expert = expert_of(env, task)
-                acts = {"expert": lambda observation, step, expert=expert: expert(observation)}
+                acts = {"expert": act_of(expert_of(env, task))}
                 acts.update(cheaters_of(env, task, seed))
                 played = {name: play(env, act, seeds) for name, act in acts.items()}
                 for options in options_of(task):
@@ -288,14 +292,18 @@ def compared(earned: dict[str, dict[str, float]]) -> dict[str, Any]:
     Args:
         earned: By policy, "expert" among them, then by respect.
     """
-    expert = earned.pop("expert")
-    best = {}
+    expert = earned["expert"]
+    others = {name: values for name, values in earned.items() if name != "expert"}
+    best: dict[str, tuple[str, float]] = {}
     for key in expert:
-        name = max(earned, key=lambda each: earned[each][key])
-        best[key] = {"policy": name, "value": earned[name][key]}
-    # A delayer may have succeeded where a success is held on to by chance; but never as often as the expert.
-    ahead = all(expert[key] > best[key]["value"] + FAINT for key in expert)
-    return {"expert": expert, "best": best, "cheaters": earned, "ahead": ahead}
+        name = max(others, key=lambda each: others[each][key])
+        best[key] = name, others[name][key]
+    return {
+        "expert": expert,
+        "best": {key: {"policy": name, "value": value} for key, (name, value) in best.items()},
+        "cheaters": others,
+        "ahead": all(expert[key] > value + FAINT for key, (_, value) in best.items()),
+    }
 
 
 def show(rows: Sequence[Mapping[str, Any]]) -> None:

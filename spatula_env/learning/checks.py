@@ -41,12 +41,13 @@ def check_training(config: TrainingConfig) -> list[str]:
         ValueError: If values do not go together, or are not allowed; the message names them, and what is.
     """
     _check_amounts(config)
+    if config.algorithm == "sac_her":
+        _check_hindsight(config)
     steps, transition = _rehearse(config)
     _check_memory(config, transition)
     chosen = config.hyperparameters
     worlds = config.environment.num_envs
     if isinstance(chosen, SACHERConfig):
-        _check_hindsight(config)
         if steps is None:
             raise ValueError("environment.kwargs.max_episode_steps must be a number with algorithm 'sac_her'")
         whole = worlds * steps

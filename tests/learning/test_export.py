@@ -139,7 +139,7 @@ def test_a_policy_finds_its_parts_in_an_environment():
     observation, _ = env.reset(seed=0)
     goals = observation[:, env.unwrapped.observation_builder.slices["goal"]]
     np.testing.assert_allclose(policy(observation), 2.0 * goals, rtol=1e-6)
-    with pytest.raises(ValueError, match="must have 70 numbers for this policy, got 71"):
+    with pytest.raises(ValueError, match="must have 70 numbers for this policy, got 72"):
         linear(70).bound_to(env)
     with pytest.raises(ValueError, match="actions must have 2 numbers"):
         linear(71, 2).bound_to(env)
