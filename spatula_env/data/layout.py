@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from spatula_env.definitions import FIRST
+from spatula_env.definitions import FIRST, definition_number
 
 if TYPE_CHECKING:
     import gymnasium
@@ -32,7 +32,7 @@ class Layout:
         lerobot_names: What LeRobot calls the entries of an observation.
         workspace_low: (3,) the corner of the tool's workspace, in which positions are given [m]; empty if not known.
         workspace_high: (3,) the opposite corner [m].
-        definition: Number of the definition of the task.
+        definition: Number of the definition of the task; None in the layout of what was not recorded by this package.
     """
 
     observation_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -43,7 +43,7 @@ class Layout:
     lerobot_names: Mapping[str, str] = field(default_factory=dict)
     workspace_low: tuple[float, ...] = ()
     workspace_high: tuple[float, ...] = ()
-    definition: int = FIRST
+    definition: int | None = None
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> Layout:
@@ -99,6 +99,10 @@ class Layout:
             workspace_high=tuple(record.get("workspace_high", ())),
             definition=int(record.get("definition", FIRST)),
         )
+
+    def definition_of(self, env_id: str) -> int:
+        """The number of the definition of an environment's task; the present one where nobody says which it was."""
+        return definition_number(env_id) if self.definition is None else self.definition
 
     def as_record(self) -> dict[str, Any]:
         """As JSON has it."""

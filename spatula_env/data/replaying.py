@@ -165,7 +165,7 @@ def replay(
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
     entries, specs = read_entries(dataset_id, root), recorded_specs(dataset_id, root)
-    number_of_definition = read_layout(dataset_id, root).definition
+    layout = read_layout(dataset_id, root)
     results = []
     env: gymnasium.Env[Any, Any] | None = None
     made: EnvSpec | None = None
@@ -175,8 +175,9 @@ def replay(
             if env is None or spec != made:
                 if env is not None:
                     env.close()
-                env, made = make_recorded(spec, render_mode, env_id, wrappers, number_of_definition), spec
-                tell_definition(f"dataset {dataset_id!r}", spec.id, number_of_definition)
+                definition = layout.definition_of(spec.id)
+                env, made = make_recorded(spec, render_mode, env_id, wrappers, definition), spec
+                tell_definition(f"dataset {dataset_id!r}", spec.id, definition)
                 if env.action_space != dataset.action_space:
                     raise ValueError(f"the episodes of {dataset_id!r} have other actions than those of {spec.id}")
             (metadata,) = dataset.storage.get_episode_metadata([number])

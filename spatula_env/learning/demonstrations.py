@@ -301,7 +301,7 @@ def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any],
     except ValueError as error:
         raise ValueError(f"dataset {name!r}: {error}") from error
     _check_wrappers(name)
-    number = read_layout(name).definition
+    number = read_layout(name).definition_of(env_id)
     tell_definition(f"dataset {name!r}", env_id, number)
     kwargs = {key: value for key, value in spec.kwargs.items() if key != "engine"}
     return env_id, present_options(env_id, number, kwargs), int(dataset.total_episodes)
