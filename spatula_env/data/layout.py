@@ -87,7 +87,7 @@ class Layout:
         """From what `as_record` made; None gives an empty one."""
         if record is None:
             return cls()
-        frequency = record.get("control_frequency")
+        frequency, number = record.get("control_frequency"), record.get("definition", FIRST)
         return cls(
             observation_names={name: tuple(names) for name, names in record.get("observation_names", {}).items()},
             action_names=tuple(record.get("action_names", ())),
@@ -97,7 +97,7 @@ class Layout:
             lerobot_names=dict(record.get("lerobot_names", {})),
             workspace_low=tuple(record.get("workspace_low", ())),
             workspace_high=tuple(record.get("workspace_high", ())),
-            definition=int(record.get("definition", FIRST)),
+            definition=None if number is None else int(number),
         )
 
     def definition_of(self, env_id: str) -> int:

@@ -91,7 +91,7 @@ def test_experts_demonstrate_what_they_would_do():
     assert np.abs(driven[0].carried - driven[0].actions).max() > 0.1
     np.testing.assert_array_equal(driven[0].observations[0], whole[0].observations[0])
     some = collect(plan, num_envs=2, parts=("error",), steps=4)
-    np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -3:])
+    np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -4:-1])
 
 
 def test_demonstrations_must_fit_the_buffer():
