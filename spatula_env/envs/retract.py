@@ -79,10 +79,10 @@ class RetractEnv(SpatulaEnv):
 
     With `reward="sparse"` goals are displacements (x, y).
 
-    ## Rewards
-    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally, while the blade
-    pushes against the patch's flank with 10 mN at least, its lower edge 2 mm or more below the patch's middle. Without,
-    the displacement counts as zero: a fold that is dragged along by its crest is not retracted.
+    ## Rewards A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally, while
+    the blade pushes against the patch's flank with 10 mN at least and with twice of what it presses down with, its
+    lower edge 2 mm or more below the patch's middle. Without, the displacement counts as zero: a fold that is dragged
+    along by its crest is not retracted.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 

@@ -54,7 +54,8 @@ class RetractConfig(TaskConfig):
         shift_range: Least and greatest displacement asked for [m].
         angle_limit: It is asked for across the fold, or turned away from that by this at most [rad].
         tolerance: Allowed horizontal distance between displacement and goal [m].
-        least_push: It counts while the blade pushes against the flank with this at least [N].
+        least_push: It counts while the blade pushes against the flank with this at least, and with twice of what it
+            presses down with at least [N].
         least_overlap: And while the blade's lower edge is lower than the patch's middle by this at least [m].
         hold_time: How long it must be kept without a break [s].
         start_offset: The blade starts within these distances of the fold's middle, across the fold and along it [m].
@@ -282,11 +283,17 @@ class RetractTask(Task):
         )
 
     def _pushes(self, situation: Situation, patch: FloatArray, inwards: FloatArray) -> BoolArray:
-        """(W,) whether blades push against the flanks beside patches with middles (W, 3)."""
+        """(W,) whether blades push against the flanks beside patches with middles (W, 3).
+
+        A blade that drags the fold along from above is pushed up by about as much as it is pushed back, or more,
+        however deep it is; one beside the fold is hardly pushed up.
+        """
         push = -(situation.contact_force[:, :2] * inwards).sum(axis=1)
         edge = situation.tool_position[:, 2] + situation.tool_scale * self._underside
         return np.asarray(
-            (push >= self.config.least_push) & (patch[:, 2] - edge >= self.config.least_overlap), dtype=np.bool_
+            (push >= np.maximum(self.config.least_push, 2.0 * situation.contact_force[:, 2]))
+            & (patch[:, 2] - edge >= self.config.least_overlap),
+            dtype=np.bool_,
         )
 
     def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -65,7 +65,8 @@ def test_the_displacement_of_the_patch_is_measured(task: RetractTask) -> None:
 def test_a_fold_that_is_not_pushed_by_its_flank_is_not_retracted(task: RetractTask) -> None:
     goal, moved = [[0.006, 0.0], [-0.006, 0.0]], np.array([[[0.006, 0.0, 0.0]], [[-0.006, 0.0, 0.0]]])
     assert judge(task, goal, moved).within_tolerance.tolist() == [True, True]
-    for changes in ({"grip": ABOVE}, {"push": 0.0}, {"push": -0.2}):
+    dragging = np.array([[-0.1, 0.0, 0.06], [0.1, 0.0, 0.06]])
+    for changes in ({"grip": ABOVE}, {"push": 0.0}, {"push": -0.2}, {"contact_force": dragging}):
         found = judge(task, goal, moved, **changes)
         assert found.measures["pushing"].tolist() == [0.0, 0.0]
         assert (found.achieved == 0.0).all()
