@@ -79,7 +79,8 @@ class RetractEnv(SpatulaEnv):
 
     With `reward="sparse"` goals are displacements (x, y).
 
-    ## Rewards A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally, while
+    ## Rewards
+    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally, while
     the blade pushes against the patch's flank with 10 mN at least and with twice of what it presses down with, its
     lower edge 2 mm or more below the patch's middle. Without, the displacement counts as zero: a fold that is dragged
     along by its crest is not retracted.
