@@ -115,7 +115,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     `damage_limit` and `terminate_on_tangle` are refused without a time limit.
 
-    ## Safety What an organ suffers is a channel of its own and never a part of the reward. The *cost* of a step is the
+    ## Safety
+    What an organ suffers is a channel of its own and never a part of the reward. The *cost* of a step is the
     time by which limits were exceeded, weighted by how far: its length times the sum of two parts, what the force on a
     tool has grown faster than the task's `loading_limit`, as a part of that, and what the greatest contact pressure
     exceeds by what the goal needs, as a part of that. The same thing done more slowly costs less, and done with care
