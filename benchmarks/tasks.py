@@ -1,15 +1,16 @@
-"""Can the tasks be solved, and not by chance?
+"""Can the tasks be solved, and not by chance, by haste or by evasion?
 
-For each task, in both engines: how often the scripted expert and a random policy succeed, with which forces and
-pressures, what it costs, and how many control steps a second are made. An episode ends with success or after 200 steps.
-Figures of an episode are medians and maxima over the episodes; speed is that of stepping alone, where Bullet's
-episodes run one after the other in each process and the batch engine's all at once.
+For each task, in both engines: how often the scripted expert, the same in haste and a random policy succeed, how often
+within the budget of cost, with which forces and pressures, what it costs, and how many control steps a second are made.
+An episode ends with success or after 200 steps. Figures of an episode are medians and maxima over the episodes; speed
+is that of stepping alone, where Bullet's episodes run one after the other in each process and the batch engine's all at
+once. With `--cheaters`: what policies earn that evade the tasks, beside the expert; see `benchmarks.cheaters`.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -17,16 +18,23 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from benchmarks import cheaters
 from benchmarks.measure import finish, load_average, parser, without_bullet
 from benchmarks.parallel import available_cores, results
 from spatula_env import TASKS
 from spatula_env.learning import experts
 
 ENGINES = ("batch", "bullet")
-POLICIES = ("expert", "random")
+POLICIES = ("expert", "hasty", "random")
 
 EXPERT_LIMIT, RANDOM_LIMIT = 0.95, 0.05
 """Least success of the expert, and greatest of the random policy."""
+
+CAREFUL_LIMIT, HASTY_LIMIT = 0.95, 0.2
+"""Least share of the expert's episodes within the budget, and greatest of the hasty policy's."""
+
+HASTE = 4.0
+"""By how much the hasty policy is faster than the expert, up to what the control allows."""
 
 CHUNK = 10
 """Episodes with Bullet that are one piece of work."""
@@ -34,7 +42,8 @@ CHUNK = 10
 QUANTITIES = {
     "peak_force": ("episode_peak_force", "N"),
     "peak_pressure": ("episode_peak_pressure", "Pa"),
-    "cost": ("episode_cost", "Pa s"),
+    "cost": ("episode_cost", "s"),
+    "dose": ("episode_dose", "Pa s"),
 }
 """What is told of the episodes: the key in `info` at an episode's end, and the unit."""
 
@@ -46,7 +55,7 @@ class Job:
     Attributes:
         task: Its name.
         engine: "batch" or "bullet".
-        policy: "expert" or "random".
+        policy: "expert", "hasty" or "random".
         seeds: Of the episodes.
     """
 
@@ -65,6 +74,7 @@ class Episodes:
         steps: Control steps until success, or in all.
         diverged: Whether physics broke down.
         violated: Whether pressure was above the limit in any step.
+        careful: Whether the cost was within the task's budget.
         quantities: The last value of each of `QUANTITIES`.
         step_count: Control steps that were timed.
         seconds: How long they took [s].
@@ -74,6 +84,7 @@ class Episodes:
     steps: list[int]
     diverged: list[bool]
     violated: list[bool]
+    careful: list[bool]
     quantities: dict[str, list[float]]
     step_count: int
     seconds: float
@@ -93,7 +104,8 @@ def run_job(job: Job) -> Episodes:
 def _run(envs: Any, job: Job) -> Episodes:
     count = len(job.seeds)
     generators = [np.random.default_rng([seed, 1]) for seed in job.seeds]
-    act = getattr(experts, f"{job.task}Expert")(envs) if job.policy == "expert" else None
+    act = None if job.policy == "random" else getattr(experts, f"{job.task}Expert")(envs)
+    haste = HASTE if job.policy == "hasty" else 1.0
     observation, infos = envs.reset(seed=list(job.seeds))
     over, success, diverged = (np.zeros(count, dtype=bool) for _ in range(3))
     steps = np.zeros(count, dtype=int)
@@ -103,7 +115,7 @@ def _run(envs: Any, job: Job) -> Episodes:
     size = envs.single_action_space.shape[0]
     while not over.all():
         if act is not None:
-            actions = act(observation)
+            actions = np.clip(haste * act(observation), -1.0, 1.0).astype(np.float32)
         else:
             actions = np.stack([generator.uniform(-1.0, 1.0, size) for generator in generators]).astype(np.float32)
         start = time.perf_counter()
@@ -121,8 +133,9 @@ def _run(envs: Any, job: Job) -> Episodes:
         if (terminated | truncated).any() and not over.all():
             # A world that broke down begins anew so that the others can go on; it does not count any more.
             observation, _ = envs.reset(options={"reset_mask": terminated | truncated})
+    careful = last["cost"] <= envs.unwrapped.task.cost_budget
     return Episodes(
-        success.tolist(), steps.tolist(), diverged.tolist(), violated.tolist(),
+        success.tolist(), steps.tolist(), diverged.tolist(), violated.tolist(), careful.tolist(),
         {name: values.tolist() for name, values in last.items()}, step_count, seconds,
     )  # fmt: skip
 
@@ -137,6 +150,7 @@ def summarize(parts: Iterable[Episodes]) -> dict[str, Any]:
         "success": float(success.mean()),
         "steps_to_success": float(np.median(steps[success])) if success.any() else None,
         "violation_rate": float(np.concatenate([part.violated for part in chunks]).mean()),
+        "within_budget": float(np.concatenate([part.careful for part in chunks]).mean()),
         "non_finite": int(np.concatenate([part.diverged for part in chunks]).sum()),
         "steps_per_second": sum(part.step_count for part in chunks) / sum(part.seconds for part in chunks),
     }
@@ -179,34 +193,59 @@ def measure(jobs: list[Job], workers: int) -> dict[str, dict[str, dict[str, Any]
 
 
 def passed(table: dict[str, dict[str, dict[str, Any]]]) -> bool:
-    """Whether every expert is good enough, every random policy bad enough, and nothing has diverged."""
-    for engines in table.values():
-        for policies in engines.values():
-            for policy, row in policies.items():
-                enough = row["success"] >= EXPERT_LIMIT if policy == "expert" else row["success"] <= RANDOM_LIMIT
-                if not enough or row["non_finite"]:
-                    return False
-    return True
+    """Whether every expert is good and careful enough, the others are not, and nothing has diverged."""
+
+    def is_as_it_should_be(policy: str, row: dict[str, Any]) -> bool:
+        if row["non_finite"]:
+            return False
+        if policy == "expert":
+            return bool(row["success"] >= EXPERT_LIMIT and row["within_budget"] >= CAREFUL_LIMIT)
+        return bool(row["within_budget"] <= HASTY_LIMIT if policy == "hasty" else row["success"] <= RANDOM_LIMIT)
+
+    return all(
+        is_as_it_should_be(policy, row)
+        for engines in table.values()
+        for policies in engines.values()
+        for policy, row in policies.items()
+    )
 
 
 def show(table: dict[str, dict[str, dict[str, Any]]]) -> None:
     """Print a table."""
     print(
         f"{'task':8} {'engine':6} {'policy':6} {'success':>7} {'steps':>5} {'force N':>15} {'pressure kPa':>15} "
-        f"{'cost Pa s':>17} {'> 4 kPa':>7} {'steps/s':>8}"
+        f"{'cost ms':>17} {'budget':>7} {'dose Pa s':>17} {'> 4 kPa':>7} {'steps/s':>8}"
     )
     for task, engines in table.items():
         for engine, policies in engines.items():
             for policy, row in policies.items():
-                force, pressure, cost = row["peak_force"], row["peak_pressure"], row["cost"]
+                force, pressure, cost, dose = (row[name] for name in QUANTITIES)
                 steps = f"{row['steps_to_success']:.0f}" if row["steps_to_success"] is not None else "-"
                 print(
                     f"{task:8} {engine:6} {policy:6} {100 * row['success']:6.0f}% {steps:>5} "
                     f"{force['median']:7.2f}/{force['max']:7.2f} "
                     f"{pressure['median'] / 1e3:7.2f}/{pressure['max'] / 1e3:7.1f} "
-                    f"{cost['median']:8.1f}/{cost['max']:8.0f} {100 * row['violation_rate']:6.0f}% "
+                    f"{1e3 * cost['median']:8.1f}/{1e3 * cost['max']:8.0f} {100 * row['within_budget']:6.0f}% "
+                    f"{dose['median']:8.1f}/{dose['max']:8.0f} {100 * row['violation_rate']:6.0f}% "
                     f"{row['steps_per_second']:8.0f}"
                 )
+
+
+def report_cheaters(tasks: Sequence[str], engines: Sequence[str], episodes: int, seed: int, *, quiet: bool) -> None:
+    """Measure and print what cheaters earn."""
+    start = time.perf_counter()
+    rows = cheaters.measure(tasks, engines, episodes, seed)
+    if not quiet:
+        cheaters.show(rows)
+    finish(
+        {
+            "benchmark": "cheaters",
+            "passed": all(row["ahead"] for row in rows),
+            "episodes": episodes,
+            "rows": rows,
+            "seconds": time.perf_counter() - start,
+        }
+    )
 
 
 def main() -> None:
@@ -218,10 +257,14 @@ def main() -> None:
     options.add_argument("--episodes", type=int, default=100)
     options.add_argument("--seed", type=int, default=0, help="of the first episode")
     options.add_argument("--workers", type=int, default=available_cores(), help="processes with Bullet")
+    options.add_argument("--cheaters", action="store_true", help="what policies earn that evade the tasks")
     arguments = options.parse_args()
     if arguments.episodes < 1:
         options.error(f"argument --episodes: must be at least 1, got {arguments.episodes}")
     engines = without_bullet(arguments.engines)
+    if arguments.cheaters:
+        report_cheaters(arguments.tasks, engines, arguments.episodes, arguments.seed, quiet=arguments.json)
+        return
     jobs = plan(arguments.tasks, engines, arguments.policies, arguments.episodes, arguments.seed)
     start = time.perf_counter()
     table = measure(jobs, arguments.workers)
@@ -231,7 +274,12 @@ def main() -> None:
         {
             "benchmark": "tasks",
             "passed": passed(table),
-            "limits": {"expert": EXPERT_LIMIT, "random": RANDOM_LIMIT},
+            "limits": {
+                "expert": EXPERT_LIMIT,
+                "random": RANDOM_LIMIT,
+                "careful": CAREFUL_LIMIT,
+                "hasty": HASTY_LIMIT,
+            },
             "tasks": table,
             "load": load_average(),
             "seconds": time.perf_counter() - start,

@@ -46,7 +46,7 @@ def make_episode(number: int, *, nodes: Any = None) -> Episode:
         "peak_pressure": np.where(rows > 1, 1000.0 * FORCES[number], 0.0),
         "episode_peak_force": np.where(rows > 1, FORCES[number], 0.0),
         "episode_peak_pressure": np.where(rows > 1, 1000.0 * FORCES[number], 0.0),
-        "episode_cost": 10.0 * rows,
+        "episode_dose": 10.0 * rows,
         "violation": (rows > 1) & (FORCES[number] >= 4.0),
         "is_success": (rows == steps) & success,
     }

@@ -17,7 +17,7 @@ LAYERS = (
     {"cli"},
     {"demo", "learning", "teleop"},
     {"data", "policies"},
-    {"extending"},
+    {"definitions", "extending"},
     {"envs", "naming"},
     {"render", "sim"},
     {"tasks"},

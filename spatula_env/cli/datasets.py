@@ -328,7 +328,7 @@ def _tell_statistics(found: DatasetStatistics) -> None:
         ("length", "length", 1.0, "steps"),
         ("peak_force", "greatest force", 1.0, "N"),
         ("peak_pressure", "pressure", 1e-3, "kPa"),
-        ("cost", "cost", 1.0, "Pa s"),
+        ("dose", "dose", 1.0, "Pa s"),
     ):
         spread = record[name]
         if spread is not None:

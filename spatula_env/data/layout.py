@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from spatula_env.definitions import FIRST, definition_number
+
 if TYPE_CHECKING:
     import gymnasium
 
@@ -30,6 +32,7 @@ class Layout:
         lerobot_names: What LeRobot calls the entries of an observation.
         workspace_low: (3,) the corner of the tool's workspace, in which positions are given [m]; empty if not known.
         workspace_high: (3,) the opposite corner [m].
+        definition: Number of the definition of the task; None in the layout of what was not recorded by this package.
     """
 
     observation_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -40,6 +43,7 @@ class Layout:
     lerobot_names: Mapping[str, str] = field(default_factory=dict)
     workspace_low: tuple[float, ...] = ()
     workspace_high: tuple[float, ...] = ()
+    definition: int | None = None
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> Layout:
@@ -75,6 +79,7 @@ class Layout:
             lerobot_names=lerobot_keys(space),
             workspace_low=tuple(map(float, made.workspace.low)),
             workspace_high=tuple(map(float, made.workspace.high)),
+            definition=int(made.task.definition),
         )
 
     @classmethod
@@ -82,7 +87,7 @@ class Layout:
         """From what `as_record` made; None gives an empty one."""
         if record is None:
             return cls()
-        frequency = record.get("control_frequency")
+        frequency, number = record.get("control_frequency"), record.get("definition", FIRST)
         return cls(
             observation_names={name: tuple(names) for name, names in record.get("observation_names", {}).items()},
             action_names=tuple(record.get("action_names", ())),
@@ -92,7 +97,12 @@ class Layout:
             lerobot_names=dict(record.get("lerobot_names", {})),
             workspace_low=tuple(record.get("workspace_low", ())),
             workspace_high=tuple(record.get("workspace_high", ())),
+            definition=None if number is None else int(number),
         )
+
+    def definition_of(self, env_id: str) -> int:
+        """The number of the definition of an environment's task; the present one where nobody says which it was."""
+        return definition_number(env_id) if self.definition is None else self.definition
 
     def as_record(self) -> dict[str, Any]:
         """As JSON has it."""
@@ -105,6 +115,7 @@ class Layout:
             "lerobot_names": dict(self.lerobot_names),
             "workspace_low": list(self.workspace_low),
             "workspace_high": list(self.workspace_high),
+            "definition": self.definition,
         }
 
     def find(self, part: str) -> tuple[str, slice] | None:

@@ -16,7 +16,7 @@ from spatula_env.data.specs import differences, spec_from_json, storable_spec
 if TYPE_CHECKING:
     import gymnasium
 
-MEANING = ("observation_names", "action_names", "control_frequency", "workspace_low", "workspace_high")
+MEANING = ("observation_names", "action_names", "control_frequency", "workspace_low", "workspace_high", "definition")
 """What of a layout the numbers of an episode depend on."""
 
 

@@ -20,8 +20,8 @@ RULE = "#e4e5e8"
 SUCCESS = "#2f7f86"
 FAILURE = "#d0782f"
 COURSE = "#9a3f4d"
-LIMITS = ((2.67, "cost"), (4.0, "violation"))
-"""Pressures from which cost and violations are counted [kPa]; see `SpatulaEnv`."""
+LIMITS = ((2.67, "dose"), (4.0, "violation"))
+"""Pressures from which dose and violations are counted [kPa]; see `SpatulaEnv`."""
 BINS = 16
 """Of a histogram, at most."""
 CELLS = 40
@@ -114,8 +114,8 @@ def _tell(axes: Axes, found: DatasetStatistics) -> None:
         f"{summary.episodes} episodes ({operators}), {summary.steps} steps",
         f"by {', '.join(summary.devices)}",
     ]
-    if found.costs is not None:
-        lines.append(f"cost {found.costs.mean():.0f} Pa s in an episode")
+    if found.doses is not None:
+        lines.append(f"dose {found.doses.mean():.0f} Pa s in an episode")
     if found.violations is not None:
         lines.append(f"a violation in {found.violations.sum()} of {summary.episodes} episodes")
     if found.coverage is not None:

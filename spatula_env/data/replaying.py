@@ -12,13 +12,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.data.dataset import dataset_folder, require_minari
+from spatula_env.data.dataset import dataset_folder, read_layout, require_minari
 from spatula_env.data.episode import STATE, physics_state
 from spatula_env.data.files import DatasetDamaged
 from spatula_env.data.index import SPECS, EpisodeEntry, check_harmless, read_index, read_metadata
 from spatula_env.data.layout import KEY
 from spatula_env.data.pictures import ENCODED, has_pictures, reads_plain_pictures
 from spatula_env.data.specs import make_recorded, spec_from_json
+from spatula_env.definitions import tell_definition
 from spatula_env.envs.steering import STEERING
 
 if TYPE_CHECKING:
@@ -164,6 +165,7 @@ def replay(
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
     entries, specs = read_entries(dataset_id, root), recorded_specs(dataset_id, root)
+    layout = read_layout(dataset_id, root)
     results = []
     env: gymnasium.Env[Any, Any] | None = None
     made: EnvSpec | None = None
@@ -173,7 +175,9 @@ def replay(
             if env is None or spec != made:
                 if env is not None:
                     env.close()
-                env, made = make_recorded(spec, render_mode, env_id, wrappers), spec
+                definition = layout.definition_of(spec.id)
+                env, made = make_recorded(spec, render_mode, env_id, wrappers, definition), spec
+                tell_definition(f"dataset {dataset_id!r}", spec.id, definition)
                 if env.action_space != dataset.action_space:
                     raise ValueError(f"the episodes of {dataset_id!r} have other actions than those of {spec.id}")
             (metadata,) = dataset.storage.get_episode_metadata([number])

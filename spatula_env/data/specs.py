@@ -16,6 +16,7 @@ from gymnasium.envs.registration import EnvSpec, WrapperSpec, load_env_creator
 from spatula_env.data.checking import check_spec, read_json
 from spatula_env.data.files import DatasetDamaged
 from spatula_env.data.wrappers import allowed_wrapper, is_of_gymnasium
+from spatula_env.definitions import present_options
 from spatula_env.naming import bare_id, registered_id
 
 UNSEEN = ("render_mode",)
@@ -117,6 +118,7 @@ def make_recorded(
     render_mode: str | None = None,
     env_id: str | None = None,
     wrappers: Sequence[type[gymnasium.Wrapper[Any, Any, Any, Any]]] = (),
+    definition: int | None = None,
 ) -> gymnasium.Env[Any, Any]:
     """Make the environment of a dataset again.
 
@@ -129,6 +131,7 @@ def make_recorded(
         render_mode: How to look at it; None: as it was recorded, if that was needed.
         env_id: The same environment as "module:id", if nobody has registered it yet.
         wrappers: More wrappers that are allowed, whatever their arguments.
+        definition: Number of the definition of the task with which it was recorded; None: of the present one.
 
     Raises:
         ImportError: If the module of `env_id` cannot be imported, or the engine is missing.
@@ -140,6 +143,8 @@ def make_recorded(
     if found.id in MAKERS:
         raise ValueError(f"the dataset was recorded in {found.id}, which makes whatever environment it is told to")
     found.entry_point, found.vector_entry_point = registered.entry_point, registered.vector_entry_point
+    if definition is not None:
+        found.kwargs = present_options(found.id, definition, spec.kwargs)
     found.additional_wrappers = tuple(
         WrapperSpec(each.name, allowed_wrapper(each.entry_point, wrappers), each.kwargs)
         for each in spec.additional_wrappers

@@ -73,7 +73,7 @@ class DatasetStatistics:
         pressure: Greatest contact pressure in a control step [Pa].
         peak_forces: (E,) the greatest force on a tool [N].
         peak_pressures: (E,) the greatest contact pressure [Pa].
-        costs: (E,) [Pa s].
+        doses: (E,) of pressure [Pa s].
         violations: (E,) whether there was one.
         positions: (S, 3) where the tool was in each step, as it was observed [m].
         workspace: (2, 3) the corners of the workspace [m].
@@ -91,7 +91,7 @@ class DatasetStatistics:
     pressure: Curve | None
     peak_forces: FloatArray | None
     peak_pressures: FloatArray | None
-    costs: FloatArray | None
+    doses: FloatArray | None
     violations: NDArray[np.bool_] | None
     positions: FloatArray | None
     workspace: FloatArray | None
@@ -113,7 +113,7 @@ class DatasetStatistics:
             "duration": _spread(self.durations),
             "peak_force": _spread(self.peak_forces),
             "peak_pressure": _spread(self.peak_pressures),
-            "cost": _spread(self.costs),
+            "dose": _spread(self.doses),
             "violation_rate": None if self.violations is None or not count else float(self.violations.mean()),
             "coverage": self.coverage,
         }
@@ -136,7 +136,7 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
     attributes = [entry.attributes for entry in read_entries(dataset_id, root)]
     returns, lengths = [], []
     courses: dict[str, list[FloatArray]] = {"time": [], "force": [], "peak_pressure": []}
-    ends: dict[str, list[float]] = {"episode_peak_force": [], "episode_peak_pressure": [], "episode_cost": []}
+    ends: dict[str, list[float]] = {"episode_peak_force": [], "episode_peak_pressure": [], "episode_dose": []}
     violations: list[bool] = []
     positions: list[FloatArray] = []
     for episode in dataset.iterate_episodes():
@@ -147,8 +147,10 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
             if name in infos:
                 values.append(np.asarray(infos[name], dtype=np.float64))
         for name, found in ends.items():
-            if name in infos:
-                found.append(float(infos[name][-1]))
+            # With the first definition of tasks the dose was called cost.
+            told = "episode_cost" if name == "episode_dose" and name not in infos else name
+            if told in infos:
+                found.append(float(infos[told][-1]))
         if "violation" in infos:
             violations.append(bool(np.any(infos["violation"])))
         places = tool_positions(episode.observations, layout)
@@ -180,7 +182,7 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
         pressure=course("peak_pressure"),
         peak_forces=ending("episode_peak_force"),
         peak_pressures=ending("episode_peak_pressure"),
-        costs=ending("episode_cost"),
+        doses=ending("episode_dose"),
         violations=np.array(violations) if count and len(violations) == count else None,
         positions=where,
         workspace=box,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.envs.incentives import check_horizon
 from spatula_env.envs.time_limit import read_step_limit
 from spatula_env.tasks.plain import as_recorded
 
@@ -50,6 +51,7 @@ class EpisodesEnv:
     _made_with: tuple[tuple[Any, ...], dict[str, Any]]
     _spec: EnvSpec | None = None
     _step_limit: int | None
+    _horizon: int | None
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
         """Remember the arguments, from which a copy is made."""
@@ -76,11 +78,12 @@ class EpisodesEnv:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Put a copy that has just been made to the state of the original."""
         vars(self).update(state["attributes"])
+        self._set_horizon(self._horizon)
         self._set_whole_state(state)
 
     def _copied_names(self) -> set[str]:
         """Names of what is copied as it is: spaces with their random numbers, settings, and what a subclass adds."""
-        return {"_spec", "_step_limit", "settings", *COPIED} | (set(vars(self)) - self.constructed_names)
+        return {"_horizon", "_spec", "_step_limit", "settings", *COPIED} | (set(vars(self)) - self.constructed_names)
 
     def _whole_state(self) -> dict[str, Any]:
         """What else a copy needs: the state, and whether all is closed."""
@@ -115,7 +118,14 @@ class EpisodesEnv:
 
     @_max_episode_steps.setter
     def _max_episode_steps(self, value: int | None) -> None:
-        self._step_limit = read_step_limit(value)
+        limit = read_step_limit(value)
+        check_horizon(self.settings, limited=limit is not None)
+        self._step_limit = limit
+        self._set_horizon(limit)
+
+    def _set_horizon(self, steps: int | None) -> None:
+        """Let the ends of episodes know after how many control steps they are cut, by whomever."""
+        self._horizon = self._episodes.horizon = steps
 
     @property
     def workspace(self) -> Workspace:
@@ -151,14 +161,24 @@ class EpisodesEnv:
     def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
         """The sparse reward of goals, for hindsight replay: of (achieved_goal, desired_goal, info).
 
-        Goals are (..., G) and the result is (...); `info` is not looked at. There is no such attribute with
-        `reward="dense"`, because libraries tell by it which environments have the goal interface.
+        Goals are (..., G) and the result is (...). `info`, of one step or of each, tells which step ended by damage or
+        by a tangle; where it tells nothing, none did. There is no such attribute with `reward="dense"`, because
+        libraries tell by it which environments have the goal interface.
         """
         if self._episodes.settings.reward != "sparse":
             raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")
-        task = self.task
+        if not self.task.hindsight:
+            raise AttributeError(
+                f"{self.definition.name} has no compute_reward: what is achieved in it depends on what is asked, so "
+                "that no step can be replayed as if something else had been asked"
+            )
+        task, episodes = self.task, self._episodes
 
         def compute(achieved: NDArray[Any], desired: NDArray[Any], info: Any) -> NDArray[np.float32]:
-            return task.compute_reward(achieved, desired)
+            reward = task.compute_reward(achieved, desired)
+            badly = episodes.incentives.charged(info)
+            if not badly.any():
+                return reward
+            return np.where(badly, np.float32(-episodes.incentives.charge(episodes.horizon)), reward)
 
         return compute

@@ -65,7 +65,7 @@ class ClampEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the ridge's top at rest.
 
     ## Observation Space
-    The observation is a `Box((87,), float32)` of these parts:
+    The observation is a `Box((88,), float32)` of these parts:
 
     | Num   | Observation                                                 | Min     | Max    | Name             | Unit |
     | ----- | ----------------------------------------------------------- | ------- | ------ | ---------------- | ---- |
@@ -91,6 +91,7 @@ class ClampEnv(SpatulaEnv):
     | 84    | slip allowed                                                | 0       | 0.02   | goal             | m    |
     | 85    | lift asked for minus lift                                   | -0.11   | 0.11   | error            | m    |
     | 86    | slip allowed minus slip                                     | -0.02   | 0.02   | error            | m    |
+    | 87    | for how long the goal has been held, of what is asked       | 0       | 1      | hold_progress    | 1    |
 
     With `reward="sparse"` goals are (lift, slip).
 
@@ -99,7 +100,8 @@ class ClampEnv(SpatulaEnv):
     both jaws touch the organ with the faces that they turn to each other, and ends when neither does. Its *slip* is how
     far the part of the ridge that was between the jaws when the grip began has moved along their faces since; while not
     both jaws touch, it counts as 20 mm. A step is *within tolerance* if the lift is within 1 mm of the goal's and the
-    slip is no greater than the goal's.
+    slip is no greater than the goal's, while either jaw presses on the ridge with 80 to 250 mN; with less or more the
+    slip counts as 20 mm, so that neither a loose grip holds nor one that crushes.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
@@ -123,9 +125,12 @@ class ClampEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 1.2 N/s and a pressure of 2.67 kPa on; safe
+    success costs 20 ms at most.
+
     ## Info
-    Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; and `gripped`, 1 with
-    a grip and 0 without.
+    Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; `gripped`, 1 with a
+    grip and 0 without; and `grip_force`, that of the jaw that presses less [N].
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. Another default has
@@ -135,7 +140,7 @@ class ClampEnv(SpatulaEnv):
     | `max_speed` | **float** | `0.05`  | Greatest speed along each axis [m/s] |
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = CLAMP

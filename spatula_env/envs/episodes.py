@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.envs.control import VelocityControl
+from spatula_env.envs.incentives import Incentives
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
 from spatula_env.envs.randomization import Variation
-from spatula_env.envs.safety import COST_PRESSURE, Safety
+from spatula_env.envs.safety import Safety
 from spatula_env.envs.settings import Definition, EnvSettings
 from spatula_env.envs.snapshots import EpisodesState, joined, save_physics
 from spatula_env.envs.start_options import check_free, chosen_starts
@@ -24,6 +25,7 @@ from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.envs.workspace_frames import Frames
 from spatula_env.tasks.base import Evaluation, weighted_sum
+from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.situation import Situation, Start
 
 if TYPE_CHECKING:
@@ -71,6 +73,8 @@ class Episodes:
         control: What an action means.
         observation_builder: How observations are laid out.
         action_space: Of one world.
+        incentives: What the ends of episodes pay.
+        horizon: After how many control steps environments cut episodes; None: never.
         steps_per_action: Physics steps in a control step.
         period: Length of a control step [s].
         goals: (W, G) what is asked in each world's episode.
@@ -135,9 +139,12 @@ class Episodes:
             self.control,
             settings.obs_mode,
             settings.observation,
-            goal_interface=self._sparse,
+            goal_interface=self.has_goal_interface,
+            hold_progress=not self.has_goal_interface or settings.terminate_on_success,
         )
         self.action_space = spaces.Box(-1.0, 1.0, (self.control.size,), dtype=np.float32)
+        self.incentives = Incentives(settings, self.task)
+        self.horizon: int | None = None
         self._steps_to_hold = max(1, round(self.task.hold_time / self.period))
         self.goals: FloatArray = np.zeros((count, len(self.task.goal_names)))
         self.achieved: FloatArray = np.zeros_like(self.goals)
@@ -149,7 +156,8 @@ class Episodes:
         self._memory = self.task.new_memory(count)
         self._held: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self._succeeded: BoolArray = np.zeros(count, dtype=np.bool_)
-        self._safety = Safety(count)
+        self._safely: BoolArray = np.zeros(count, dtype=np.bool_)
+        self._safety = Safety(count, len(scene.tools), self.task.loading_limit)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
         longest = round(settings.randomization.get("action_delay", (0.0, 0.0))[1] / self.period)
         # By physics step: who steers changes its mind between two of them.
@@ -158,6 +166,11 @@ class Episodes:
         # Gymnasium's return type covers all spaces; of these it is an array, or a dictionary of arrays.
         self._observation = cast("Observation", create_empty_array(self.observation_builder.space, count))
         self._info: Info = {}
+
+    @property
+    def has_goal_interface(self) -> bool:
+        """Whether goals are entries of their own, which hindsight replay may exchange."""
+        return self._sparse and self.task.hindsight
 
     @property
     def count(self) -> int:
@@ -286,7 +299,8 @@ class Episodes:
             worlds,
         )
         self.goals[worlds] = start.goal
-        self.elapsed[worlds], self._held[worlds], self._succeeded[worlds] = 0, 0, False
+        self.elapsed[worlds], self._held[worlds] = 0, 0
+        self._succeeded[worlds], self._safely[worlds] = False, False
         self._asked[worlds] = 0.0
         self._safety.begin(worlds)
         for pressures in self._node_pressures:
@@ -352,7 +366,8 @@ class Episodes:
         self._node_pressures = [pressures * frames.pressure[:, None] for pressures in loads.node_pressures]
         if lost.any():
             self._info["diverged"][lost] = True
-        self._safety.count(situation, motion, loads, frames, self.period, going)
+        needed = self.task.pressure_limit(self.goals)
+        self._safety.count(situation, motion, loads, frames, self.period, needed, going)
         reward = np.zeros(self.count)
         if len(going) == self.count:
             reward[:] = self._judge(situation, going)
@@ -360,11 +375,11 @@ class Episodes:
             reward[going] = self._judge(situation.rows(going), going)
         self._info["tangled"][:] = loads.tangled
         self._info["residual"][:] = np.where(lost, 0.0, loads.residuals * frames.length)
-        terminated = self._succeeded & self.settings.terminate_on_success
-        terminated |= loads.tangled & self.settings.terminate_on_tangle
+        badly = loads.tangled & self.settings.terminate_on_tangle
         if self.settings.damage_limit is not None:
-            terminated |= self._safety.damaged(self.settings.damage_limit)
-        return Outcome(reward, terminated, lost)
+            badly |= self._safety.damaged(self.settings.damage_limit)
+        reward = np.where(lost, 0.0, self.incentives.pay(reward, badly, self.horizon))
+        return Outcome(reward, badly | (self._succeeded & self.settings.terminate_on_success), lost)
 
     def save(self, worlds: IntArray) -> tuple[Physics, EpisodesState]:
         """All that the next step depends on in some worlds (n,) in which episodes have begun, as copies."""
@@ -416,6 +431,7 @@ class Episodes:
             "elapsed": self.elapsed,
             "held": self._held,
             "succeeded": self._succeeded,
+            "safely": self._safely,
             "asked": self._asked,
         }
 
@@ -518,11 +534,14 @@ class Episodes:
         within = evaluation.within_tolerance
         if not first:
             self._held[worlds] = held = np.where(within, self._held[worlds] + 1, 0)
-            self._succeeded[worlds] |= held >= self._steps_to_hold
+            reached = ~self._succeeded[worlds] & (held >= self._steps_to_hold)
+            self._succeeded[worlds] |= reached
+            self._safely[worlds] |= reached & self._safety.within(self.task.cost_budget, worlds)
         self._keep(situation, worlds, every=every)
         self._observe(situation, goals, evaluation, worlds, first=first)
         info: Info = {
             "is_success": self._succeeded[worlds],
+            "is_safe_success": self._safely[worlds],
             "within_tolerance": within,
             "diverged": np.zeros(len(worlds), dtype=np.bool_),
             "tangled": np.zeros(len(worlds), dtype=np.bool_),
@@ -572,7 +591,8 @@ class Episodes:
         builder = self.observation_builder
         noise = self._variation.sensor_noise(worlds, sum(part.size for part in builder.parts))
         pictures = None if self._draw_pictures is None else self._draw_pictures(worlds)
-        frames = builder.build(situation, goals, evaluation, noise, pictures)
+        held = np.minimum(self._held[worlds] / self._steps_to_hold, 1.0)
+        frames = builder.build(situation, goals, evaluation, held, noise, pictures)
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames = self._frames.show(worlds)

@@ -63,7 +63,7 @@ class FissureEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((80,), float32)` of these parts:
+    The observation is a `Box((81,), float32)` of these parts:
 
     | Num   | Observation                                             | Min     | Max    | Name               | Unit  |
     | ----- | ------------------------------------------------------- | ------- | ------ | ------------------ | ----- |
@@ -88,13 +88,16 @@ class FissureEnv(SpatulaEnv):
     | 77    | the target's place minus the blade's, along the fissure | -0.1016 | 0.1016 | error              | m     |
     | 78    | tilt of the line of sight minus the blade's             | -1.2    | 1.2    | error              | rad   |
     | 79    | share that is to be seen minus share that is seen       | -1      | 1      | error              | 1     |
+    | 80    | for how long the goal has been held, of what is asked   | 0       | 1      | hold_progress      | 1     |
 
-    With `reward="sparse"` goals are (place, view, exposure). What is achieved is the blade's place along the fissure,
-    the blade's tilt, and the share of the target that is seen.
+    Goals are (place, view, exposure). What is achieved is the blade's place along the fissure, the blade's tilt, and
+    the share of the target that is seen. That depends on where the target is and on the line of sight, so there is no
+    hindsight: with `reward="sparse"` observations are the same.
 
     ## Rewards
-    A step is *within tolerance* if at least the share asked for is seen, the blade's middle is within 8 mm of the
-    target along the fissure, and the blade's tilt within 0.1 rad of the line of sight.
+    A step is *within tolerance* if at least the share asked for is seen, while the blade's lower edge is 8 mm above the
+    target at most, the blade's middle is within 8 mm of the target along the fissure, and the blade's tilt within 0.1
+    rad of the line of sight. What is seen past a blade that opens the fissure from higher up does not count.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
@@ -118,6 +121,9 @@ class FissureEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 0.8 N/s and a pressure of 2.67 kPa on; safe
+    success costs 20 ms at most.
+
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `exposure`, the share of the target that is seen;
     `target_distance`, from the blade's lower edge to 3 mm above and 2 mm beside the target, where the sight leans to
@@ -132,7 +138,7 @@ class FissureEnv(SpatulaEnv):
     | `max_force` | **float \| None**  | `0.25`  | With a greater one no tool pushes on |
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = FISSURE

@@ -60,7 +60,7 @@ NOISE: Mapping[str, float] = MappingProxyType(
 )
 """Standard deviation of what is measured, by unit, at `noise=1`: 0.1 mm, 0.02 N and so on."""
 
-EXACT_PARTS = ("goal",)
+EXACT_PARTS = ("goal", "hold_progress")
 """Parts that are told, not measured: they have no noise and are not late."""
 
 ROBOT_PARTS = (
@@ -131,7 +131,8 @@ class ObservationBuilder:
       the same ones, in the workspace frame [m], and "state".
 
     A goal interface has "achieved_goal" and "desired_goal" as entries of a dictionary, beside "observation" or
-    beside the others; what depends on the goal then is no part, because hindsight replay replaces goals.
+    beside the others; what depends on the goal then is no part, because hindsight replay replaces goals. The one
+    exception is "hold_progress" where success ends episodes: hindsight replay is not to be used there anyway.
 
     Every number is clipped to the bounds of its space.
 
@@ -153,6 +154,7 @@ class ObservationBuilder:
         settings: ObservationSettings,
         *,
         goal_interface: bool,
+        hold_progress: bool,
     ) -> None:
         """Lay out the observation.
 
@@ -163,8 +165,11 @@ class ObservationBuilder:
             obs_mode: See the class.
             settings: Noise, delay, history, and sizes.
             goal_interface: Whether goals are entries of their own.
+            hold_progress: Whether there is a part that tells for how long the goal has been held: where rewards or the
+                end of an episode depend on it.
         """
         self.settings = settings
+        self._hold_progress = hold_progress
         self._mode = obs_mode
         self._control = control
         self._goal_interface = goal_interface
@@ -210,6 +215,8 @@ class ObservationBuilder:
             low, high = task.goal_low, task.goal_high
             unit = " ".join(dict.fromkeys(task.goal_units))
             specs += [PartSpec("goal", unit, low, high), PartSpec("error", unit, low - high, high - low)]
+        if self._hold_progress:
+            specs.append(PartSpec("hold_progress", "1", np.zeros(1), np.ones(1)))
         return [Part(spec.name, spec.unit, spec.low.astype(np.float32), spec.high.astype(np.float32)) for spec in specs]
 
     @property
@@ -222,6 +229,7 @@ class ObservationBuilder:
         situation: Situation,
         goal: FloatArray,
         evaluation: Evaluation,
+        held: FloatArray,
         noise: FloatArray | None = None,
         pictures: Mapping[str, NDArray[Any]] | None = None,
     ) -> dict[str, NDArray[Any]]:
@@ -231,6 +239,7 @@ class ObservationBuilder:
             situation: Of the worlds.
             goal: (W, G).
             evaluation: Of the situation.
+            held: (W,) for how long the goal has been held, as a part of how long it must be for success, 1 at most.
             noise: (W, size of the vector) errors of measurement, in standard deviations; None: none.
             pictures: "image" (W, height, width, 3) and "depth" (W, height, width, 1) [m] where they are needed.
 
@@ -252,6 +261,7 @@ class ObservationBuilder:
             **{name: evaluation.parts[name] for name in self._extra},
             "goal": goal,
             "error": evaluation.error,
+            "hold_progress": held[:, None],
         }
         wide = np.concatenate([values[part.name] for part in self.parts], axis=1)
         if noise is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from spatula_env import scenes
+from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.settings import Definition
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
@@ -15,8 +16,15 @@ PALPATE = Definition(
     config=PalpateConfig,
     # The cube reaches 76 mm above the organ's top and 26 mm below it.
     workspace_height=0.025,
+    controls={
+        "velocity": ControlLayout(rotations="xy", max_turn=0.6),
+        "velocity_6d": ALL_SIX,
+        # A plate that stays level touches a round organ at its top, or with a rim.
+        "velocity_level": TRANSLATION,
+    },
     # A path is felt with 0.21 N at most.
     defaults={"max_speed": 0.05, "max_force": 0.6},
+    former_options={1: {"control": ("velocity", {"velocity": "velocity_level"})}},
 )
 """A spatula over a sphere that is held from below."""
 
@@ -31,60 +39,72 @@ class PalpateEnv(SpatulaEnv):
     0.1 to 0.18 N), as one feels for what is under a surface; and to stay at the path's end, with that force, for half a
     second.
 
-    A piece of the path, which has 40 of equal length, is *felt* once the spatula's middle has passed over it, no more
+    A piece of the path, which has 40 of equal length, is *felt* once the centre of pressure has passed over it, no more
     than 3 mm aside, with a normal force in the band. A given share of the path is to be felt (80 to 90 %), in any order
     and as often as it takes. The normal force is that part of the contact force which is perpendicular to the
-    spatula's faces. The organ is round, slips under the spatula and is stiffer in some places than in others, so the
-    force has to be regulated.
+    spatula's faces, and the centre of pressure is where on the lower face it acts, as force and torque tell. The path
+    is on the organ and goes with it. A flat face touches a round organ where both are equally steep: the spatula has to
+    be tilted as it slides. The organ slips under the spatula and is stiffer in some places than in others, so force and
+    tilt have to be regulated.
 
     `SpatulaEnv` tells what all environments have in common.
 
     ## Action Space
-    The action space is a `Box(-1, 1, (3,), float32)`: the spatula's velocity as a fraction of `max_speed`. It does not
-    turn; with `control="velocity_6d"`, which has six numbers, it does.
+    The action space is a `Box(-1, 1, (5,), float32)`: the spatula's velocity as a fraction of `max_speed`, and the
+    rates of its tilt as fractions of `max_rotation_rate`. The tilt is stopped at 0.6 rad.
 
-    | Num | Action                           | Min | Max | Name       | Falcon | Unit                   |
-    | --- | -------------------------------- | --- | --- | ---------- | ------ | ---------------------- |
-    | 0   | velocity to the operator's right | -1  | 1   | velocity_x | x      | `max_speed` (0.05 m/s) |
-    | 1   | velocity away from the operator  | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s) |
-    | 2   | velocity upwards                 | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s) |
+    | Num | Action                            | Min | Max | Name       | Falcon | Unit                            |
+    | --- | --------------------------------- | --- | --- | ---------- | ------ | ------------------------------- |
+    | 0   | velocity to the operator's right  | -1  | 1   | velocity_x | x      | `max_speed` (0.05 m/s)          |
+    | 1   | velocity away from the operator   | -1  | 1   | velocity_y | -z     | `max_speed` (0.05 m/s)          |
+    | 2   | velocity upwards                  | -1  | 1   | velocity_z | y      | `max_speed` (0.05 m/s)          |
+    | 3   | rate of the tilt about x          | -1  | 1   | rotation_x |        | `max_rotation_rate` (1.0 rad/s) |
+    | 4   | rate of the tilt about y          | -1  | 1   | rotation_y |        | `max_rotation_rate` (1.0 rad/s) |
+
+    A positive tilt about x raises the far edge, and one about y lowers the right one. With `control="velocity_6d"`
+    there are six numbers: the rate about z as well. With `control="velocity_level"` there are three, and the spatula
+    stays level: it then touches the organ at its top, or with a rim, and feels no path.
 
     The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((100,), float32)` of these parts:
+    The observation is a `Box((105,), float32)` of these parts:
 
-    | Num   | Observation                                          | Min     | Max    | Name             | Unit |
-    | ----- | ---------------------------------------------------- | ------- | ------ | ---------------- | ---- |
-    | 0-2   | position of the spatula's middle (x, y, z)           | -0.0508 | 0.0508 | tool_position    | m    |
-    | 3-5   | velocity of the spatula in the last step             | -0.05   | 0.05   | tool_velocity    | m/s  |
-    | 6-8   | mean force on the spatula in the last step           | -10     | 10     | contact_force    | N    |
-    | 9-11  | its mean torque about the spatula's middle           | -0.2    | 0.2    | contact_torque   | N m  |
-    | 12    | share of the lower face's nodes in contact           | 0       | 1      | contact_share    | 1    |
-    | 13    | the same of the upper face                           | 0       | 1      | contact_share    | 1    |
-    | 14    | deepest contact, before the organ gives way          | 0       | 0.05   | contact_depth    | m    |
-    | 15    | greatest contact pressure on a node in the last step | 0       | 20000  | contact_pressure | Pa   |
-    | 16    | greatest mean pressure on a face                     | 0       | 20000  | contact_pressure | Pa   |
-    | 17-64 | displacement of 16 nodes of the organ (x, y, z)      | -0.1    | 0.1    | landmarks        | m    |
-    | 65-79 | 5 points of the path from the underside (x, y, z)    | -0.15   | 0.15   | path_ahead       | m    |
-    | 80    | farthest place on the path that has been felt        | 0       | 1      | progress         | 1    |
-    | 81-90 | share felt of each tenth of the path                 | 0       | 1      | felt             | 1    |
-    | 91    | force perpendicular to the spatula's faces           | -5      | 5      | normal_force     | N    |
-    | 92    | share of the path that is to be felt                 | 0       | 1      | goal             | 1    |
-    | 93-94 | place of the path's end (x, y)                       | -0.0508 | 0.0508 | goal             | m    |
-    | 95    | middle of the force's band                           | -5      | 5      | goal             | N    |
-    | 96    | share to be felt minus share felt                    | -1      | 1      | error            | 1    |
-    | 97-98 | path's end minus place of the spatula (x, y)         | -0.1016 | 0.1016 | error            | m    |
-    | 99    | middle of the band minus normal force                | -10     | 10     | error            | N    |
+    | Num     | Observation                                           | Min     | Max    | Name               | Unit  |
+    | ------- | ----------------------------------------------------- | ------- | ------ | ------------------ | ----- |
+    | 0-2     | position of the spatula's middle (x, y, z)            | -0.0508 | 0.0508 | tool_position      | m     |
+    | 3-5     | velocity of the spatula in the last step              | -0.05   | 0.05   | tool_velocity      | m/s   |
+    | 6-7     | tilt: rotation about x and y                          | -0.6    | 0.6    | tool_orientation   | rad   |
+    | 8-9     | rate of the tilt in the last step                     | -1      | 1      | tool_rotation_rate | rad/s |
+    | 10-12   | mean force on the spatula in the last step            | -10     | 10     | contact_force      | N     |
+    | 13-15   | its mean torque about the spatula's middle            | -0.2    | 0.2    | contact_torque     | N m   |
+    | 16      | share of the lower face's nodes in contact            | 0       | 1      | contact_share      | 1     |
+    | 17      | the same of the upper face                            | 0       | 1      | contact_share      | 1     |
+    | 18      | deepest contact, before the organ gives way           | 0       | 0.05   | contact_depth      | m     |
+    | 19      | greatest contact pressure on a node in the last step  | 0       | 20000  | contact_pressure   | Pa    |
+    | 20      | greatest mean pressure on a face                      | 0       | 20000  | contact_pressure   | Pa    |
+    | 21-68   | displacement of 16 nodes of the organ (x, y, z)       | -0.1    | 0.1    | landmarks          | m     |
+    | 69-83   | 5 points of the path from the underside (x, y, z)     | -0.15   | 0.15   | path_ahead         | m     |
+    | 84      | farthest place on the path that has been felt         | 0       | 1      | progress           | 1     |
+    | 85-94   | share felt of each tenth of the path                  | 0       | 1      | felt               | 1     |
+    | 95      | force perpendicular to the spatula's faces            | -5      | 5      | normal_force       | N     |
+    | 96      | share of the path that is to be felt                  | 0       | 1      | goal               | 1     |
+    | 97-98   | place of the path's end (x, y)                        | -0.0508 | 0.0508 | goal               | m     |
+    | 99      | middle of the force's band                            | -5      | 5      | goal               | N     |
+    | 100     | share to be felt minus share felt                     | -1      | 1      | error              | 1     |
+    | 101-102 | path's end minus centre of pressure (x, y)            | -0.1016 | 0.1016 | error              | m     |
+    | 103     | middle of the band minus normal force                 | -10     | 10     | error              | N     |
+    | 104     | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress      | 1     |
 
     The 5 points of the path lie 0, 1/8, 1/4, 3/8 and 1/2 of its length ahead of the farthest place that has been felt,
-    on the organ at rest, or at the path's end.
+    where the organ has them now, or at the path's end. The way to them is that from the middle of the lower face.
 
-    With `reward="sparse"` goals are (share, x, y, force). The share achieved is that felt so far, in the band of the
-    episode.
+    Goals are (share, x, y, force). The place achieved is the centre of pressure, less by how far the path's end has
+    gone with the organ. The share is felt along the episode's path and in its band, so there is no hindsight: with
+    `reward="sparse"` observations are the same.
 
     ## Rewards
-    A step is *within tolerance* if as much of the path has been felt as is asked for, the spatula's middle is within
+    A step is *within tolerance* if as much of the path has been felt as is asked for, the centre of pressure is within
     2 mm of the path's end, horizontally, and the normal force is in the band.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
@@ -109,16 +129,22 @@ class PalpateEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 1.8 N/s and a pressure of 2.67 kPa on; safe
+    success costs 20 ms at most.
+
     ## Info
     Besides what every environment tells (see `SpatulaEnv`):
 
-    | Key            | Meaning                                                         | Unit |
-    | -------------- | --------------------------------------------------------------- | ---- |
-    | `share`        | share of the path that has been felt                            | 1    |
-    | `progress`     | farthest place on the path that has been felt, by its length    | 1    |
-    | `normal_force` | force perpendicular to the spatula's faces                      | N    |
-    | `force_error`  | distance of it from the band's middle                           | N    |
-    | `end_distance` | horizontal distance of the spatula's middle from the path's end | m    |
+    | Key             | Meaning                                                           | Unit |
+    | --------------- | ----------------------------------------------------------------- | ---- |
+    | `share`         | share of the path that has been felt                              | 1    |
+    | `progress`      | farthest place on the path that has been felt, by its length      | 1    |
+    | `normal_force`  | force perpendicular to the spatula's faces                        | N    |
+    | `force_error`   | distance of it from the band's middle                             | N    |
+    | `path_distance` | horizontal distance of the centre of pressure from the path       | m    |
+    | `end_distance`  | horizontal distance of the centre of pressure from the path's end | m    |
+
+    Where nothing is touched, `path_distance` is that of the lower face's middle from the first of the 5 points.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `PalpateConfig`. Other defaults have
@@ -129,7 +155,7 @@ class PalpateEnv(SpatulaEnv):
     | `max_force` | **float \| None**  | `0.6`   | With a greater one no tool pushes on |
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = PALPATE

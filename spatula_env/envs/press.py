@@ -29,9 +29,11 @@ class PressEnv(SpatulaEnv):
     given depth (5 to 18 mm) at a given place (within 15 mm of the organ's axis), and to keep it
     there for half a second.
 
-    Depth is measured on the organ: it is the height of the surface at rest, at the spatula's place, minus its
-    height now. The organ sinks, sways and gives way around the spatula: in the middle, its surface goes up to
-    3 mm deeper than the spatula does, and how much depends on the place. The depth has to be regulated.
+    Depth is measured on the organ: it is the height that the surface would have at the spatula's place if nothing
+    pressed on it, where the organ lies now, minus the height that it has. It counts while the spatula's lower face
+    presses on the organ with 20 mN at least, and is zero without. The organ sinks, sways and gives way around the
+    spatula: in the middle, its surface goes up to 3 mm deeper than the spatula does, and how much depends on the place.
+    The depth has to be regulated.
 
     `SpatulaEnv` tells what all environments have in common.
 
@@ -48,26 +50,28 @@ class PressEnv(SpatulaEnv):
     The workspace's middle is 25 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((71,), float32)` of these parts:
+    The observation is a `Box((72,), float32)` of these parts:
 
-    | Num   | Observation                                     | Min     | Max    | Name             | Unit |
-    | ----- | ----------------------------------------------- | ------- | ------ | ---------------- | ---- |
-    | 0-2   | position of the spatula's middle (x, y, z)      | -0.0508 | 0.0508 | tool_position    | m    |
-    | 3-5   | velocity of the spatula in the last step        | -0.1    | 0.1    | tool_velocity    | m/s  |
-    | 6-8   | mean force on the spatula in the last step      | -10     | 10     | contact_force    | N    |
-    | 9-11  | mean torque on it about its middle              | -0.2    | 0.2    | contact_torque   | N m  |
-    | 12    | share of the lower face's nodes in contact      | 0       | 1      | contact_share    | 1    |
-    | 13    | the same of the upper face                      | 0       | 1      | contact_share    | 1    |
-    | 14    | deepest contact, before the organ gives way     | 0       | 0.05   | contact_depth    | m    |
-    | 15    | greatest pressure in the last step              | 0       | 20000  | contact_pressure | Pa   |
-    | 16    | mean pressure on the face that is pressed most  | 0       | 20000  | contact_pressure | Pa   |
-    | 17-64 | displacement of 16 nodes of the organ (x, y, z) | -0.1    | 0.1    | landmarks        | m    |
-    | 65-66 | place asked for (x, y)                          | -0.0508 | 0.0508 | goal             | m    |
-    | 67    | depth asked for                                 | -0.03   | 0.06   | goal             | m    |
-    | 68-69 | place asked for minus place of the spatula      | -0.1016 | 0.1016 | error            | m    |
-    | 70    | depth asked for minus depth there               | -0.09   | 0.09   | error            | m    |
+    | Num   | Observation                                           | Min     | Max    | Name             | Unit |
+    | ----- | ----------------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the spatula's middle (x, y, z)            | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the spatula in the last step              | -0.1    | 0.1    | tool_velocity    | m/s  |
+    | 6-8   | mean force on the spatula in the last step            | -10     | 10     | contact_force    | N    |
+    | 9-11  | mean torque on it about its middle                    | -0.2    | 0.2    | contact_torque   | N m  |
+    | 12    | share of the lower face's nodes in contact            | 0       | 1      | contact_share    | 1    |
+    | 13    | the same of the upper face                            | 0       | 1      | contact_share    | 1    |
+    | 14    | deepest contact, before the organ gives way           | 0       | 0.05   | contact_depth    | m    |
+    | 15    | greatest pressure in the last step                    | 0       | 20000  | contact_pressure | Pa   |
+    | 16    | mean pressure on the face that is pressed most        | 0       | 20000  | contact_pressure | Pa   |
+    | 17-64 | displacement of 16 nodes of the organ (x, y, z)       | -0.1    | 0.1    | landmarks        | m    |
+    | 65-66 | place asked for (x, y)                                | -0.0508 | 0.0508 | goal             | m    |
+    | 67    | depth asked for                                       | -0.03   | 0.06   | goal             | m    |
+    | 68-69 | place asked for minus place of the spatula            | -0.1016 | 0.1016 | error            | m    |
+    | 70    | depth asked for minus depth there                     | -0.09   | 0.09   | error            | m    |
+    | 71    | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress    | 1    |
 
-    The organ lies free: who pushes it aside can roll it away, and then displacements and errors stay at their bounds.
+    The organ lies free: who pushes it aside can roll it away, and then displacements stay at their bounds, and no depth
+    is achieved.
 
     With `reward="sparse"` goals are (x, y, depth).
 
@@ -96,6 +100,9 @@ class PressEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 2.6 N/s and a pressure of 2.67 kPa and 0.45 kPa more for each millimetre of
+    depth on; safe success costs 20 ms at most.
+
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `depth`, `depth_error` and `place_error` [m].
 
@@ -103,7 +110,7 @@ class PressEnv(SpatulaEnv):
     Those of `SpatulaEnv`; `task` changes fields of `PressConfig`.
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = PRESS

@@ -53,25 +53,26 @@ class RetractEnv(SpatulaEnv):
     The workspace's middle is 20 mm above the organ's top at rest.
 
     ## Observation Space
-    The observation is a `Box((79,), float32)` of these parts:
+    The observation is a `Box((80,), float32)` of these parts:
 
-    | Num   | Observation                                          | Min     | Max    | Name             | Unit |
-    | ----- | ---------------------------------------------------- | ------- | ------ | ---------------- | ---- |
-    | 0-2   | position of the blade's middle (x, y, z)             | -0.0508 | 0.0508 | tool_position    | m    |
-    | 3-5   | velocity of the blade in the last step               | -0.05   | 0.05   | tool_velocity    | m/s  |
-    | 6-8   | mean force on the blade in the last step             | -10     | 10     | contact_force    | N    |
-    | 9-11  | its mean torque about the blade's middle             | -0.2    | 0.2    | contact_torque   | N m  |
-    | 12-13 | share of the nodes in contact: left face, right face | 0       | 1      | contact_share    | 1    |
-    | 14-15 | the same of the edges: near, far                     | 0       | 1      | contact_share    | 1    |
-    | 16-17 | the same of the edges: lower, upper                  | 0       | 1      | contact_share    | 1    |
-    | 18    | deepest contact, before the organ gives way          | 0       | 0.05   | contact_depth    | m    |
-    | 19    | greatest contact pressure on a node in the last step | 0       | 20000  | contact_pressure | Pa   |
-    | 20    | greatest mean pressure on a face                     | 0       | 20000  | contact_pressure | Pa   |
-    | 21-68 | displacement of 16 nodes of the organ (x, y, z)      | -0.1    | 0.1    | landmarks        | m    |
-    | 69-71 | position of the patch's middle (x, y, z)             | -0.15   | 0.15   | patch_position   | m    |
-    | 72-74 | displacement of the patch (x, y, z)                  | -0.03   | 0.03   | patch_shift      | m    |
-    | 75-76 | displacement asked for (x, y)                        | -0.03   | 0.03   | goal             | m    |
-    | 77-78 | displacement asked for minus displacement            | -0.06   | 0.06   | error            | m    |
+    | Num   | Observation                                           | Min     | Max    | Name             | Unit |
+    | ----- | ----------------------------------------------------- | ------- | ------ | ---------------- | ---- |
+    | 0-2   | position of the blade's middle (x, y, z)              | -0.0508 | 0.0508 | tool_position    | m    |
+    | 3-5   | velocity of the blade in the last step                | -0.05   | 0.05   | tool_velocity    | m/s  |
+    | 6-8   | mean force on the blade in the last step              | -10     | 10     | contact_force    | N    |
+    | 9-11  | its mean torque about the blade's middle              | -0.2    | 0.2    | contact_torque   | N m  |
+    | 12-13 | share of the nodes in contact: left face, right face  | 0       | 1      | contact_share    | 1    |
+    | 14-15 | the same of the edges: near, far                      | 0       | 1      | contact_share    | 1    |
+    | 16-17 | the same of the edges: lower, upper                   | 0       | 1      | contact_share    | 1    |
+    | 18    | deepest contact, before the organ gives way           | 0       | 0.05   | contact_depth    | m    |
+    | 19    | greatest contact pressure on a node in the last step  | 0       | 20000  | contact_pressure | Pa   |
+    | 20    | greatest mean pressure on a face                      | 0       | 20000  | contact_pressure | Pa   |
+    | 21-68 | displacement of 16 nodes of the organ (x, y, z)       | -0.1    | 0.1    | landmarks        | m    |
+    | 69-71 | position of the patch's middle (x, y, z)              | -0.15   | 0.15   | patch_position   | m    |
+    | 72-74 | displacement of the patch (x, y, z)                   | -0.03   | 0.03   | patch_shift      | m    |
+    | 75-76 | displacement asked for (x, y)                         | -0.03   | 0.03   | goal             | m    |
+    | 77-78 | displacement asked for minus displacement             | -0.06   | 0.06   | error            | m    |
+    | 79    | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress    | 1    |
 
     The patch is what is within 9 mm of its middle on the flank; its position and its displacement are weighted means of
     its nodes', and nodes nearer its middle count for more.
@@ -79,7 +80,10 @@ class RetractEnv(SpatulaEnv):
     With `reward="sparse"` goals are displacements (x, y).
 
     ## Rewards
-    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally.
+    A step is *within tolerance* if the patch's displacement is within 1 mm of the goal, horizontally, while
+    the blade pushes against the patch's flank with 10 mN at least and with twice of what it presses down with, its
+    lower edge 2 mm or more below the patch's middle. Without, the displacement counts as zero: a fold that is dragged
+    along by its crest is not retracted.
 
     The terms of the dense reward, with $t(d, s) = 1 - \tanh(d / s)$:
 
@@ -103,6 +107,9 @@ class RetractEnv(SpatulaEnv):
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
+    Costs are counted from a loading of 0.4 N/s and a pressure of 2.67 kPa on; safe
+    success costs 20 ms at most.
+
     ## Info
     Besides what every environment tells (see `SpatulaEnv`):
 
@@ -110,6 +117,7 @@ class RetractEnv(SpatulaEnv):
     | ------------- | ---------------------------------------------------- | ---- |
     | `shift`       | how far the patch is from where it was, horizontally | m    |
     | `shift_error` | distance of its displacement from the goal           | m    |
+    | `pushing`     | whether the blade pushes against its flank, 0 or 1   | 1    |
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `RetractConfig`. Other defaults have
@@ -120,7 +128,7 @@ class RetractEnv(SpatulaEnv):
     | `max_force` | **float \| None**  | `0.5`   | With a greater one no tool pushes on |
 
     ## Version History
-    * v0: first version.
+    * v0: first version; the task has its second [definition](../definitions.md).
     """
 
     definition = RETRACT

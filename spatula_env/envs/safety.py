@@ -1,4 +1,4 @@
-"""Safety: the cost of lasting pressures, and the work done on organs."""
+"""Safety: the cost of haste and of needless pressure, the dose of lasting pressures, and the work done on organs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.arrays import BoolArray, IntArray
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
+from spatula_env.tasks.limits import VIOLATION_PRESSURE
 from spatula_env.tasks.situation import Situation
 
 if TYPE_CHECKING:
@@ -16,33 +17,30 @@ if TYPE_CHECKING:
     from spatula_env.envs.workspace_frames import Frames
     from spatula_env.sim.worlds import Loads
 
-COST_PRESSURE = 2670.0
-"""Pressure from which on cost is counted, 20 mmHg [Pa]. Rats whose brains were retracted with no more for 15 minutes
-were spared damage (J. Rosenorn and N. Diemer, J Neurosurg 63:608, 1985): that is a dose, and no limit for a moment."""
-
-VIOLATION_PRESSURE = 4000.0
-"""Pressure that is flagged, 30 mmHg [Pa]: with it, for as long, five brains of six had infarcts (the same source)."""
-
 
 class Safety:
     """Counts what the organs of W worlds suffer in an episode; none of it enters a reward."""
 
-    _STEP = ("cost", "work")
-    _TOTALS = ("cost", "work", "violation_time", "peak_force", "peak_pressure")
+    _STEP = ("cost", "dose", "work")
+    _TOTALS = ("cost", "dose", "work", "violation_time", "peak_force", "peak_pressure")
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, tools: int, loading_limit: float) -> None:
         """Nothing suffered yet.
 
         Args:
             count: W.
+            tools: N.
+            loading_limit: How fast the force on a tool may grow without a cost [N/s].
         """
+        self._loading_limit = loading_limit
+        self._forces: FloatArray = np.zeros((count, tools))
         self._now = {name: np.zeros(count) for name in self._STEP}
         self._violation: BoolArray = np.zeros(count, dtype=np.bool_)
         self._episode = {name: np.zeros(count) for name in self._TOTALS}
 
     def begin(self, worlds: IntArray) -> None:
         """Start counting anew in some worlds (n,)."""
-        for values in (*self._now.values(), *self._episode.values()):
+        for values in (*self._now.values(), *self._episode.values(), self._forces):
             values[worlds] = 0.0
         self._violation[worlds] = False
 
@@ -53,12 +51,30 @@ class Safety:
         loads: Loads,
         frames: Frames,
         period: float,
+        pressure_limits: FloatArray,
         worlds: IntArray,
     ) -> None:
-        """Add a control step of some worlds (n,)."""
+        """Add a control step of some worlds (n,).
+
+        Args:
+            situation: At its end, of all W worlds.
+            motion: What the tools did.
+            loads: What they felt.
+            frames: Of the worlds.
+            period: Its length [s].
+            pressure_limits: (W,) the pressure that the goals need [Pa].
+            worlds: (n,) that count.
+        """
+        forces = np.sqrt((situation.contact_forces**2).sum(axis=2))
+        loading = (forces - self._forces).max(axis=1) / period
+        # By how much limits are exceeded, as a part of them.
+        beyond = np.maximum(loading / self._loading_limit - 1.0, 0.0)
+        beyond += np.maximum(situation.peak_pressure / pressure_limits - 1.0, 0.0)
+        self._forces[worlds] = forces[worlds]
+        self._now["cost"][worlds] = beyond[worlds] * period
         torques = frames.vectors_from_scene(loads.torques, frames.torque)
         power = -(situation.contact_forces * motion.linear + torques * motion.angular).sum(axis=(1, 2))
-        self._now["cost"][worlds] = (loads.overpressures * frames.pressure)[worlds]
+        self._now["dose"][worlds] = (loads.overpressures * frames.pressure)[worlds]
         self._now["work"][worlds] = power[worlds] * period
         self._violation[worlds] = (situation.peak_pressure > VIOLATION_PRESSURE)[worlds]
         episode = self._episode
@@ -79,18 +95,22 @@ class Safety:
 
     def _all(self) -> dict[str, NDArray[Any]]:
         episode = {f"episode_{name}": values for name, values in self._episode.items()}
-        return {**self._now, **episode, "violation": self._violation}
+        return {**self._now, **episode, "violation": self._violation, "forces": self._forces}
 
     def damaged(self, limit: float) -> BoolArray:
-        """(W,) whether an episode's cost exceeds a limit [Pa s]."""
-        return np.asarray(self._episode["cost"] > limit)
+        """(W,) whether an episode's dose exceeds a limit [Pa s]."""
+        return np.asarray(self._episode["dose"] > limit)
+
+    def within(self, budget: float, worlds: IntArray) -> BoolArray:
+        """(n,) whether the episodes' costs are within a budget [s] in some worlds."""
+        return np.asarray(self._episode["cost"][worlds] <= budget)
 
     def info(self, worlds: IntArray, limit: float | None) -> dict[str, NDArray[Any]]:
         """What there is to tell of some worlds (n,)."""
-        cost = self._episode["cost"][worlds]
+        dose = self._episode["dose"][worlds]
         return {
             **{name: values[worlds] for name, values in self._now.items()},
             "violation": self._violation[worlds],
-            "is_damaged": cost > (np.inf if limit is None else limit),
+            "is_damaged": dose > (np.inf if limit is None else limit),
             **{f"episode_{name}": values[worlds] for name, values in self._episode.items()},
         }

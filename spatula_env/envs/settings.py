@@ -95,7 +95,7 @@ class EnvSettings:
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
         control: "velocity": what the task needs. "velocity_6d": six degrees of freedom.
         reward: "dense": the weighted sum of the task's terms. "sparse": 0 within tolerance, -1 elsewhere, with
-            Gymnasium-Robotics' goal interface.
+            Gymnasium-Robotics' goal interface where the task offers hindsight.
         task: What to change in the task's configuration, by name.
         max_speed: Of the grip along each axis [m/s].
         max_rotation_rate: Of the tools about each axis [rad/s].
@@ -106,7 +106,7 @@ class EnvSettings:
         episode_time: After which an episode is cut [s]; None: never.
         terminate_on_success: Whether success ends an episode.
         terminate_on_tangle: Whether an episode ends in which organs stay crossed; see `info["tangled"]`.
-        damage_limit: An episode ends when its cost exceeds this [Pa s]; None: never.
+        damage_limit: An episode ends when its dose exceeds this [Pa s]; None: never.
         randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
         observation: Fields of `ObservationSettings` to change, by name.
         render_mode: None, "rgb_array" or, for one agent, "human".
@@ -174,6 +174,8 @@ class Definition:
         controls: What an action moves, by the names that the option `control` takes.
         defaults: Defaults of options that differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
+        former_options: By the number of a former definition of the task, options whose values meant something else
+            then: their default then, and what the values are called now. See `definitions.present_options`.
     """
 
     name: str
@@ -187,6 +189,7 @@ class Definition:
     )
     defaults: Mapping[str, Any] = field(default_factory=dict)
     randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
+    former_options: Mapping[int, Mapping[str, tuple[Any, Mapping[Any, Any]]]] = field(default_factory=dict)
 
     def read(
         self, options: Mapping[str, Any], owner: str, others: tuple[str, ...] = (), **defaults: Any

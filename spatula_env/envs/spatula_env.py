@@ -18,6 +18,7 @@ from spatula_env.arrays import FloatArray
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_action
 from spatula_env.envs.episodes import Episodes
+from spatula_env.envs.incentives import check_horizon
 from spatula_env.envs.observations import Observation, first_of
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.physics_listener import PhysicsListener, PhysicsStep
@@ -25,7 +26,7 @@ from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
 from spatula_env.envs.settings import RENDER_MODES
 from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.start_options import START_OPTIONS, own_options
-from spatula_env.envs.time_limit import is_told_in_steps, steps_in
+from spatula_env.envs.time_limit import read_step_limit, steps_in, told_in_steps
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 
 if TYPE_CHECKING:
@@ -74,7 +75,11 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     the tools, force and torque on them, and the goal.
 
     With `reward="sparse"` observations are dictionaries with Gymnasium-Robotics' goal interface: "achieved_goal" and
-    "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal.
+    "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal, unless
+    success ends episodes: then `hold_progress` is a part, for how long the goal has been held, and hindsight replay is
+    not to be used. Press, Retract and Clamp have it. In Fissure and Palpate what is achieved depends on what is asked,
+    so that no step can be replayed as if something else had been asked: there is no `compute_reward`, and observations
+    are as with the dense reward.
 
     `observation` changes what is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm, 1 mm/s,
     2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
@@ -99,14 +104,29 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     within tolerance, -1 elsewhere; `compute_reward(achieved_goal, desired_goal, info)` gives it for any goals, one or
     many, as hindsight replay needs.
 
+    What ends an episode takes away what the rest of it would have paid. So that no end is worth more than going on,
+    whatever the discount, ends pay as follows, with B the sum of the positive weights (the best that a step can pay)
+    and H the control steps of a whole episode:
+
+    | Option                                | `reward="dense"`                                  | `reward="sparse"` |
+    | ------------------------------------- | ------------------------------------------------- | ----------------- |
+    | `terminate_on_success`                | every step pays B less, so that it pays 0 at best | as without        |
+    | `damage_limit`, `terminate_on_tangle` | the step that ends an episode so pays -B H        | that step pays -H |
+
+    `damage_limit` and `terminate_on_tangle` are refused without a time limit.
+
     ## Safety
-    Pressure is a channel of its own and never a part of the reward. The *cost* of a step is the integral over time of
-    what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is a pressure above 4.0 kPa
-    (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15 minutes (J. Rosenorn and
-    N. Diemer, J Neurosurg 63:608, 1985): they are doses, not limits for a moment. `damage_limit` ends an episode whose
-    cost exceeds it. A tool that has met more than `max_force` in a physics step does not move on against that force in
-    the next one, and does not turn: the protective stop that robots have. Velocities in observations are those that
-    were reached.
+    What an organ suffers is a channel of its own and never a part of the reward. The *cost* of a step is the
+    time by which limits were exceeded, weighted by how far: its length times the sum of two parts, what the force on a
+    tool has grown faster than the task's `loading_limit`, as a part of that, and what the greatest contact pressure
+    exceeds by what the goal needs, as a part of that. The same thing done more slowly costs less, and done with care
+    next to nothing: success is *safe* if the cost until then is within the task's `cost_budget`. The *dose* of a step
+    is the integral over time of what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is
+    a pressure above 4.0 kPa (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15
+    minutes (J. Rosenorn and N. Diemer, J Neurosurg 63:608, 1985): they are no limits for a moment. A dose grows with
+    the time that a goal is held. `damage_limit` ends an episode whose dose exceeds it. A tool that has met more than
+    `max_force` in a physics step does not move on against that force in the next one, and does not turn: the protective
+    stop that robots have. Velocities in observations are those that were reached.
 
     ## Episode End
     Success is to have been within tolerance for `hold_time` without a break; `info["is_success"]` stays true until the
@@ -142,21 +162,24 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | Key                      | Meaning                                                                             |
     | ------------------------ | ----------------------------------------------------------------------------------- |
     | `is_success`             | whether the goal has been held in this episode                                      |
+    | `is_safe_success`        | whether it has with a cost, until then, within the task's budget                    |
     | `within_tolerance`       | whether it is fulfilled now                                                         |
     | `diverged`               | whether physics has broken down, which only a vector environment lives to tell      |
     | `tangled`                | whether organs have crossed themselves or each other for longer than 0.1 s          |
     | `residual`               | how deep tools and organs were left in each other in a physics step, at most [m]    |
-    | `is_damaged`             | whether the cost of the episode exceeds `damage_limit`                              |
+    | `is_damaged`             | whether the dose of the episode exceeds `damage_limit`                              |
     | `hold_time`              | for how long the goal has been kept [s]                                             |
     | `time`                   | since the reset [s]                                                                 |
     | `force`                  | magnitude of the contact force, averaged over the step [N]                          |
     | `peak_force`             | greatest force on a tool in a physics step of it [N]                                |
     | `peak_pressure`          | greatest contact pressure in a physics step of it [Pa]                              |
     | `mean_pressure`          | the greatest normal force on a face of a tool by its area, averaged over it [Pa]    |
-    | `cost`                   | of the step [Pa s]                                                                  |
+    | `cost`                   | of the step [s]                                                                     |
+    | `dose`                   | of the step [Pa s]                                                                  |
     | `violation`              | whether there was one in the step                                                   |
     | `work`                   | done by the tools on the organ in the step [J]                                      |
-    | `episode_cost`           | sum over the episode [Pa s]                                                         |
+    | `episode_cost`           | sum over the episode [s]                                                            |
+    | `episode_dose`           | sum over the episode [Pa s]                                                         |
     | `episode_work`           | sum over the episode [J]                                                            |
     | `episode_violation_time` | length of the steps with a violation [s]                                            |
     | `episode_peak_force`     | greatest in the episode [N]                                                         |
@@ -184,7 +207,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `episode_time`         | **float \| None**  | `None`       | After which the episode is cut; `make` passes 10 [s]|
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
     | `terminate_on_tangle`  | **bool**           | `False`      | Whether `tangled` ends the episode                  |
-    | `damage_limit`         | **float \| None**  | `None`       | Cost that ends the episode [Pa s]                   |
+    | `damage_limit`         | **float \| None**  | `None`       | Dose that ends the episode [Pa s]                   |
     | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
     | `observation`          | **dict**           | `None`       | Fields of `ObservationSettings` to change           |
     | `render_mode`          | **str \| None**    | `None`       | `None`, `"rgb_array"` or `"human"`                  |
@@ -224,8 +247,11 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         before = set(vars(self))
         settings = self.definition.read(options, type(self).__name__)
-        if is_told_in_steps(self):
+        told = told_in_steps(self)
+        if told is not None:
             settings = replace(settings, episode_time=None)
+        cut_outside = read_step_limit(told)
+        check_horizon(settings, limited=settings.episode_time is not None or cut_outside is not None)
         self.simulation: Simulation
 
         def load(scene: Scene) -> Worlds:
@@ -242,6 +268,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             self._episodes, settings.width, settings.height, frames_per_second=settings.control_frequency
         )
         self._step_limit = steps_in(settings.episode_time, self._episodes.period)
+        self._set_horizon(self._step_limit if cut_outside is None else cut_outside)
         self._closed = False
         self._started = False
         self._pilot: Pilot | None = None

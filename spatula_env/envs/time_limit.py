@@ -27,8 +27,8 @@ def read_step_limit(value: Any) -> int | None:
     return int(value)
 
 
-def is_told_in_steps(env: gymnasium.Env[Any, Any]) -> bool:
-    """Whether `gymnasium.make` is making an environment just now, and was told `max_episode_steps`.
+def told_in_steps(env: gymnasium.Env[Any, Any]) -> int | None:
+    """What `gymnasium.make` was told as `max_episode_steps`, if it is making an environment just now.
 
     That argument does not reach environments: Gymnasium makes a `TimeLimit` of it, or nothing of -1. An environment
     that cuts its episodes itself has to know of it, or the shorter of two limits would hold. So it looks at what calls
@@ -36,10 +36,14 @@ def is_told_in_steps(env: gymnasium.Env[Any, Any]) -> bool:
 
     Args:
         env: In its constructor.
+
+    Returns:
+        A number of steps, or -1 for never; None if it was told nothing, or nobody is making the environment so.
     """
     frame = sys._getframe(1)
     while frame is not None and frame.f_locals.get("self") is env:
         frame = frame.f_back  # type: ignore[assignment]
     if frame is None or frame.f_code is not gymnasium.make.__code__:
-        return False
-    return frame.f_locals.get("max_episode_steps") is not None
+        return None
+    told: int | None = frame.f_locals.get("max_episode_steps")
+    return told

@@ -21,6 +21,7 @@ from spatula_env.envs.attributes import call_worlds, set_in_worlds
 from spatula_env.envs.base import EpisodesEnv
 from spatula_env.envs.control import as_actions
 from spatula_env.envs.episodes import Episodes
+from spatula_env.envs.incentives import check_horizon
 from spatula_env.envs.observations import Observation
 from spatula_env.envs.observed_pictures import observed_pictures
 from spatula_env.envs.pictures import EpisodePictures, as_frame_rate
@@ -101,6 +102,8 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         settings = self.definition.read(options, type(self).__name__, OWN_ARGUMENTS, engine="batch")
         if settings.render_mode is not None:
             check_choice(settings.render_mode, "render_mode", (None, "rgb_array"))
+        never = settings.episode_time is None if max_episode_steps is None else limit is None
+        check_horizon(settings, limited=not never)
         self._episodes = Episodes(
             self.definition,
             settings,
@@ -114,6 +117,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         self.settings = settings
         self.num_envs = int(num_envs)
         self._step_limit = limit
+        self._set_horizon(limit)
         self.render_mode = settings.render_mode
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -361,7 +365,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     @max_episode_steps.setter
     def max_episode_steps(self, value: int | None) -> None:
-        self._step_limit = read_step_limit(value)
+        self._max_episode_steps = value
 
     @property
     def grips(self) -> FloatArray:

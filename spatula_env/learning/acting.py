@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from spatula_env.learning.export import export_policy, is_dense
 from spatula_env.policies import ExportedPolicy, PartSelection
+from spatula_env.policies.exported import warn_of_definition
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -49,6 +50,7 @@ class TorchPolicy:
         Raises:
             ValueError: If observations or actions are not those that it was trained with.
         """
+        warn_of_definition(self.metadata)
         selection = PartSelection.of(env, self.metadata.get("parts"))
         given: Any = getattr(env, "single_observation_space", env.observation_space)
         if selection is not None:

@@ -41,6 +41,8 @@ def check_training(config: TrainingConfig) -> list[str]:
         ValueError: If values do not go together, or are not allowed; the message names them, and what is.
     """
     _check_amounts(config)
+    if config.algorithm == "sac_her":
+        _check_hindsight(config)
     steps, transition = _rehearse(config)
     _check_memory(config, transition)
     chosen = config.hyperparameters
@@ -65,6 +67,17 @@ def check_training(config: TrainingConfig) -> list[str]:
             f"{chosen.learning_starts}"
         )
     return notes
+
+
+def _check_hindsight(config: TrainingConfig) -> None:
+    """Check that what is replayed with other goals would have gone as it is told then."""
+    for name, why in (
+        ("terminate_on_success", "with another goal the episode would not have ended there"),
+        ("damage_limit", "the replay buffer does not keep what tells of damage"),
+        ("terminate_on_tangle", "the replay buffer does not keep what tells of tangles"),
+    ):
+        if config.environment.kwargs.get(name):
+            raise ValueError(f"environment.kwargs.{name} must be left out with algorithm 'sac_her': {why}")
 
 
 def rehearse_clone(config: TrainingConfig) -> None:
@@ -122,6 +135,11 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
         warnings.simplefilter("ignore")
         env, _ = make_training_env(_alone(config), 0, config.hyperparameters.gamma)
         try:
+            if config.algorithm == "sac_her" and not base_of(env).env.task.hindsight:
+                raise ValueError(
+                    f"algorithm must not be 'sac_her' with {config.environment.id}: what is achieved in it depends on "
+                    "what is asked, so that hindsight would be wrong"
+                )
             model = make_model(_alone(config), env, 0)
             steps: Any = base_of(env).env.max_episode_steps
             policy = acting_policy(model, model.get_vec_normalize_env(), export_metadata(config))

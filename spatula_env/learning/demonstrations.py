@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.definitions import present_options, tell_definition
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.learning.configuration import check_noise
 from spatula_env.learning.evaluation import Plan
@@ -289,6 +290,8 @@ def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any],
         ImportError: See `read_minari`.
         ValueError: See `read_minari`.
     """
+    from spatula_env.data.dataset import read_layout
+
     dataset = _open_minari(name)
     spec = dataset.env_spec
     if spec is None:
@@ -298,8 +301,10 @@ def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any],
     except ValueError as error:
         raise ValueError(f"dataset {name!r}: {error}") from error
     _check_wrappers(name)
+    number = read_layout(name).definition_of(env_id)
+    tell_definition(f"dataset {name!r}", env_id, number)
     kwargs = {key: value for key, value in spec.kwargs.items() if key != "engine"}
-    return env_id, kwargs, int(dataset.total_episodes)
+    return env_id, present_options(env_id, number, kwargs), int(dataset.total_episodes)
 
 
 def _check_wrappers(name: str) -> None:

@@ -33,8 +33,10 @@ Episodes = dict[str, NDArray[Any]]
 
 MEASURES = (
     "success",
+    "safe_success",
     "return",
     "cost",
+    "dose",
     "violation",
     "peak_force",
     "peak_pressure",
@@ -43,9 +45,9 @@ MEASURES = (
     "steps",
     "diverged",
 )
-"""Of an episode: whether it succeeded, the sum of rewards, of costs [Pa s], whether any step had a violation, the
-greatest force [N] and pressure [Pa], when it succeeded [s] (NaN: never), the way of the tool [m], control steps, and
-whether physics broke down."""
+"""Of an episode: whether it succeeded, whether it did within the task's budget of cost, the sum of rewards, of costs
+[s] and of doses [Pa s], whether any step had a violation, the greatest force [N] and pressure [Pa], when it succeeded
+[s] (NaN: never), the way of the tool [m], control steps, and whether physics broke down."""
 
 WORLDS_PER_PROCESS = {"batch": 64, "bullet": 1}
 """How many worlds are stepped together at most: in Bullet each for itself, so that none waits for another."""
@@ -93,10 +95,13 @@ def run_episodes(
     policy: Policy,
     seeds: Sequence[int],
     *,
-    end_at_success: bool = False,
+    end_at_success: bool = True,
     watch: Callable[[SpatulaVectorEnv], None] | None = None,
 ) -> Episodes:
     """Let a policy act, an episode for each seed.
+
+    Everything is told of the time until success. The return is told of the whole episode all the same, as if each step
+    that is left after success had paid the best reward there is: so it does not fall where an agent becomes faster.
 
     Args:
         env: In the mode "next_step", with a limit of steps.
@@ -135,7 +140,7 @@ def _run(
         watch(env)
     episodes: Episodes = {name: np.zeros(count) for name in MEASURES}
     episodes["time_to_success"][:] = np.nan
-    for name in ("success", "violation", "diverged"):
+    for name in ("success", "safe_success", "violation", "diverged"):
         episodes[name] = np.zeros(count, dtype=np.bool_)
     going = np.ones(count, dtype=np.bool_)
     position = _tool_position(env, observation)
@@ -151,15 +156,19 @@ def _run(
         first = going & infos["is_success"] & ~episodes["success"]
         episodes["time_to_success"][first] = infos["time"][first]
         episodes["success"] |= first
+        episodes["safe_success"] |= first & infos["is_safe_success"]
         episodes["diverged"] |= going & infos["diverged"]
         # Sums over the episode until now.
-        for name in ("cost", "peak_force", "peak_pressure"):
+        for name in ("cost", "dose", "peak_force", "peak_pressure"):
             episodes[name] = np.where(going, infos[f"episode_{name}"], episodes[name])
         episodes["violation"] |= going & (infos["episode_violation_time"] > 0.0)
         going &= ~(terminated | truncated)
         done = going & episodes["success"]
         if end_at_success and done.any():
             going &= ~done
+            if env.max_episode_steps is not None:
+                left = env.max_episode_steps - episodes["steps"]
+                episodes["return"] += np.where(done, left * _best_reward(env), 0.0)
             if going.any():
                 # The others go on; at the beginning of an episode, with the tool in the air, a world costs least.
                 observation, _ = env.reset(options={"reset_mask": done})
@@ -168,7 +177,7 @@ def _run(
 
 
 def evaluate(
-    source: PolicySource, plan: Plan, *, processes: int | None = None, end_at_success: bool = False
+    source: PolicySource, plan: Plan, *, processes: int | None = None, end_at_success: bool = True
 ) -> tuple[Episodes, float]:
     """Let a policy act, with as many worlds and processes as make sense.
 
@@ -206,7 +215,7 @@ def _register(spec: EnvSpec) -> None:
 
 
 def _evaluate_some(
-    source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool = False
+    source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool = True
 ) -> tuple[Episodes, float]:
     """Some of the episodes of a plan, in this process, and how long they took without setting up [s]."""
     worlds = min(WORLDS_PER_PROCESS[plan.engine], len(seeds))
@@ -232,10 +241,11 @@ def summarize(episodes: Episodes) -> dict[str, Any]:
         episodes: From `run_episodes`.
 
     Returns:
-        "success_rate" with "success_interval", Wilson's 95 % interval; means of "return" (with "return_deviation"),
-        "cost" [Pa s], "steps", "path_length" [m]; "violation_rate", the share of episodes with a violation; means and
-        greatest values of "peak_force" [N] and "peak_pressure" [Pa]; mean and median of "time_to_success" [s] over the
-        episodes that succeeded (None if none did); "diverged", a number of episodes.
+        "success_rate" with "success_interval", Wilson's 95 % interval; "safe_success_rate", within the budget of cost;
+        means of "return" (with "return_deviation"), "cost" [s], "dose" [Pa s], "steps", "path_length" [m];
+        "violation_rate", the share of episodes with a violation; means and greatest values of "peak_force" [N] and
+        "peak_pressure" [Pa]; mean and median of "time_to_success" [s] over the episodes that succeeded (None if none
+        did); "diverged", a number of episodes.
     """
     count = len(episodes["success"])
     successes = int(episodes["success"].sum())
@@ -244,9 +254,11 @@ def summarize(episodes: Episodes) -> dict[str, Any]:
         "episodes": count,
         "success_rate": successes / count,
         "success_interval": list(wilson_interval(successes, count)),
+        "safe_success_rate": float(episodes["safe_success"].mean()),
         "return": float(episodes["return"].mean()),
         "return_deviation": float(episodes["return"].std()),
         "cost": float(episodes["cost"].mean()),
+        "dose": float(episodes["dose"].mean()),
         "violation_rate": float(episodes["violation"].mean()),
         "peak_force": float(episodes["peak_force"].mean()),
         "peak_force_max": float(episodes["peak_force"].max()),
@@ -289,6 +301,13 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
     finally:
         env.close()
     write_film(Path(path), frames, rate)
+
+
+def _best_reward(env: SpatulaVectorEnv) -> float:
+    """Of a step in which the goal is held as well as can be."""
+    if env.settings.reward == "sparse" or env.settings.terminate_on_success:
+        return 0.0
+    return env.task.best_reward
 
 
 def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from spatula_env.definitions import FIRST, present_options
 from spatula_env.learning.policies import ExpertPolicy, Policy, PolicySource, RandomPolicy, interface_of, make_expert
-from spatula_env.learning.saving import find_saved, load_policy, read_saved_config
+from spatula_env.learning.saving import definition_of, find_saved, load_policy, read_saved_config
 from spatula_env.naming import same_environment
 from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenance
 
@@ -38,16 +39,20 @@ def find_policy(name: str, env_id: str) -> PolicySource:
     if path.suffix == ".npz":
         exported = ExportedPolicy.load(path)
         _check_env(exported.metadata.get("env_id", env_id), env_id, path)
+        number = exported.metadata.get("definition", FIRST)
         return PolicySource(
-            _ExportedMaker(path), exported.metadata.get("env_kwargs", {}), f"exported weights {path.name}",
+            _ExportedMaker(path),
+            present_options(env_id, number, exported.metadata.get("env_kwargs", {})),
+            f"exported weights {path.name}",
             read_provenance(path),
-        )  # fmt: skip
+        )
     if not path.is_dir():
         raise ValueError(f"policy must be a folder or an .npz file, got {path}")
     folder = find_saved(path)
     config = read_saved_config(folder)
     _check_env(config.environment.id, env_id, path)
-    return PolicySource(_SavedMaker(folder), interface_of(config.environment.kwargs), f"saved policy {folder}")
+    kwargs = present_options(env_id, definition_of(folder), interface_of(config.environment.kwargs))
+    return PolicySource(_SavedMaker(folder), kwargs, f"saved policy {folder}")
 
 
 def _check_env(trained: str, wanted: str, path: Path) -> None:

@@ -105,4 +105,6 @@ def make_expert(env: Any) -> Expert:
 
 def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """Those of an environment's options that a policy depends on."""
-    return {name: value for name, value in kwargs.items() if name in INTERFACE}
+    # With the goal interface it is where success ends episodes that the hold's progress is observed.
+    names = (*INTERFACE, "terminate_on_success") if kwargs.get("reward") == "sparse" else INTERFACE
+    return {name: value for name, value in kwargs.items() if name in names}

@@ -60,7 +60,7 @@ class ProgressView:
         Args:
             steps: Done.
             success: Share of the last episodes of training that succeeded.
-            cost: Their mean cost [Pa s].
+            cost: Their mean cost [s].
         """
         now = time.perf_counter()
         terminal = self.console.is_terminal
@@ -80,7 +80,7 @@ class ProgressView:
             self._task,
             completed=steps,
             success="-" if success is None else f"{100 * success:.0f} %",
-            cost="-" if cost is None else f"{cost:.0f} Pa s",
+            cost="-" if cost is None else f"{1e3 * cost:.0f} ms",
             rate=f"{(steps - self._first) / max(now - self._start, 1e-9):,.0f}",
         )
 
@@ -90,7 +90,7 @@ class ProgressView:
         self.console.print(
             f"{line['step']:>10,} steps {line['seconds']:7.1f} s  success {100 * line['success_rate']:5.1f} %"
             f" (training {'-' if training is None else f'{100 * training:.0f} %'})"
-            f"  return {line['return']:7.1f}  cost {line['cost']:7.1f} Pa s"
+            f"  return {line['return']:7.1f}  cost {1e3 * line['cost']:7.1f} ms"
             f"  violations {100 * line['violation_rate']:3.0f} %  {line['steps_per_second']:,.0f} steps/s",
             highlight=False,
             soft_wrap=True,

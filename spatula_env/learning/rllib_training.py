@@ -266,7 +266,7 @@ class RLlibTrainer:
         self._curve = [line for line in read_curve(folder / "curve.jsonl") if line["step"] <= self._evaluated]
         self._start = time.perf_counter()
         self._best = max(((line["success_rate"], line["return"]) for line in self._curve), default=None)
-        write_json(folder / "provenance.json", provenance())
+        write_json(folder / "provenance.json", provenance(self.config.environment.id))
 
     @property
     def seconds(self) -> float:
@@ -362,7 +362,7 @@ class RLlibTrainer:
                     "seed": self.config.seed,
                     "evaluation": {"training": line},
                     "config": {**to_mapping(self.config), "algorithm": "ppo"},
-                    **provenance(),
+                    **provenance(self.config.environment.id),
                 },
             )
         target = self.config.success_target

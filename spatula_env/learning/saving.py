@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env import __version__
+from spatula_env.definitions import FIRST, definition_number
 from spatula_env.engines import BULLET_DISTRIBUTIONS
 from spatula_env.files import UNFINISHED, write_text
 from spatula_env.learning.acting import acting_policy
@@ -236,11 +237,24 @@ def load_policy(folder: Path, env: Any) -> Policy:
     """A saved policy, to act in an environment."""
     config = read_saved_config(folder)
     model, normalizer = load_model(folder, config), load_normalizer(folder)
-    return acting_policy(model, normalizer, export_metadata(config)).bound_to(env)
+    return acting_policy(model, normalizer, export_metadata(config, definition_of(folder))).bound_to(env)
 
 
-def provenance() -> dict[str, Any]:
-    """Versions, commit, time and machine."""
+def definition_of(folder: Path) -> int:
+    """The number of the definition of the task that something was trained for.
+
+    Args:
+        folder: Of a policy or checkpoint, in the folder of its run, which tells.
+    """
+    for place in (folder, *folder.parents[:2]):
+        if (place / PROVENANCE).exists():
+            told: Any = json.loads((place / PROVENANCE).read_text(encoding="utf-8"))
+            return int(told.get("definition", FIRST))
+    return FIRST
+
+
+def provenance(env_id: str) -> dict[str, Any]:
+    """Versions, commit, time and machine, and the number of the definition of an environment's task."""
     versions: dict[str, str | None] = {"python": platform.python_version(), "spatula_env": __version__}
     for name in PACKAGES:
         try:
@@ -248,6 +262,7 @@ def provenance() -> dict[str, Any]:
         except metadata.PackageNotFoundError:
             versions[name] = None
     return {
+        "definition": definition_number(env_id),
         "versions": versions,
         "commit": _git("rev-parse", "HEAD"),
         "uncommitted_changes": bool(_git("status", "--porcelain", "--untracked-files=no")),
@@ -281,13 +296,19 @@ def _write_policy(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | 
     write_training(config, place / CONFIG)
 
 
-def export_metadata(config: TrainingConfig) -> dict[str, Any]:
-    """What an exported policy has to know about how it was trained."""
+def export_metadata(config: TrainingConfig, definition: int | None = None) -> dict[str, Any]:
+    """What an exported policy has to know about how it was trained.
+
+    Args:
+        config: How.
+        definition: The number of the task's definition; None: of the present one.
+    """
     parts = config.environment.parts
     return {
         "env_id": config.environment.id,
         "env_kwargs": interface_of(config.environment.kwargs),
         "parts": None if parts is None else list(parts),
+        "definition": definition_number(config.environment.id) if definition is None else definition,
     }
 
 

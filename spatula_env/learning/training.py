@@ -219,7 +219,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         for stale in (BEST, POLICY, "tensorboard"):
             shutil.rmtree(folder / stale, ignore_errors=True)
         (folder / CURVE).unlink(missing_ok=True)
-    write_json(folder / PROVENANCE, provenance())
+    write_json(folder / PROVENANCE, provenance(config.environment.id))
 
     steps = int(checkpoint.name.partition("-")[2]) if checkpoint is not None else 0
     # Not the same episodes again after an interruption.

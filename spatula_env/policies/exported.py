@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spatula_env.arrays import Float32Array
+from spatula_env.definitions import FIRST, tell_definition
 from spatula_env.files import whole_file
 from spatula_env.policies.parts import PartSelection
 
@@ -67,7 +68,7 @@ class ExportedPolicy:
         squash: Whether a tanh follows the last layer; else actions are clipped.
         low: (A,) least actions.
         high: (A,) greatest actions.
-        metadata: What the policy is for: "env_id", "env_kwargs", "parts".
+        metadata: What the policy is for: "env_id", "env_kwargs", "parts", and "definition", the number of the task's.
         selection: Which parts of observations count, once an environment is known; None: all.
     """
 
@@ -93,6 +94,7 @@ class ExportedPolicy:
         Raises:
             ValueError: If observations or actions are not those that it was trained with.
         """
+        warn_of_definition(self.metadata)
         bound = replace(self, selection=PartSelection.of(env, self.metadata.get("parts")))
         space = getattr(env, "single_observation_space", env.observation_space)
         actions = getattr(env, "single_action_space", env.action_space)
@@ -211,6 +213,16 @@ class ExportedPolicy:
         _check_array("high", self.high, (size,))
 
 
+def warn_of_definition(metadata: Mapping[str, Any]) -> None:
+    """Warn if a policy was trained for another definition of its task than the present one.
+
+    Args:
+        metadata: Of the policy; see `ExportedPolicy`.
+    """
+    if "env_id" in metadata:
+        tell_definition("the policy", metadata["env_id"], metadata.get("definition", FIRST), stacklevel=3)
+
+
 def _check_array(name: str, values: NDArray[Any], shape: tuple[int, ...]) -> None:
     if values.dtype.kind != "f" or values.shape != shape:
         raise ValueError(f"{name} must be numbers {shape}, got {values.dtype} {values.shape}")
@@ -244,6 +256,7 @@ def _checked_header(header: Any) -> dict[str, Any]:
         ("metadata", isinstance(metadata, dict), "a mapping"),
         ("metadata's env_id", isinstance(told.get("env_id", ""), str), "text"),
         ("metadata's env_kwargs", isinstance(told.get("env_kwargs", {}), dict), "a mapping"),
+        ("metadata's definition", is_count(told.get("definition", FIRST)), "a positive integer"),
         ("metadata's parts", told.get("parts") is None or is_texts(told["parts"]), "null or a list of names"),
     ):
         if not fits:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.tasks.configuration import TaskConfig
 from spatula_env.tasks.criteria import Criterion
+from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.marks import Mark
 from spatula_env.tasks.situation import Setting, Situation, Start
 
@@ -75,6 +76,10 @@ class Task(ABC):
         description: What is asked, as a sentence that instructs; "" where nobody wrote one.
         goal_names: Names of the G numbers in a goal.
         goal_units: Their units.
+        hindsight: Whether what is achieved is the same whatever is asked for, so that a step may be replayed as if
+            something else had been asked.
+        definition: The number of what is asked, rewarded and counted. Policies, data sets and results carry it: with
+            another number they are of another task.
         extra_parts: The task's own pieces of the observation.
         setting: Where it is asked, as far as nothing of it is drawn at random.
     """
@@ -82,6 +87,8 @@ class Task(ABC):
     description: ClassVar[str] = ""
     goal_names: ClassVar[tuple[str, ...]]
     goal_units: ClassVar[tuple[str, ...]]
+    hindsight: ClassVar[bool] = True
+    definition: ClassVar[int] = 1
     extra_parts: tuple[PartSpec, ...] = ()
 
     def __init__(self, config: TaskConfig, setting: Setting, goal_low: ArrayLike, goal_high: ArrayLike) -> None:
@@ -104,6 +111,7 @@ class Task(ABC):
                 f"got {config.start_height_range}"
             )
         self._hold_time = float(config.hold_time)
+        self._loading_limit, self._cost_budget = float(config.loading_limit), float(config.cost_budget)
         self._weights = {name: float(value) for name, value in vars(config.weights).items()}
         self._goal_low: NDArray[np.float32] = np.array(goal_low, dtype=np.float32)
         self._goal_high: NDArray[np.float32] = np.array(goal_high, dtype=np.float32)
@@ -124,9 +132,34 @@ class Task(ABC):
         return self._weights
 
     @property
+    def best_reward(self) -> float:
+        """The greatest dense reward of a step: the sum of the positive weights, whose terms are 1 at most.
+
+        What ends of episodes pay is reckoned by it; a task with other terms overrides it.
+        """
+        return sum(weight for weight in self._weights.values() if weight > 0.0)
+
+    @property
     def hold_time(self) -> float:
         """How long the goal must be held without a break for success [s]."""
         return self._hold_time
+
+    @property
+    def loading_limit(self) -> float:
+        """How fast the force on a tool may grow without being counted as a cost [N/s]."""
+        return self._loading_limit
+
+    @property
+    def cost_budget(self) -> float:
+        """Up to which cost of an episode success counts as safe [s]."""
+        return self._cost_budget
+
+    def pressure_limit(self, goal: FloatArray) -> FloatArray:
+        """Which pressure goals (W, G) need, with care: what is beyond is counted as a cost (W,) [Pa].
+
+        By default no more than what tissue bears.
+        """
+        return np.full(len(goal), COST_PRESSURE)
 
     @abstractmethod
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:

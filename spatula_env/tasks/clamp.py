@@ -15,7 +15,7 @@ from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Patch, Path
 from spatula_env.tasks.organs import organ_with_parts
-from spatula_env.tasks.situation import Setting, Situation, Start, ToolShape
+from spatula_env.tasks.situation import Setting, Situation, Start
 
 LEAST_LIFT, GREATEST_LIFT = -0.03, 0.08
 """Limits of a measured lift [m]: a ridge that is pushed down, and one that is as high as the workspace lets it be."""
@@ -56,23 +56,29 @@ class ClampConfig(TaskConfig):
         lift_range: Least and greatest height that the ridge is to be lifted by [m].
         slip_range: Least and greatest slip that is allowed [m].
         lift_tolerance: Allowed difference of the lift from the goal's [m].
+        grip_force_range: Least and greatest force with which either jaw may press on the ridge [N].
         hold_time: How long the ridge must be held there without a break [s].
         start_offset: The grip starts within this distance of the ridge's middle, along each horizontal axis [m].
         start_height_range: Least and greatest height of the jaws' lower edges above the ridge's crest at the start [m].
         start_opening_range: Least and greatest free width between the jaws at the start [m].
         reach_scale: Distance to the ridge's middle at which the reward term "reach" has fallen to 0.24 [m].
         lift_scale: Error of the lift at which its closeness has fallen to 0.24 [m].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     lift_range: tuple[float, float] = (0.004, 0.012)
     slip_range: tuple[float, float] = (0.001, 0.002)
     lift_tolerance: float = 0.001
+    grip_force_range: tuple[float, float] = (0.08, 0.25)
     hold_time: float = 0.5
     start_offset: float = 0.008
     start_height_range: tuple[float, float] = (0.002, 0.012)
     start_opening_range: tuple[float, float] = (0.02, 0.03)
     reach_scale: float = 0.015
     lift_scale: float = 0.005
+    loading_limit: float = 1.2
+    cost_budget: float = 0.02
     weights: ClampWeights = field(default_factory=ClampWeights)
 
     def __post_init__(self) -> None:
@@ -80,7 +86,7 @@ class ClampConfig(TaskConfig):
         self._check_not_negative("start_offset")
         self._check_positive("lift_tolerance", "hold_time", "reach_scale", "lift_scale")
         self._read_ranges("lift_range", "slip_range")
-        self._read_ranges("start_height_range", "start_opening_range", not_negative=True)
+        self._read_ranges("start_height_range", "start_opening_range", "grip_force_range", not_negative=True)
         if self.lift_range[0] <= self.lift_tolerance:
             raise ValueError(
                 f"lift_range must begin above lift_tolerance, {self.lift_tolerance}, or the organ at rest would be "
@@ -90,6 +96,8 @@ class ClampConfig(TaskConfig):
             raise ValueError(f"lift_range must end at {GREATEST_LIFT} m at most, got {self.lift_range}")
         if not 0.0 <= self.slip_range[0] <= self.slip_range[1] < GREATEST_SLIP:
             raise ValueError(f"slip_range must lie from 0 to below {GREATEST_SLIP} m, got {self.slip_range}")
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(ClampWeights)
 
 
@@ -101,8 +109,9 @@ class ClampTask(Task):
 
     A grip begins when both jaws touch the organ with the faces that they turn to each other, and ends when neither
     does. Its slip is how far the part of the ridge that was between the jaws when the grip began has moved along their
-    faces since, in the frame of the first jaw. While not both jaws touch, the slip counts as the greatest there is. The
-    goal is fulfilled if the lift is right within a tolerance and the slip is not greater than allowed.
+    faces since, in the frame of the first jaw. While not both jaws touch, or one of them presses with a force that is
+    not in the range of grip forces, the slip counts as the greatest there is: neither a loose grip holds nor one that
+    crushes. The goal is fulfilled if the lift is right within a tolerance and the slip is not greater than allowed.
     """
 
     description = (
@@ -110,6 +119,7 @@ class ClampTask(Task):
     )
     goal_names = ("lift", "slip")
     goal_units = ("m", "m")
+    definition = 2
 
     def __init__(self, config: ClampConfig, setting: Setting) -> None:
         """Prepare for a setting.
@@ -132,8 +142,9 @@ class ClampTask(Task):
         first, second = setting.tools
         away = second.offset - first.offset
         away = away / np.linalg.norm(away)
-        self._inner = (_facing(first, away), int(first.face.max()) + 1 + _facing(second, -away))
-        self._plane = _across(turn(conjugate(first.orientation), away))
+        self._inner = (first.face_towards(away), int(first.face.max()) + 1 + second.face_towards(-away))
+        self._away = turn(conjugate(first.orientation), away)
+        self._plane = _across(self._away)
         along = first.vertices @ self._plane.T
         self._middle, self._half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
         middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
@@ -190,14 +201,18 @@ class ClampTask(Task):
 
         Returns:
             Reward terms "reach", "grip", "lift", "hold", "slip", "force" and "action"; what was achieved; the measures
-            "lift", "lift_error" and "slip" [m], and "gripped", 0 or 1; and the part "ridge_offset", from the grip to
+            "lift", "lift_error" and "slip" [m], "gripped", 0 or 1, and "grip_force", that of the jaw that presses less
+            [N]; and the part "ridge_offset", from the grip to
             the middle of the ridge's flanks [m].
         """
         config = self.config
         nodes, rest = situation.nodes, situation.rest_nodes
         lift = (nodes[:, self._crest, 2] - rest[:, self._crest, 2]).mean(axis=1)
         slip, gripped = self._slip(situation, memory)
-        achieved, error, within = self.compare(np.column_stack([lift, slip]), goal)
+        least, greatest = self._grip_forces(situation)
+        allowed = (least >= config.grip_force_range[0]) & (greatest <= config.grip_force_range[1])
+        held = np.where(allowed, slip, GREATEST_SLIP)
+        achieved, error, within = self.compare(np.column_stack([lift, held]), goal)
 
         offset = nodes[:, self._flanks].mean(axis=1) - situation.tool_position
         lift_error = np.abs(error[:, 0])
@@ -215,7 +230,13 @@ class ClampTask(Task):
             achieved=achieved,
             error=error,
             within_tolerance=within,
-            measures={"lift": achieved[:, 0], "lift_error": lift_error, "slip": achieved[:, 1], "gripped": gripped},
+            measures={
+                "lift": achieved[:, 0],
+                "lift_error": lift_error,
+                "slip": slip,
+                "gripped": gripped,
+                "grip_force": least,
+            },
             parts={"ridge_offset": offset},
         )
 
@@ -227,7 +248,7 @@ class ClampTask(Task):
     def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
         """See `Task`."""
         slip = float(achieved[1])
-        note = "no grip" if slip >= float(self.goal_high[1]) else ""
+        note = "no grip, too loose or too tight" if slip >= float(self.goal_high[1]) else ""
         return (
             Criterion.near("lift", "m", float(achieved[0]), float(goal[0]), self.config.lift_tolerance),
             Criterion.at_most("slip", "m", slip, float(goal[1]), note),
@@ -241,6 +262,14 @@ class ClampTask(Task):
         ends = np.array([rest[np.argmin(rest[:, 0])], rest[np.argmax(rest[:, 0])]])
         ends[:, 2] = rest[:, 2].max() + goal[0]
         return Patch(self._crest), Path(ends)
+
+    def _grip_forces(self, situation: Situation) -> tuple[FloatArray, FloatArray]:
+        """With what the jaws press on the ridge: the jaw that presses less (W,), and the other one (W,) [N]."""
+        away = turn(situation.tool_orientation, self._away)
+        # The organ pushes either jaw away from the other.
+        first, second = situation.contact_forces[:, 0], situation.contact_forces[:, 1]
+        forces = np.stack([-(first * away).sum(axis=1), (second * away).sum(axis=1)])
+        return forces.min(axis=0), forces.max(axis=0)
 
     def _slip(self, situation: Situation, memory: Memory) -> tuple[FloatArray, FloatArray]:
         """How far what is gripped has slipped (W,) [m], and whether anything is gripped (W,), 0 or 1."""
@@ -262,12 +291,6 @@ class ClampTask(Task):
         memory["reference"][beginning] = place[beginning]
         slip = np.sqrt(((place - memory["reference"]) ** 2).sum(axis=1))
         return np.where(gripped, np.minimum(slip, GREATEST_SLIP), GREATEST_SLIP), gripped.astype(np.float64)
-
-
-def _facing(tool: ToolShape, direction: FloatArray) -> int:
-    """Which of a tool's faces is turned in a direction (3,), as it is at the start."""
-    normals = turn(tool.orientation, tool.normals) @ direction
-    return int(tool.face[np.argmax(normals)])
 
 
 def _across(direction: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -40,8 +41,12 @@ class TaskConfig:
         hold_time: How long the goal must be held without a break for success [s].
         start_height_range: Least and greatest height of the tools' lowest point above the organ's top at the start [m].
         weights: Of the reward terms; a mapping of some of them is completed by the defaults.
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
+    loading_limit: float = math.inf
+    cost_budget: float = math.inf
     hold_time: float
     start_height_range: tuple[float, float]
     weights: Weights

@@ -65,6 +65,8 @@ class FissureConfig(TaskConfig):
         target_grid: How many of its points are asked whether they are seen, along it and across.
         place_tolerance: Allowed distance of the blade's middle from the target's, along the fissure [m].
         view_tolerance: Allowed angle between blade and line of sight [rad].
+        edge_height: What is seen counts while the blade's lower edge is this far above the target at most: in the
+            fissure down to its floor, and not between its lips [m].
         hold_time: How long the target must be seen without a break [s].
         start_offset: The blade starts within this distance of the fissure's middle, along each horizontal axis [m].
         start_height_range: Least and greatest height of its lower edge above the organ's top at the start [m].
@@ -73,6 +75,8 @@ class FissureConfig(TaskConfig):
         reach_aside: How far beside it, on the side to which the line of sight leans [m].
         reach_scale: Distance from there at which the term has fallen to 0.24 [m].
         align_scale: Angle at which the closeness of tilt and line of sight has fallen to 0.24 [rad].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     place_limit: float = 0.01
@@ -83,6 +87,7 @@ class FissureConfig(TaskConfig):
     target_grid: tuple[int, int] = (5, 21)
     place_tolerance: float = 0.008
     view_tolerance: float = 0.1
+    edge_height: float = 0.008
     hold_time: float = 0.5
     start_offset: float = 0.01
     start_height_range: tuple[float, float] = (0.004, 0.015)
@@ -91,13 +96,21 @@ class FissureConfig(TaskConfig):
     reach_aside: float = 0.002
     reach_scale: float = 0.015
     align_scale: float = 0.15
+    loading_limit: float = 0.8
+    cost_budget: float = 0.02
     weights: FissureWeights = field(default_factory=FissureWeights)
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
         self._check_not_negative("place_limit", "start_offset", "start_tilt", "reach_height", "reach_aside")
         self._check_positive(
-            "target_height", "place_tolerance", "view_tolerance", "hold_time", "reach_scale", "align_scale"
+            "target_height",
+            "place_tolerance",
+            "view_tolerance",
+            "edge_height",
+            "hold_time",
+            "reach_scale",
+            "align_scale",
         )
         self._read_ranges("view_range", "exposure_range")
         self._read_ranges("start_height_range", not_negative=True)
@@ -114,6 +127,8 @@ class FissureConfig(TaskConfig):
             check_count(count, "target_grid", 2, MOST_ASKED)
         object.__setattr__(self, "target_size", (float(size[0]), float(size[1])))
         object.__setattr__(self, "target_grid", (int(grid[0]), int(grid[1])))
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(FissureWeights)
 
     def _pair(self, name: str) -> tuple[Any, Any]:
@@ -135,8 +150,10 @@ class FissureTask(Task):
     A goal is (place, view, exposure): where the target is along the fissure, from the middle of its floor; the tilt of
     the line of sight, a rotation about x like the blade's: a positive one leans towards the operator; and the share of
     the target that is to be seen. What is achieved is where the blade's edge is along the fissure, the blade's tilt,
-    and the share that is seen. The goal is fulfilled if the blade is at the target and along the line of sight, both
-    within a wide tolerance, and no less is seen than is asked for: more is better.
+    and the share that is seen while the edge is near the floor, zero without. The share is that of the episode's target
+    along the episode's line of sight, so hindsight, which asks for another one, cannot know it. The goal is fulfilled
+    if the blade is at the target and along the line of sight, both within a wide tolerance, and no less is seen than is
+    asked for: more is better.
     """
 
     description = (
@@ -145,6 +162,8 @@ class FissureTask(Task):
     )
     goal_names = ("place", "view", "exposure")
     goal_units = ("m", "rad", "1")
+    hindsight = False
+    definition = 2
 
     def __init__(self, config: FissureConfig, setting: Setting) -> None:
         """Prepare for a setting.
@@ -219,8 +238,9 @@ class FissureTask(Task):
 
         Returns:
             Reward terms "reach", "align", "exposure", "hold", "force" and "action"; what was achieved; the measures
-            "exposure", "target_distance" [m] from the blade's edge to beside the target, and "view_error" [rad] of the
-            blade's tilt; and the part "target_offset", from the middle of the blade's edge to the target's [m].
+            "exposure", wherever the edge is, "target_distance" [m] from the blade's edge to beside the target, and
+            "view_error" [rad] of the blade's tilt; and the part "target_offset", from the middle of the blade's edge
+            to the target's [m].
         """
         config = self.config
         scale = situation.tool_scale
@@ -232,9 +252,10 @@ class FissureTask(Task):
         exposure = self._exposure(situation.nodes, corners, target, along, goal[:, 1])
         tilt = to_rotation_vector(multiply(orientation, conjugate(self._blade_start)))[:, 0]
         place = ((edge - middle) * along).sum(axis=1)
-        achieved, error, within = self.compare(np.column_stack([place, tilt, exposure]), goal)
-
         offset = target - edge
+        deep = -offset[:, 2] <= config.edge_height
+        achieved, error, within = self.compare(np.column_stack([place, tilt, np.where(deep, exposure, 0.0)]), goal)
+
         aside = -config.reach_aside * np.sign(goal[:, 1:2]) * np.cross([0.0, 0.0, 1.0], along)
         distance = np.sqrt(((offset + aside + [[0.0, 0.0, config.reach_height]]) ** 2).sum(axis=1))
         view_error = np.abs(error[:, 1])

@@ -13,7 +13,9 @@ from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
 from spatula_env.tasks.marks import Mark, Path, Ring
+from spatula_env.tasks.pressure_centre import centre_of_pressure
 from spatula_env.tasks.situation import Setting, Situation, Start
+from spatula_env.tasks.surface import points_on_top
 
 PIECES = 40
 """A path is divided into this many pieces of equal length, each of which is felt or not."""
@@ -30,8 +32,8 @@ GREATEST_OFFSET = 0.15
 GREATEST_NORMAL_FORCE = 5.0
 """Normal forces are reported up to this, to either side [N]."""
 
-UPWARDS = (0.0, 0.0, 1.0)
-"""What is perpendicular to the spatula's faces, in its own frame."""
+LEAST_FORCE = 0.01
+"""With less normal force the spatula touches nothing [N]."""
 
 MARK_HEIGHT = 0.001
 """How far above the organ at rest the path is drawn [m]."""
@@ -65,13 +67,15 @@ class PalpateConfig(TaskConfig):
         force_range: Least and greatest middle of the force's band [N].
         force_tolerance: Half the width of the band [N].
         share_range: Least and greatest share of the path that is to be felt.
-        path_tolerance: Allowed horizontal distance of the spatula's middle from the path [m].
-        end_tolerance: Allowed horizontal distance from the path's end, at the end [m].
+        path_tolerance: Allowed horizontal distance of the centre of pressure from the path [m].
+        end_tolerance: Allowed horizontal distance of it from the path's end, at the end [m].
         hold_time: How long it must stay there, with a force in the band, without a break [s].
         start_radius: The spatula starts within this horizontal distance of the path's beginning [m].
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         force_scale: Error of the force at which the term "force" has fallen to 0.24 [N].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     middle_radius: float = 0.004
@@ -87,6 +91,8 @@ class PalpateConfig(TaskConfig):
     start_height_range: tuple[float, float] = (0.005, 0.015)
     reach_scale: float = 0.02
     force_scale: float = 0.1
+    loading_limit: float = 1.8
+    cost_budget: float = 0.02
     weights: PalpateWeights = field(default_factory=PalpateWeights)
 
     def __post_init__(self) -> None:
@@ -114,6 +120,8 @@ class PalpateConfig(TaskConfig):
             )
         if not (0.0 < self.share_range[0] and self.share_range[1] <= 1.0):
             raise ValueError(f"share_range must be above 0 and 1 at most, got {self.share_range}")
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(PalpateWeights)
 
 
@@ -121,13 +129,15 @@ class PalpateTask(Task):
     """Judges a palpation.
 
     A goal is (share, x, y, force): which share of the path is to be felt, where the path ends, and the middle of the
-    band of the normal force. A piece of the path is felt once the spatula's middle has passed over it, no farther to
+    band of the normal force. A piece of the path is felt once the centre of pressure has passed over it, no farther to
     the side than the tolerance, with a normal force in the band in this control step and, where it comes from another
     piece, in the one before. In which order pieces are felt, and how often, does not matter. The normal force is the
-    part of the contact force that is perpendicular to the spatula's faces.
+    part of the contact force that is perpendicular to the spatula's faces, and the centre of pressure is where it acts.
+    The path is on the organ, and moves with it.
 
-    What is achieved is the share felt so far, the place of the spatula's middle, and the normal force. The share felt
-    was felt in the band of the episode, also when hindsight asks for another force in the end.
+    What is achieved is the share felt so far, the centre of pressure (the middle of the lower face where it touches
+    nothing) relative to where the path's end has gone, and the normal force. The share was felt along the episode's
+    path, in the episode's band: hindsight, which asks for another one, cannot know it.
 
     Attributes:
         config: What is asked.
@@ -139,6 +149,8 @@ class PalpateTask(Task):
     )
     goal_names = ("share", "x", "y", "force")
     goal_units = ("1", "m", "m", "N")
+    hindsight = False
+    definition = 2
 
     def __init__(self, config: PalpateConfig, setting: Setting) -> None:
         """Prepare for a setting.
@@ -158,7 +170,8 @@ class PalpateTask(Task):
             [1.0, high[0], high[1], GREATEST_NORMAL_FORCE],
         )
         self.config = config
-        self._underside = float(setting.tool_low[2])
+        plate = setting.tools[0].vertices
+        self._plate = (plate.min(axis=0), plate.max(axis=0))
         count = 3 * len(AHEAD)
         self.extra_parts = (
             PartSpec("path_ahead", "m", np.full(count, -GREATEST_OFFSET), np.full(count, GREATEST_OFFSET)),
@@ -216,12 +229,15 @@ class PalpateTask(Task):
         """Room for paths and what has been felt of them.
 
         Returns:
-            "path" (W, P + 1, 3) corners of the path's P pieces, on the organ at rest [m]; "felt" (W, P) which have been
+            "path" (W, P + 1, 3) corners of the path's P pieces, on the organ at rest [m]; "nodes" (W, P + 1, 3) of the
+            triangles that they lie on, and "shares" (W, P + 1, 3) of these nodes in them; "felt" (W, P) which have been
             felt; "progress" (W,) the farthest place on the path that has been felt, in pieces; "last" (W,) where it was
             in the step before, in pieces, and "was_feeling" (W,) whether it felt the path then.
         """
         return {
             "path": np.zeros((count, PIECES + 1, 3)),
+            "nodes": np.zeros((count, PIECES + 1, 3), dtype=np.int64),
+            "shares": np.zeros((count, PIECES + 1, 3)),
             "felt": np.zeros((count, PIECES), dtype=np.bool_),
             "progress": np.zeros(count),
             "last": np.zeros(count),
@@ -239,7 +255,8 @@ class PalpateTask(Task):
             distance = float(np.hypot(*inwards))
             if np.hypot(*(0.5 * way - inwards)) > self.config.middle_radius + 1e-9 and distance > 0.0:
                 way = float(np.hypot(*way)) / distance * inwards
-            memory["path"][row] = self._path(goal[1:3], way, drawn[2], setting)
+            path = memory["path"][row] = self._path(goal[1:3], way, drawn[2], setting)
+            memory["nodes"][row], memory["shares"][row] = points_on_top(setting.rest_nodes, setting.triangles, path)
         memory["felt"][rows] = False
         memory["progress"][rows], memory["last"][rows], memory["was_feeling"][rows] = 0.0, 0.0, False
 
@@ -248,24 +265,27 @@ class PalpateTask(Task):
 
         Returns:
             Reward terms "reach", "force", "felt", "hold" and "action"; what was achieved; the measures "share",
-            "progress", "normal_force" and "force_error" [N] and "end_distance" [m]; the parts "path_ahead" [m],
+            "progress", "normal_force" and "force_error" [N], "path_distance" of the centre of pressure [m] and
+            "end_distance" [m]; the parts "path_ahead" [m],
             "progress", "felt" and "normal_force" [N].
         """
         config = self.config
-        normal = turn(situation.tool_orientation, UPWARDS)
-        force = (situation.contact_force * normal).sum(axis=1)
+        centre, force, touching = centre_of_pressure(situation, *self._plate, LEAST_FORCE)
         force_error = np.abs(goal[:, 3] - force)
-        along, aside = _project(memory["path"][:, :, :2], situation.tool_position[:, :2])
+        path = _present_path(memory, situation)
+        along, aside = _project(path[:, :, :2], centre[:, :2])
         self._feel(memory, along, aside, force_error)
         share = memory["felt"].mean(axis=1)
 
-        measured = np.column_stack([share, situation.tool_position[:, :2], force])
+        # As if the organ's surface at the path's end were where it was at rest.
+        place = centre[:, :2] - (path[:, -1, :2] - memory["path"][:, -1, :2])
+        measured = np.column_stack([share, place, force])
         achieved, error, within = self.compare(measured, goal)
 
-        underside = situation.tool_position.copy()
-        underside[:, 2] += situation.tool_scale * self._underside
+        below = np.outer(situation.tool_scale * self._plate[0][2], [0.0, 0.0, 1.0])
+        underside = situation.tool_position + turn(situation.tool_orientation, below)
         ahead = np.minimum(memory["progress"][:, None] + PIECES * np.array(AHEAD), PIECES)
-        offsets = _points_at(memory["path"], ahead) - underside[:, None]
+        offsets = _points_at(path, ahead) - underside[:, None]
         distance = np.sqrt((offsets[:, 0] ** 2).sum(axis=1))
         return Evaluation(
             terms={
@@ -283,6 +303,7 @@ class PalpateTask(Task):
                 "progress": memory["progress"] / PIECES,
                 "normal_force": force,
                 "force_error": force_error,
+                "path_distance": np.where(touching, aside, np.hypot(offsets[:, 0, 0], offsets[:, 0, 1])),
                 "end_distance": np.hypot(error[:, 1], error[:, 2]),
             },
             parts={
@@ -318,11 +339,12 @@ class PalpateTask(Task):
         if memory is None:
             height = self.setting.surface_heights(self.setting.rest_nodes[None], goal[None, 1:3])[0]
             return (Ring(np.array([*goal[1:3], height + MARK_HEIGHT]), self.config.end_tolerance),)
-        path = memory["path"][0] + [0.0, 0.0, MARK_HEIGHT]
+        path = memory["path"][0] if situation is None else _present_path(memory, situation)[0]
+        path = path + np.array([0.0, 0.0, MARK_HEIGHT])
         return Path(path), Ring(path[-1], self.config.end_tolerance)
 
     def _feel(self, memory: Memory, along: FloatArray, aside: FloatArray, force_error: FloatArray) -> None:
-        """Remember that spatulas are at places on their paths (W,), at a distance (W,), with a force's error (W,)."""
+        """Remember that spatulas press at places on paths (W,), at a distance (W,), with a force's error (W,)."""
         feeling = (aside <= self.config.path_tolerance) & (force_error <= self.config.force_tolerance)
         last = np.where(memory["was_feeling"], memory["last"], along)
         first_piece = np.floor(np.minimum(last, along))[:, None]
@@ -354,6 +376,14 @@ class PalpateTask(Task):
                 f"where the workspace ends; got {config.middle_radius}, {config.length_range} and "
                 f"{config.start_radius}"
             )
+
+
+def _present_path(memory: Memory, situation: Situation) -> FloatArray:
+    """(W, P + 1, 3) where paths are now [m]; a corner that lies on no triangle stays where it is."""
+    row = np.arange(len(situation.nodes))[:, None, None]
+    rest = situation.rest_nodes[row if len(situation.rest_nodes) > 1 else 0, memory["nodes"]]
+    moved = situation.nodes[row, memory["nodes"]] - rest
+    return np.asarray(memory["path"] + (memory["shares"][..., None] * moved).sum(axis=2))
 
 
 def _project(paths: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:

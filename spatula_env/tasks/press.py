@@ -9,14 +9,20 @@ import numpy as np
 
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.geometry.checks import as_pair
+from spatula_env.geometry.rotations import turn
 from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
+from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.marks import Mark, Path, Ring
+from spatula_env.tasks.pose import moved_as_a_whole
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 LEAST_DEPTH, GREATEST_DEPTH = -0.03, 0.06
 """Limits of a measured depth [m]: a surface that bulges, and one that has gone from under the tool."""
+
+UPWARDS = (0.0, 0.0, 1.0)
+"""Against what the spatula's lower face presses, in its own frame."""
 
 RING_RATIO = 1.64
 """Radius of the rings that show a goal, by half the spatula's width: they reach around it."""
@@ -50,11 +56,16 @@ class PressConfig(TaskConfig):
         depth_range: Least and greatest depth asked for [m].
         place_tolerance: Allowed horizontal distance between spatula and place [m].
         depth_tolerance: Allowed difference of the depth from the goal's [m].
+        least_force: The depth counts while the spatula's lower face presses on the organ with this at least [N].
         hold_time: How long both must be kept without a break [s].
         start_radius: The spatula starts within this distance of the center [m].
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
+        pressure_per_depth: By how much deeper goals need more pressure than tissue bears, with care: the rim of a flat
+            spatula presses the more the deeper it is [Pa/m].
         reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
         depth_scale: Error of depth or of place at which the term "depth" has fallen to 0.24 [m].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     center: tuple[float, float] = (0.0, 0.0)
@@ -62,18 +73,24 @@ class PressConfig(TaskConfig):
     depth_range: tuple[float, float] = (0.005, 0.018)
     place_tolerance: float = 0.002
     depth_tolerance: float = 0.001
+    least_force: float = 0.02
     hold_time: float = 0.5
     start_radius: float = 0.02
     start_height_range: tuple[float, float] = (0.01, 0.03)
+    pressure_per_depth: float = 4.5e5
     reach_scale: float = 0.02
     depth_scale: float = 0.003
+    loading_limit: float = 2.6
+    cost_budget: float = 0.02
     weights: PressWeights = field(default_factory=PressWeights)
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
         self._read_center()
-        self._check_not_negative("place_radius", "start_radius")
-        self._check_positive("place_tolerance", "depth_tolerance", "hold_time", "reach_scale", "depth_scale")
+        self._check_not_negative("place_radius", "start_radius", "pressure_per_depth")
+        self._check_positive(
+            "place_tolerance", "depth_tolerance", "least_force", "hold_time", "reach_scale", "depth_scale"
+        )
         self._read_ranges("depth_range")
         self._read_ranges("start_height_range", not_negative=True)
         if self.depth_range[0] <= self.depth_tolerance:
@@ -81,6 +98,8 @@ class PressConfig(TaskConfig):
                 f"depth_range must begin above depth_tolerance, {self.depth_tolerance}, or the organ at rest "
                 f"would fulfil the goal; got {self.depth_range}"
             )
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(PressWeights)
 
     def _read_center(self) -> None:
@@ -92,8 +111,10 @@ class PressTask(Task):
 
     A goal is (x, y, depth): a place in the horizontal plane and how far the organ's surface is to be below
     where it was at rest. What is achieved is measured at the spatula: the place is that of its centre, and
-    the depth is the height of the organ's surface at rest at that place minus its height now. It is the organ
-    that is measured: a spatula that has sunk into the organ without moving it has achieved nothing.
+    the depth is the height that the organ's surface would have at that place if nothing pressed on it, minus its
+    height now. It is the organ that is measured: a spatula that has sunk into the organ without moving it has achieved
+    nothing. Nor has one that does not touch it, or that has pushed it aside: the depth is that under a lower face that
+    presses on the organ, zero without, and the surface that it is measured against lies where the organ lies now.
 
     Attributes:
         config: What is asked.
@@ -102,6 +123,7 @@ class PressTask(Task):
     description = "Press the organ with the spatula to the given depth at the given place, and hold it there."
     goal_names = ("x", "y", "depth")
     goal_units = ("m", "m", "m")
+    definition = 2
 
     def __init__(self, config: PressConfig, setting: Setting) -> None:
         """Prepare for a setting.
@@ -151,6 +173,10 @@ class PressTask(Task):
         if not least <= goal[2] <= greatest:
             raise ValueError(f"goal must have a depth from {least} to {greatest} m, got {goal[2]}")
 
+    def pressure_limit(self, goal: FloatArray) -> FloatArray:
+        """See `Task`: it grows with the depth."""
+        return np.asarray(COST_PRESSURE + self.config.pressure_per_depth * goal[:, 2])
+
     def new_memory(self, count: int) -> Memory:
         """Room for the height that the surface is to have at the place, "target_height" (W,) [m]."""
         return {"target_height": np.zeros(count)}
@@ -170,7 +196,10 @@ class PressTask(Task):
         config = self.config
         place = situation.tool_position[:, :2]
         heights = self.setting.surface_heights
-        depth = heights(situation.rest_nodes, place) - heights(situation.nodes, place)
+        untouched = moved_as_a_whole(situation.nodes, situation.rest_nodes)
+        pressing = (situation.contact_forces[:, 0] * turn(situation.tool_orientation, UPWARDS)).sum(axis=1)
+        depth = heights(untouched, place) - heights(situation.nodes, place)
+        depth = np.where(pressing >= config.least_force, depth, 0.0)
         achieved, error, within = self.compare(as_seen(np.column_stack([place, depth])), goal)
         place_error, depth_error = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 

@@ -54,12 +54,17 @@ class RetractConfig(TaskConfig):
         shift_range: Least and greatest displacement asked for [m].
         angle_limit: It is asked for across the fold, or turned away from that by this at most [rad].
         tolerance: Allowed horizontal distance between displacement and goal [m].
+        least_push: It counts while the blade pushes against the flank with this at least, and with twice of what it
+            presses down with at least [N].
+        least_overlap: And while the blade's lower edge is lower than the patch's middle by this at least [m].
         hold_time: How long it must be kept without a break [s].
         start_offset: The blade starts within these distances of the fold's middle, across the fold and along it [m].
         start_height_range: Least and greatest height of its lower edge above the organ's top at the start [m].
         edge_depth: How far below the patch's middle the term "reach" wants the blade's lower edge [m].
         reach_scale: Distance from there at which the reward term "reach" has fallen to 0.24 [m].
         shift_scale: Error of the displacement at which the term "shift" has fallen to 0.24 [m].
+        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
+        cost_budget: Up to which cost of an episode success counts as safe [s].
     """
 
     place_limit: float = 0.008
@@ -68,18 +73,22 @@ class RetractConfig(TaskConfig):
     shift_range: tuple[float, float] = (0.004, 0.01)
     angle_limit: float = 0.12
     tolerance: float = 0.001
+    least_push: float = 0.01
+    least_overlap: float = 0.002
     hold_time: float = 0.5
     start_offset: tuple[float, float] = (0.02, 0.01)
     start_height_range: tuple[float, float] = (0.006, 0.02)
     edge_depth: float = 0.008
     reach_scale: float = 0.02
     shift_scale: float = 0.003
+    loading_limit: float = 0.4
+    cost_budget: float = 0.02
     weights: RetractWeights = field(default_factory=RetractWeights)
 
     def __post_init__(self) -> None:
         """Check the values, and take lists and mappings as they come from a file."""
-        self._check_not_negative("place_limit", "angle_limit", "edge_depth")
-        self._check_positive("patch_radius", "tolerance", "hold_time", "reach_scale", "shift_scale")
+        self._check_not_negative("place_limit", "angle_limit", "edge_depth", "least_overlap")
+        self._check_positive("patch_radius", "tolerance", "least_push", "hold_time", "reach_scale", "shift_scale")
         self._read_ranges("height_range", "shift_range")
         self._read_ranges("start_height_range", not_negative=True)
         object.__setattr__(self, "start_offset", _check_pair(self.start_offset, "start_offset"))
@@ -92,6 +101,8 @@ class RetractConfig(TaskConfig):
                 f"shift_range must begin above tolerance, {self.tolerance}, or the organ at rest would fulfil the "
                 f"goal, and end at {GREATEST_SHIFT} at most; got {self.shift_range}"
             )
+        self._check_positive("loading_limit")
+        self._check_not_negative("cost_budget")
         self._read_weights(RetractWeights)
 
 
@@ -99,7 +110,9 @@ class RetractTask(Task):
     """Judges a retraction.
 
     A goal is (x, y): by how much the patch is to be displaced horizontally. The patch is on that flank of the fold from
-    which the goal leads into the fold. What is achieved is the weighted mean of the displacements of its nodes.
+    which the goal leads into the fold. What is achieved is the weighted mean of the displacements of its nodes, while
+    the blade pushes against that flank, beside the patch; without, it is zero. A fold that is dragged along by its
+    crest is not retracted.
 
     Attributes:
         config: What is asked.
@@ -108,6 +121,7 @@ class RetractTask(Task):
     description = "Push the marked patch of the fold aside by the given displacement with the blade, and hold it there."
     goal_names = ("shift_x", "shift_y")
     goal_units = ("m", "m")
+    definition = 2
 
     def __init__(self, config: RetractConfig, setting: Setting) -> None:
         """Prepare for a setting.
@@ -179,8 +193,17 @@ class RetractTask(Task):
             )
 
     def new_memory(self, count: int) -> Memory:
-        """Room for each node's weight in the patch, "weights" (W, V), and its middle at rest, "rest" (W, 3) [m]."""
-        return {"weights": np.zeros((count, len(self.setting.rest_nodes))), "rest": np.zeros((count, 3))}
+        """Room for what is found on the organ at rest.
+
+        Returns:
+            "weights" (W, V) of each node in the patch, "rest" (W, 3) the patch's middle [m], and "inwards" (W, 2) the
+            direction across the fold in which the patch's flank is pushed.
+        """
+        return {
+            "weights": np.zeros((count, len(self.setting.rest_nodes))),
+            "rest": np.zeros((count, 3)),
+            "inwards": np.zeros((count, 2)),
+        }
 
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
         """See `Task`: the patch is found on the organ at rest."""
@@ -190,20 +213,24 @@ class RetractTask(Task):
             memory["weights"][row] = 0.0
             memory["weights"][row, nodes] = weights
             memory["rest"][row] = weights @ setting.rest_nodes[nodes]
+            _, across, _ = self._fold(setting.rest_nodes)
+            memory["inwards"][row] = np.sign(goal @ across) * across
 
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
         """See `Task`.
 
         Returns:
             Reward terms "reach", "shift", "hold", "force" and "action"; what was achieved; the measures "shift", how
-            far the patch is from where it was, horizontally, and "shift_error" [m]; the parts "patch_position" and
+            far the patch is from where it was, horizontally, "shift_error" [m], and "pushing", whether that counts, 0
+            or 1; the parts "patch_position" and
             "patch_shift" [m].
         """
         config = self.config
         # A product of matrices for each world: einsum would be slower.
         patch = (memory["weights"][:, None, :] @ situation.nodes)[:, 0]
         shift = patch - memory["rest"]
-        achieved, error, within = self.compare(shift[:, :2], goal)
+        pushing = self._pushes(situation, patch, memory["inwards"])
+        achieved, error, within = self.compare(np.where(pushing[:, None], shift[:, :2], 0.0), goal)
         shift_error = np.hypot(error[:, 0], error[:, 1])
 
         scale = situation.tool_scale
@@ -223,7 +250,11 @@ class RetractTask(Task):
             achieved=achieved,
             error=error,
             within_tolerance=within,
-            measures={"shift": np.hypot(shift[:, 0], shift[:, 1]), "shift_error": shift_error},
+            measures={
+                "shift": np.hypot(shift[:, 0], shift[:, 1]),
+                "shift_error": shift_error,
+                "pushing": pushing.astype(np.float64),
+            },
             parts={"patch_position": patch, "patch_shift": shift},
         )
 
@@ -249,6 +280,20 @@ class RetractTask(Task):
             Patch(np.flatnonzero(weights > 0.0), "target"),
             Path(np.array([rest, end])),
             Points(end[None]),
+        )
+
+    def _pushes(self, situation: Situation, patch: FloatArray, inwards: FloatArray) -> BoolArray:
+        """(W,) whether blades push against the flanks beside patches with middles (W, 3).
+
+        A blade that drags the fold along from above is pushed up by about as much as it is pushed back, or more,
+        however deep it is; one beside the fold is hardly pushed up.
+        """
+        push = -(situation.contact_force[:, :2] * inwards).sum(axis=1)
+        edge = situation.tool_position[:, 2] + situation.tool_scale * self._underside
+        return np.asarray(
+            (push >= np.maximum(self.config.least_push, 2.0 * situation.contact_force[:, 2]))
+            & (patch[:, 2] - edge >= self.config.least_overlap),
+            dtype=np.bool_,
         )
 
     def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

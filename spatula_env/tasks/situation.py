@@ -48,6 +48,11 @@ class ToolShape:
         """(K, 3) corners at the start, relative to the grip [m]."""
         return turn(self.orientation, self.vertices) + self.offset
 
+    def face_towards(self, direction: ArrayLike) -> int:
+        """Which of the faces that carry nodes is turned in a direction (3,) of the workspace frame, at the start."""
+        normals = turn(self.orientation, self.normals) @ np.asarray(direction, dtype=np.float64)
+        return int(self.face[np.argmax(normals)])
+
 
 @dataclass(frozen=True, eq=False)
 class Setting:

@@ -13,7 +13,7 @@ from spatula_env.contact.structures import NO_HIT
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from spatula_env.arrays import FloatArray
+    from spatula_env.arrays import FloatArray, IntArray
 
 
 @kernel("f8[::1](f8[:,:,::1], i4[:,::1], f8[:,::1], f8)")
@@ -38,6 +38,33 @@ def surface_heights(nodes: np.ndarray, triangles: np.ndarray, places: np.ndarray
         if hit != NO_HIT:
             heights[w] = top - distance
     return heights
+
+
+def points_on_top(nodes: FloatArray, triangles: NDArray[np.int32], places: FloatArray) -> tuple[IntArray, FloatArray]:
+    """On which triangles of a surface places lie, seen from straight above.
+
+    Args:
+        nodes: (V, 3) of the surface.
+        triangles: (T, 3) of it.
+        places: (K, 2) x and y, or (K, 3).
+
+    Returns:
+        Nodes (K, 3) of the highest triangle at each place, and the weight (K, 3) of each in it: their sum is the place.
+        Zeros where nothing is below the sky.
+    """
+    a, b, c = (nodes[triangles[:, corner]] for corner in range(3))
+    first, second, away = b - a, c - a, places[:, None, :2] - a[:, :2]
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    flat = np.abs(area) < 1e-15
+    by = np.where(flat, 1.0, area)
+    v = (away[..., 0] * second[:, 1] - away[..., 1] * second[:, 0]) / by
+    w = (first[:, 0] * away[..., 1] - first[:, 1] * away[..., 0]) / by
+    inside = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9) & ~flat
+    height = np.where(inside, a[:, 2] + v * first[:, 2] + w * second[:, 2], -np.inf)
+    best, row = height.argmax(axis=1), np.arange(len(places))
+    v, w, found = v[row, best], w[row, best], inside[row, best]
+    weights = np.where(found[:, None], np.stack([1.0 - v - w, v, w], axis=1), 0.0)
+    return np.where(found[:, None], triangles[best], 0).astype(np.int64), weights
 
 
 def farthest_points(points: ArrayLike, count: int) -> NDArray[np.int64]:

@@ -40,7 +40,7 @@ def test_episode_by_episode(found) -> None:
     assert found.successes.tolist() == [True, False, True]
     assert found.operators == ("scripted", "human", "scripted")
     assert found.peak_forces.tolist() == list(FORCES)
-    assert found.costs.tolist() == [40.0, 60.0, 30.0]
+    assert found.doses.tolist() == [40.0, 60.0, 30.0]
     assert found.violations.tolist() == [False, False, True]
 
 
@@ -73,7 +73,7 @@ def test_what_was_not_recorded_is_not_made_up(tmp_path) -> None:
     writer.add(do_episode(env, 0))
     env.close()
     bare = statistics("spatula/test/bare-v0", tmp_path)
-    assert (bare.force, bare.positions, bare.durations, bare.costs, bare.coverage) == (None,) * 5
+    assert (bare.force, bare.positions, bare.durations, bare.doses, bare.coverage) == (None,) * 5
     plot_statistics(bare, tmp_path / "bare.png")
     assert (tmp_path / "bare.png").stat().st_size > 10_000
 

@@ -45,7 +45,7 @@ def test_many_return_the_costs_of_the_step_that_was_taken(mode: str) -> None:
         _, _, costs, _, truncations, infos = envs.step(np.tile(DOWN, (2, 1)))
         total += costs
     assert truncations.all()
-    assert (costs > 0.0).all()
+    assert (total > 0.0).all()
     last = infos["final_info"] if mode == "same_step" else infos
     np.testing.assert_allclose(total, 0.5 * last["episode_cost"])
     assert ("final_observation" in infos) == (mode == "same_step")

@@ -79,16 +79,16 @@ def test_sums_are_right_in_gymnasiums_own_vector_environment(
     np.testing.assert_allclose(collect(RecordEpisodeSums(envs)), expected, rtol=1e-4)
 
 
-def test_with_same_step_autoreset_the_last_cost_is_in_the_final_info() -> None:
+def test_with_same_step_autoreset_the_last_dose_is_in_the_final_info() -> None:
     envs = gym.make_vec("Spatula/Press-v0", num_envs=WORLDS, autoreset_mode="same_step", max_episode_steps=12)
     envs.reset(seed=3)
     for _ in range(12):
         _, _, _, truncations, infos = envs.step(DOWN)
     envs.close()
     assert truncations.all()
-    assert (infos["cost"] == 0.0).all()
-    assert (values_of_step(infos, "cost") > 0.0).all()
-    np.testing.assert_array_equal(values_of_step(infos, "cost"), infos["final_info"]["cost"])
+    assert (infos["dose"] == 0.0).all()
+    assert (values_of_step(infos, "dose") > 0.0).all()
+    np.testing.assert_array_equal(values_of_step(infos, "dose"), infos["final_info"]["dose"])
 
 
 def test_sums_stand_beside_gymnasiums_statistics() -> None:

@@ -26,7 +26,10 @@ def make_builder(
     task = PressTask(PressConfig(), SETTING)
     control = VelocityControl(layout, SETTING, 0.1)
     settings = ObservationSettings(**options)
-    return ObservationBuilder(SETTING, task, control, obs_mode, settings, goal_interface=goal_interface), task
+    builder = ObservationBuilder(
+        SETTING, task, control, obs_mode, settings, goal_interface=goal_interface, hold_progress=not goal_interface
+    )
+    return builder, task
 
 
 def make_situation(generator: np.random.Generator, count: int, size: float = 0.01) -> Situation:
@@ -54,8 +57,8 @@ def judge(task: PressTask, situation: Situation, goal: np.ndarray) -> Evaluation
     return task.evaluate(situation, goal, memory)
 
 
-def observe(builder: ObservationBuilder, *arguments: Any, **named: Any) -> Any:
-    frame = builder.build(*arguments, **named)
+def observe(builder: ObservationBuilder, situation: Situation, goal: np.ndarray, *judged: Any, **named: Any) -> Any:
+    frame = builder.build(situation, goal, *judged, np.zeros(len(goal)), **named)
     return frame.get("", frame)
 
 
@@ -92,7 +95,7 @@ def test_both_modes_say_the_same() -> None:
     assert set(named) == set(builder.slices)
     for name, part in builder.slices.items():
         assert vector[:, part].tolist() == named[name].tolist(), name
-    assert sum(part.size for part in builder.parts) == vector.shape[1] == 71
+    assert sum(part.size for part in builder.parts) == vector.shape[1] == 72
 
 
 def test_parts_hold_what_their_names_say() -> None:
@@ -143,7 +146,7 @@ def test_noise_has_the_deviations_of_the_units_and_spares_goals() -> None:
     situation = make_situation(np.random.default_rng(1), 400, size=0.004)
     goal = task.sample(np.random.default_rng(2), 400, SETTING).goal
     evaluation = judge(task, situation, goal)
-    noise = np.random.default_rng(3).normal(size=(400, 71))
+    noise = np.random.default_rng(3).normal(size=(400, 72))
     exact, noisy = (observe(builder, situation, goal, evaluation, noise=error) for error in (None, noise))
     assert (noisy["goal"] == exact["goal"]).all()
     for name, unit in (("tool_position", "m"), ("tool_velocity", "m/s"), ("contact_force", "N")):
@@ -178,7 +181,7 @@ def test_stacked_observations_have_an_axis_more(obs_mode: str, goal_interface: b
             extra = () if name.endswith("_goal") else (3,)
             assert stacked[name].shape == (*extra, *single[name].shape)
     else:
-        assert stacked.shape == (3, 71)
+        assert stacked.shape == (3, 72)
 
 
 def test_entries_can_be_renamed_for_lerobot() -> None:
@@ -205,7 +208,7 @@ def test_pictures_are_taken_over() -> None:
     # What is farther than the bound is at the bound.
     assert (observation["depth"] == 1.0).all()
     with pytest.raises(ValueError, match="pictures are needed with obs_mode='rgbd'"):
-        builder.build(situation, goal, judge(task, situation, goal))
+        builder.build(situation, goal, judge(task, situation, goal), np.zeros(2))
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_stable_baselines_checker_finds_nothing(obs_mode: str, reward: str) -> N
 def test_spaces(env: PressEnv, sparse_env: PressEnv) -> None:
     assert env.action_space == spaces.Box(-1.0, 1.0, (3,), np.float32)
     assert isinstance(env.observation_space, spaces.Box)
-    assert env.observation_space.shape == (71,)
+    assert env.observation_space.shape == (72,)
     assert isinstance(sparse_env.observation_space, spaces.Dict)
     assert set(sparse_env.observation_space) == {"observation", "achieved_goal", "desired_goal"}
     assert sparse_env.observation_space["observation"].shape == (65,)
@@ -320,7 +320,7 @@ def test_only_the_goal_interface_has_compute_reward(env: PressEnv, sparse_env: P
         ({"control_frequency": 1000.0}, "control_frequency must go a whole number of times"),
         ({"control_frequency": 0.0}, "control_frequency must be positive"),
         ({"max_speed": -0.1}, "max_speed must be positive"),
-        ({"task": {"colour": 1}}, "task has no colour; allowed are center, depth_range, depth_scale"),
+        ({"task": {"colour": 1}}, "task has no colour; allowed are center, cost_budget, depth_range, depth_scale"),
         ({"task": "deep"}, "task must be a mapping or a PressConfig"),
         ({"task": {"depth_range": (0.005, 0.05)}}, "depth_range must end at 0.0"),
         ({"damage_limit": -1.0}, "damage_limit must be None, or zero or more and finite, got -1.0"),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from spatula_env.envs import PressEnv, PressVectorEnv
-from spatula_env.envs.safety import COST_PRESSURE, VIOLATION_PRESSURE
+from spatula_env.learning.policies import make_expert
+from spatula_env.tasks.limits import COST_PRESSURE, VIOLATION_PRESSURE
 
 GOAL = (0.0, 0.0, 0.018)
 ABOVE = (0.0, 0.0, -0.02)
@@ -42,24 +43,61 @@ def test_the_thresholds_are_those_of_the_source() -> None:
     assert pytest.approx(30 * 133.322, rel=2e-3) == VIOLATION_PRESSURE
 
 
-def test_cost_is_counted_where_pressure_is_high(env: PressEnv) -> None:
+def test_a_dose_is_counted_where_pressure_is_high(env: PressEnv) -> None:
     infos = [info for *_, info in plunge(env)]
-    assert infos[0]["cost"] == infos[0]["episode_cost"] == 0.0
+    assert infos[0]["dose"] == infos[0]["episode_dose"] == 0.0
     assert not infos[0]["violation"]
-    costly = [info for info in infos if info["cost"] > 0.0]
-    assert costly
+    assert any(info["dose"] > 0.0 for info in infos)
     for info in infos:
-        assert (info["cost"] > 0.0) == (info["peak_pressure"] > COST_PRESSURE)
+        assert (info["dose"] > 0.0) == (info["peak_pressure"] > COST_PRESSURE)
         assert info["violation"] == (info["peak_pressure"] > VIOLATION_PRESSURE)
         # The greatest pressure lasts for a part of the step of 50 ms only.
-        assert info["cost"] <= max(info["peak_pressure"] - COST_PRESSURE, 0.0) * 0.05 + 1e-9
+        assert info["dose"] <= max(info["peak_pressure"] - COST_PRESSURE, 0.0) * 0.05 + 1e-9
         assert info["mean_pressure"] <= info["peak_pressure"]
+
+
+def test_cost_is_what_is_too_fast_and_what_the_goal_does_not_need(env: PressEnv) -> None:
+    infos = [info for *_, info in plunge(env)]
+    limits = env.task.loading_limit, env.task.pressure_limit(np.array([GOAL]))[0]
+    force = 0.0
+    for info in infos:
+        loading, force = (info["force"] - force) / 0.05, info["force"]
+        beyond = max(loading / limits[0] - 1.0, 0.0) + max(info["peak_pressure"] / limits[1] - 1.0, 0.0)
+        assert info["cost"] == pytest.approx(0.05 * beyond, abs=1e-9)
+    assert infos[-1]["episode_cost"] > env.task.cost_budget
+
+
+def test_the_same_press_costs_less_when_it_is_done_slowly(env: PressEnv) -> None:
+    costs = []
+    for slower in (1, 2, 4):
+        env.reset(seed=0, options={"goal": GOAL, "tool_position": ABOVE})
+        for _ in range(7 * slower):
+            *_, info = env.step(DOWN / slower)
+        costs.append(info["episode_cost"])
+    assert costs[0] > costs[1] > costs[2]
+
+
+def test_success_is_safe_within_the_budget_of_cost() -> None:
+    for budget, safe in ((1.0, True), (0.0, False)):
+        with PressEnv(engine="batch", task={"cost_budget": budget, "loading_limit": 0.5}) as made:
+            expert = make_expert(made)
+            observation, info = made.reset(seed=0, options={"goal": (0.0, 0.0, 0.01), "tool_position": ABOVE})
+            assert not info["is_safe_success"]
+            while not info["is_success"]:
+                observation, _, _, _, info = made.step(expert(observation))
+            assert info["episode_cost"] > 0.0
+            assert info["is_safe_success"] is safe
+            # What comes after success does not make it unsafe.
+            for _ in range(4):
+                *_, info = made.step(DOWN)
+            assert info["is_safe_success"] is safe
 
 
 def test_episodes_add_up(env: PressEnv) -> None:
     infos = [info for *_, info in plunge(env)]
     last = infos[-1]
     assert last["episode_cost"] == pytest.approx(sum(info["cost"] for info in infos))
+    assert last["episode_dose"] == pytest.approx(sum(info["dose"] for info in infos))
     assert last["episode_work"] == pytest.approx(sum(info["work"] for info in infos))
     assert last["episode_violation_time"] == pytest.approx(0.05 * sum(info["violation"] for info in infos))
     assert last["episode_violation_time"] > 0.0
@@ -85,33 +123,33 @@ def test_cost_is_no_part_of_the_reward(env: PressEnv) -> None:
     for reward, _, info in plunge(env):
         terms = {name: info[f"reward/{name}"] for name in env.task.weights}
         assert reward == pytest.approx(sum(weight * terms[name] for name, weight in env.task.weights.items()))
-    assert "cost" not in env.task.weights
+    assert not {"cost", "dose"} & set(env.task.weights)
 
 
 def test_damage_ends_an_episode_when_asked_to(env: PressEnv) -> None:
     free = plunge(env)
     assert not any(terminated for _, terminated, _ in free)
     assert not any(info["is_damaged"] for *_, info in free)
-    limit = 0.3 * free[-1][2]["episode_cost"]
-    with PressEnv(engine="batch", damage_limit=limit) as ending:
+    limit = 0.3 * free[-1][2]["episode_dose"]
+    with PressEnv(engine="batch", damage_limit=limit, episode_time=10.0) as ending:
         shown = plunge(ending)
     assert shown[-1][1]
     assert [info["is_damaged"] for *_, info in shown] == [False] * (len(shown) - 1) + [True]
-    assert shown[-1][2]["episode_cost"] > limit >= shown[-2][2]["episode_cost"]
+    assert shown[-1][2]["episode_dose"] > limit >= shown[-2][2]["episode_dose"]
     assert len(shown) < len(free)
 
 
 def test_each_world_is_damaged_by_itself() -> None:
-    env = PressVectorEnv(2, damage_limit=0.0, autoreset_mode="disabled")
+    env = PressVectorEnv(2, damage_limit=0.0, episode_time=10.0, autoreset_mode="disabled")
     env.reset(seed=0, options={"goal": GOAL, "tool_position": np.array([ABOVE, (0.0, 0.0, 0.02)])})
     for _ in range(12):
         _, _, terminated, _, infos = env.step(np.stack([DOWN, UP]))
         if terminated.any():
             break
     assert terminated.tolist() == infos["is_damaged"].tolist() == [True, False]
-    assert infos["episode_cost"][1] == 0.0
+    assert infos["episode_dose"][1] == 0.0
     _, infos = env.reset(options={"reset_mask": np.array([True, False])})
-    assert infos["episode_cost"].tolist() == [0.0, 0.0]
+    assert infos["episode_dose"].tolist() == [0.0, 0.0]
     env.close()
 
 
@@ -148,7 +186,7 @@ def test_both_engines_count_alike() -> None:
     for engine in ("batch", "bullet"):
         with PressEnv(engine=engine) as env:
             totals.append(plunge(env)[-1][2])
-    for name in ("episode_cost", "episode_work", "episode_peak_force", "episode_peak_pressure"):
+    for name in ("episode_cost", "episode_dose", "episode_work", "episode_peak_force", "episode_peak_pressure"):
         assert totals[0][name] == pytest.approx(totals[1][name], rel=0.05), name
 
 

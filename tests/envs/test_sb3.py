@@ -98,7 +98,7 @@ def test_infos_can_be_written_to_a_file() -> None:
         _, _, dones, infos = env.step(action)
     assert dones.all()
     for info in infos:
-        assert info.pop("terminal_observation").shape == (71,)
+        assert info.pop("terminal_observation").shape == (72,)
         assert json.loads(json.dumps(info)) == info
         assert info["TimeLimit.truncated"] is True
         assert info["is_success"] is False
@@ -232,7 +232,7 @@ def test_only_environments_of_this_package_in_the_right_mode_are_taken() -> None
 
 def test_ppo_learns_through_all_wrappers() -> None:
     env = VecNormalize(VecFrameStack(VecMonitor(make(seed=0)), 2))
-    assert env.observation_space.shape == (142,)
+    assert env.observation_space.shape == (144,)
     model = PPO("MlpPolicy", env, n_steps=6, batch_size=9, n_epochs=1, seed=0, device="cpu")
     model.learn(36)
     assert model.num_timesteps == 36

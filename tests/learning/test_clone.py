@@ -76,7 +76,7 @@ def test_experts_demonstrate_what_they_would_do():
     env.close()
     assert len(whole) == 3
     for each in whole:
-        assert each.observations.shape == (7, 71)
+        assert each.observations.shape == (7, 72)
         np.testing.assert_array_equal(expert(each.observations[:-1]), each.actions)
     # Chance moves the tool, and the record still says what the expert wanted.
     astray = collect(plan, num_envs=2, noise=0.5)
@@ -91,7 +91,7 @@ def test_experts_demonstrate_what_they_would_do():
     assert np.abs(driven[0].carried - driven[0].actions).max() > 0.1
     np.testing.assert_array_equal(driven[0].observations[0], whole[0].observations[0])
     some = collect(plan, num_envs=2, parts=("error",), steps=4)
-    np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -3:])
+    np.testing.assert_array_equal(some[0].observations, whole[0].observations[:5, -4:-1])
 
 
 def test_demonstrations_must_fit_the_buffer():
@@ -213,7 +213,7 @@ def test_data_sets_are_read(tmp_path, monkeypatch):
     assert (env_id, len(read)) == (PRESS, 2)
     assert "engine" not in kwargs
     for mine, theirs in zip(read, recorded, strict=True):
-        np.testing.assert_array_equal(mine.observations, theirs.observations[:, -3:])
+        np.testing.assert_array_equal(mine.observations, theirs.observations[:, -4:-1])
         np.testing.assert_array_equal(mine.actions, theirs.actions)
         np.testing.assert_allclose(mine.rewards, theirs.rewards)
         assert mine.success

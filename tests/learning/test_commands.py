@@ -63,6 +63,9 @@ REFUSED = [
     ("ppo", "total_steps=19", "total_steps must be 20 or more, got 19"),
     ("sac_her", "hyperparameters.learning_starts=19", "learning_starts must be 20 or more, got 19 (2 worlds x 10"),
     ("sac_her", "hyperparameters.buffer_size=39", "buffer_size must be 40 or more, got 39"),
+    ("sac_her", "environment.kwargs.terminate_on_success=true", "terminate_on_success must be left out with algorithm"),
+    ("sac_her", "environment.id=Spatula/Palpate-v0", "algorithm must not be 'sac_her' with Spatula/Palpate-v0"),
+    ("sac_her", "environment.kwargs.damage_limit=10.0", "damage_limit must be left out with algorithm 'sac_her'"),
     ("sac", "environment.id=Spatula/Knead-v0", "there is no environment 'Spatula/Knead-v0'"),
     ("sac", "environment.id=CartPole-v1", "must be an environment of this package or built on it"),
 ]

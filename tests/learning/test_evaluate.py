@@ -73,17 +73,19 @@ def test_the_way_is_measured():
 
 def test_an_expert_succeeds_and_stops_if_it_may():
     source = find_policy("expert", PRESS)
-    whole, _ = evaluate(source, plan(2, max_episode_steps=80))
-    short, _ = evaluate(source, plan(2, max_episode_steps=80), end_at_success=True)
+    whole, _ = evaluate(source, plan(2, max_episode_steps=80), end_at_success=False)
+    short, _ = evaluate(source, plan(2, max_episode_steps=80))
     assert whole["success"].all() and short["success"].all()
     assert whole["steps"].tolist() == [80, 80]
     # Each ends for itself.
     np.testing.assert_allclose(short["steps"] * 0.05, short["time_to_success"])
     assert len(set(short["steps"])) == 2
-    assert (short["return"] < whole["return"]).all()
+    # As if what is left after success had paid the best: no less than staying did.
+    assert (short["return"] >= whole["return"]).all()
+    assert (short["return"] <= 80.0).all()
     np.testing.assert_array_equal(whole["time_to_success"], short["time_to_success"])
     assert (whole["time_to_success"] >= 0.5).all()
-    assert (whole["cost"] > 0.0).any() == bool((whole["peak_pressure"] > 2670.0).any())
+    assert (whole["dose"] > 0.0).any() == bool((whole["peak_pressure"] > 2670.0).any())
     np.testing.assert_array_equal(whole["violation"], whole["peak_pressure"] > 4000.0)
 
 

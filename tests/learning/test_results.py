@@ -179,7 +179,10 @@ def pretend(run, rates, curve=None):
             "success_rate": rate, "success_interval": [rate / 2, rate], "return": 12.5, "cost": 1234.0,
             "violation_rate": 0.25, "time_to_success": None if rate == 0.0 else 2.5,
         }  # fmt: skip
-        write_json(making.evaluation_file(run, engine), {"key": {}, "summary": summary, "provenance": provenance()})
+        write_json(
+            making.evaluation_file(run, engine),
+            {"key": {}, "summary": summary, "provenance": provenance("Spatula/Press-v0")},
+        )
 
 
 def pretended_plan(tmp_path):

@@ -27,6 +27,9 @@ needs_zoo = pytest.mark.skipif(
 def test_there_is_a_block_for_each_task(file):
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
     ids = {f"Spatula/{name}-v0" for name in spatula_env.TASKS}
+    if file.stem == "her":
+        # What is achieved in these depends on what is asked.
+        ids -= {"Spatula/Fissure-v0", "Spatula/Palpate-v0"}
     assert ids == set(content) - {"defaults"}
     for env_id in ids:
         block = content[env_id]

@@ -39,6 +39,9 @@ def shares(inner_first: object, inner_second: object) -> np.ndarray:
     return result
 
 
+PRESSED = np.array([[[0.0, -0.15, 0.0], [0.0, 0.15, 0.0]]])
+"""What the ridge does to the jaws between which it is held."""
+
 GRIPPED, LOOSE, HALF = shares(0.5, 0.5), shares(0.0, 0.0), shares(0.5, 0.0)
 
 
@@ -67,6 +70,7 @@ def judge(task: ClampTask, situation: Situation, memory: Memory | None = None, g
 def held(setting: Setting, grip: object, moved: object, share: np.ndarray = GRIPPED, **changes: object) -> Situation:
     """Jaws at a place, relative to the ridge's middle, on an organ that is moved by a vector [m]."""
     position = ridge(setting) + np.atleast_2d(np.asarray(grip, dtype=np.float64))
+    changes.setdefault("contact_forces", np.repeat(PRESSED, len(position), axis=0))
     return Situation.at_rest(setting, position, nodes=raised(setting, moved), contact_share=share, **changes)
 
 
@@ -118,6 +122,21 @@ def test_what_stays_behind_slips(task: ClampTask, setting: Setting, slipped: flo
     assert found.measures["slip"][0] == pytest.approx(slipped)
     assert found.terms["slip"][0] == pytest.approx(slipped)
     assert found.within_tolerance[0] == within
+
+
+@pytest.mark.parametrize(
+    ("forces", "within"),
+    [((0.15, 0.15), True), ((0.081, 0.249), True), ((0.079, 0.15), False), ((0.15, 0.251), False), ((0.5, 0.5), False)],
+)
+def test_a_grip_is_neither_loose_nor_crushing(
+    task: ClampTask, setting: Setting, forces: tuple[float, float], within: bool
+) -> None:
+    pressed = np.array([[[0.0, -forces[0], 0.3], [0.0, forces[1], 0.3]]])
+    found = judge(task, held(setting, (0.0, 0.0, 0.008), (0.0, 0.0, 0.008), contact_forces=pressed))
+    assert bool(found.within_tolerance[0]) is within
+    assert found.measures["grip_force"] == pytest.approx([min(forces)])
+    assert found.measures["slip"] == pytest.approx([0.0], abs=1e-12)
+    assert found.achieved[0, 1] == pytest.approx(0.0 if within else GREATEST_SLIP, abs=1e-8)
 
 
 def test_slip_counts_along_the_faces_only(task: ClampTask, setting: Setting) -> None:

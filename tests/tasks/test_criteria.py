@@ -69,6 +69,6 @@ def test_a_task_that_says_nothing_has_one_criterion_for_each_number(tasks):
 def test_what_is_not_gripped_is_said_so(tasks):
     task, goals = tasks["Clamp"]
     _, slip = task.criteria(np.array([0.0, task.goal_high[1]]), goals[0])
-    assert slip.note == "no grip" and not slip.within
+    assert slip.note.startswith("no grip") and not slip.within
     _, slip = task.criteria(np.array([0.0, 0.0005]), goals[0])
     assert slip.note == "" and slip.within

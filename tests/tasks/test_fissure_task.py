@@ -106,6 +106,18 @@ def test_a_blade_in_the_way_hides_the_target(task: FissureTask, setting: Setting
     assert not free.within_tolerance[0]
 
 
+def test_what_is_seen_counts_while_the_blade_is_down_at_the_floor(task: FissureTask, setting: Setting) -> None:
+    view = -0.25
+    for height, counts in ((0.006, True), (0.0099, True), (0.0101, False), (0.016, False)):
+        # The target is 2 mm above the floor. Higher up the blade is farther aside, along the sight.
+        aside = np.array([0.0, 0.0035 + np.tan(-view) * (height - 0.006), 0.0])
+        position, orientation = blade_at(setting, over_floor(setting, 0.0, 0.0, height) + aside, view)
+        situation = Situation.at_rest(setting, position, orientation, nodes=opened(setting, 0.4)[None])
+        found = judge(task, situation, (0.0, view, 0.8))
+        assert found.measures["exposure"][0] > 0.0
+        assert found.achieved[0, 2] == (found.measures["exposure"][0] if counts else 0.0)
+
+
 def test_the_blade_hides_no_more_than_its_width(task: FissureTask, setting: Setting) -> None:
     above = over_floor(setting, 0.0, 0.0, 0.006)
     position, orientation = blade_at(setting, above + np.array([0.012, 0.001, 0.0]), 0.0)

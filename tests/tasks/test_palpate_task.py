@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,8 +9,10 @@ from hypothesis import strategies as st
 from task_helpers import setting_of_task
 
 from spatula_env.arrays import FloatArray
+from spatula_env.geometry.rotations import from_rotation_vector, turn
 from spatula_env.tasks import PalpateConfig, PalpateTask, Path, Ring, Situation, Start
 from spatula_env.tasks.base import Evaluation, Memory, weighted_sum
+from spatula_env.tasks.pressure_centre import centre_of_pressure
 
 HALF_THICKNESS = 0.00125
 FORCE = 0.14
@@ -95,6 +99,54 @@ def test_only_a_force_in_the_band_on_the_path_feels(
     found = Episode(task).slide(force=force, aside=aside)
     assert found.measures["share"].tolist() == [expected]
     assert found.measures["progress"] == pytest.approx([expected])
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.008, 0.008), st.floats(-0.008, 0.008))
+def test_the_centre_of_pressure_is_where_the_force_acts(
+    task: PalpateTask, tilt: float, lean: float, x: float, y: float
+) -> None:
+    turned = from_rotation_vector(np.array([tilt, lean, 0.0]))
+    arm = turn(turned, [x, y, -HALF_THICKNESS])
+    force = turn(turned, [0.01, -0.02, FORCE])
+    situation = Situation.at_rest(
+        task.setting,
+        [[0.001, 0.002, 0.003]],
+        turned[None],
+        contact_force=force[None],
+        contact_torque=np.cross(arm, force)[None],
+    )
+    plate = task.setting.tools[0].vertices
+    centre, normal, touching = centre_of_pressure(situation, plate.min(axis=0), plate.max(axis=0), 0.01)
+    assert centre[0] - situation.tool_position[0] == pytest.approx(arm, abs=1e-12)
+    assert normal == pytest.approx([FORCE])
+    assert touching.tolist() == [True]
+    off = replace(situation, contact_force=0.01 * situation.contact_force)
+    middle, _, touching = centre_of_pressure(off, plate.min(axis=0), plate.max(axis=0), 0.01)
+    assert middle[0] - situation.tool_position[0] == pytest.approx(turn(turned, [0.0, 0.0, -HALF_THICKNESS]))
+    assert touching.tolist() == [False]
+
+
+def test_a_plate_that_presses_with_its_rim_feels_there(task: PalpateTask) -> None:
+    episode = Episode(task)
+    end = episode.path[-1]
+    # The middle is at the end, and the force acts 8 mm beside it.
+    torque = np.cross([[0.0, 0.008, -HALF_THICKNESS]], [[0.0, 0.0, FORCE]])
+    beside = episode.be(end, contact_torque=torque)
+    assert beside.measures["path_distance"] == pytest.approx([0.008])
+    assert beside.measures["share"].tolist() == [0.0]
+    assert beside.achieved[0, 1:3] - end[:2] == pytest.approx([0.0, 0.008], abs=1e-7)
+    assert episode.be(end).measures["share"][0] > 0.0
+
+
+def test_the_path_goes_with_the_organ(task: PalpateTask) -> None:
+    episode = Episode(task)
+    moved = np.array([0.002, -0.001, 0.003])
+    nodes = (task.setting.rest_nodes + moved)[None]
+    found = episode.be(episode.path[-1] + moved, nodes=nodes)
+    assert found.measures["end_distance"] == pytest.approx([0.0], abs=1e-7)
+    assert found.measures["path_distance"] == pytest.approx([0.0], abs=1e-9)
+    assert found.measures["share"][0] > 0.0
+    assert episode.be(episode.path[-1], nodes=nodes).measures["end_distance"] == pytest.approx([np.hypot(2, 1) * 1e-3])
 
 
 def test_the_way_back_feels_as_well(task: PalpateTask) -> None:

@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from spatula_env.geometry import Tool, icosphere, torus
+from spatula_env.geometry.rotations import from_rotation_vector
+from spatula_env.geometry.rotations import turn as turn_vectors
 from spatula_env.tasks import (
     Evaluation,
     Path,
@@ -51,7 +53,7 @@ def make_setting() -> Setting:
     )
 
 
-def make_situation(position: object, sunk: object = 0.0, force: float = 0.0, action: float = 0.0) -> Situation:
+def make_situation(position: object, sunk: object = 0.0, force: float = 0.1, action: float = 0.0) -> Situation:
     """The spatula at positions (W, 3), the whole organ lower than at rest by `sunk` (W,)."""
     tool = np.atleast_2d(np.asarray(position, dtype=np.float64))
     count = len(tool)
@@ -62,6 +64,7 @@ def make_situation(position: object, sunk: object = 0.0, force: float = 0.0, act
         tool,
         nodes=nodes,
         contact_force=np.tile([0.0, 0.0, force], (count, 1)),
+        contact_forces=np.tile([0.0, 0.0, force], (count, 1, 1)),
         peak_force=np.full(count, force),
         action=np.full((count, 3), action),
     )
@@ -93,6 +96,25 @@ def test_a_sunken_spatula_achieves_nothing_if_the_organ_has_not_moved(task: Pres
     inside = judge(task, make_situation([0.0, 0.0, -0.025 - 0.01 + HALF_THICKNESS]), goal)
     assert inside.measures["depth"] == pytest.approx([0.0], abs=1e-12)
     assert not inside.within_tolerance[0]
+
+
+@given(st.floats(0.0, 0.019), st.floats(-0.05, 0.03))
+def test_without_a_touch_nothing_is_achieved(task: PressTask, force: float, sunk: float) -> None:
+    found = judge(task, make_situation([0.0, 0.0, 0.0], sunk, force), np.array([[0.0, 0.0, 0.01]]))
+    assert found.measures["depth"].tolist() == [0.0]
+    pressed_from_below = make_situation([0.0, 0.0, 0.0], sunk, -1.0)
+    assert judge(task, pressed_from_below, np.array([[0.0, 0.0, 0.01]])).measures["depth"].tolist() == [0.0]
+
+
+@given(st.floats(-0.04, 0.04), st.floats(-0.04, 0.04), st.floats(-1.0, 1.0))
+def test_an_organ_that_has_rolled_aside_is_not_pressed(task: PressTask, x: float, y: float, turn: float) -> None:
+    rolled = from_rotation_vector(np.array([y, -x, turn]) / RADIUS * [1.0, 1.0, RADIUS])
+    situation = make_situation([0.0, 0.0, 0.0])
+    middle = np.array([0.0, 0.0, -RADIUS - 0.025])
+    nodes = turn_vectors(rolled, situation.nodes - middle) + middle + [x, y, 0.0]
+    found = judge(task, replace(situation, nodes=nodes), np.array([[0.0, 0.0, 0.01]]))
+    # A mesh of a sphere is not round: it is as high as its corners and edges are.
+    assert found.measures["depth"] == pytest.approx([0.0], abs=4e-4)
 
 
 def test_within_tolerance_needs_both_the_place_and_the_depth(task: PressTask) -> None:
@@ -132,7 +154,7 @@ def test_coming_closer_pays(task: PressTask, height: float, step: float) -> None
 
 def test_force_and_action_are_reported_raw_and_cost_something(task: PressTask) -> None:
     goal = np.array([[0.0, 0.0, 0.01]])
-    idle = judge(task, make_situation([0.0, 0.0, 0.0]), goal).terms
+    idle = judge(task, make_situation([0.0, 0.0, 0.0], force=0.0), goal).terms
     busy = judge(task, make_situation([0.0, 0.0, 0.0], force=3.0, action=0.5), goal).terms
     assert busy["force"] == pytest.approx([3.0])
     assert busy["action"] == pytest.approx([0.75])

@@ -32,11 +32,21 @@ def begin(task: RetractTask, goal: object, place: float = 0.0, height: float = 0
     return goals, memory
 
 
+BESIDE, ABOVE = (0.0, 0.0, -0.03), (0.0, 0.0, 0.04)
+"""Where the blade's lower edge is deep beside the patch, and above the fold."""
+
+
 def judge(
-    task: RetractTask, goal: object, moved: object = 0.0, grip: object = (0.0, 0.0, 0.04), **changes: object
+    task: RetractTask,
+    goal: object,
+    moved: object = 0.0,
+    grip: object = BESIDE,
+    push: float = 0.1,
+    **changes: object,
 ) -> Evaluation:
-    """The verdict if the organ's nodes have moved."""
+    """The verdict if the organ's nodes have moved, and the blade pushes towards the goal."""
     goals, memory = begin(task, goal)
+    changes.setdefault("contact_force", -push * np.sign(goals[:, :1]) * [1.0, 0.0, 0.0])
     nodes = np.broadcast_to(task.setting.rest_nodes + moved, (len(goals), *task.setting.rest_nodes.shape))
     grips = np.broadcast_to(np.asarray(grip, dtype=np.float64), (len(goals), 3))
     situation = Situation.at_rest(task.setting, grips, nodes=np.array(nodes), **changes)
@@ -50,6 +60,19 @@ def test_the_displacement_of_the_patch_is_measured(task: RetractTask) -> None:
     assert found.error == pytest.approx(np.array([[0.002, 0.001], [-0.01, 0.001]]), abs=1e-8)
     assert found.measures["shift"] == pytest.approx(np.hypot([0.004, 0.004], 0.001))
     assert found.measures["shift_error"] == pytest.approx([np.hypot(0.002, 0.001), np.hypot(0.01, 0.001)], abs=1e-8)
+
+
+def test_a_fold_that_is_not_pushed_by_its_flank_is_not_retracted(task: RetractTask) -> None:
+    goal, moved = [[0.006, 0.0], [-0.006, 0.0]], np.array([[[0.006, 0.0, 0.0]], [[-0.006, 0.0, 0.0]]])
+    assert judge(task, goal, moved).within_tolerance.tolist() == [True, True]
+    dragging = np.array([[-0.1, 0.0, 0.06], [0.1, 0.0, 0.06]])
+    for changes in ({"grip": ABOVE}, {"push": 0.0}, {"push": -0.2}, {"contact_force": dragging}):
+        found = judge(task, goal, moved, **changes)
+        assert found.measures["pushing"].tolist() == [0.0, 0.0]
+        assert (found.achieved == 0.0).all()
+        assert not found.within_tolerance.any()
+        # What is seen of the patch does not depend on it.
+        assert found.measures["shift"] == pytest.approx([0.006, 0.006])
 
 
 def test_only_the_patch_counts(task: RetractTask) -> None:
@@ -119,7 +142,7 @@ def test_moving_the_patch_towards_the_goal_pays(task: RetractTask, part: float, 
 
 
 def test_force_and_action_are_reported_raw_and_cost_something(task: RetractTask) -> None:
-    idle = judge(task, [0.006, 0.0]).terms
+    idle = judge(task, [0.006, 0.0], push=0.0).terms
     busy = judge(task, [0.006, 0.0], contact_force=np.array([[0.3, 0.0, 0.4]]), action=np.full((1, 3), 0.5)).terms
     assert busy["force"] == pytest.approx([0.5])
     assert busy["action"] == pytest.approx([0.75])

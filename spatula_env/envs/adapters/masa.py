@@ -17,11 +17,13 @@ LABELS: Mapping[str, str] = {
     "within_tolerance": "within_tolerance",
     "contact": "force",
     "cost": "cost",
+    "dose": "dose",
     "violation": "violation",
     "damage": "is_damaged",
 }
-"""The names, and what of info must not be zero for each: contact is any force, cost a pressure beyond 2.67 kPa,
-violation one beyond 4.0 kPa, damage a cost of the episode beyond `damage_limit`."""
+"""The names, and what of info must not be zero for each: contact is any force, cost a force that grows too fast or a
+pressure beyond what the goal needs, dose a pressure beyond 2.67 kPa, violation one beyond 4.0 kPa, damage a dose of the
+episode beyond `damage_limit`."""
 
 
 def labels_of(info: Mapping[str, Any]) -> set[str]:

@@ -26,8 +26,8 @@ import spatula_env
 from spatula_env.envs.episode_sums import values_of_step
 from spatula_env.geometry.checks import check_positive
 
-COST_SCALE = 1e-3
-"""Factor on costs: in kPa s those of an episode are of the size of OmniSafe's default limit of 25 [1/(Pa s)]."""
+COST_SCALE = 1e3
+"""Factor on costs: in milliseconds the tasks' budgets are of the size of OmniSafe's default limit of 25 [1/s]."""
 
 
 class _NoSafetyGymnasium(ModuleType):
@@ -104,7 +104,7 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
             env_id: Such as "Spatula/Press-v0".
             num_envs: How many worlds, W.
             device: Where tensors are.
-            cost_scale: Factor on costs [1/(Pa s)].
+            cost_scale: Factor on costs [1/s].
             **kwargs: Further arguments of the environment, OmniSafe's `env_cfgs`; observations must be one vector.
 
         Raises:

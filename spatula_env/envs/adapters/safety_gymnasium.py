@@ -36,8 +36,8 @@ class SafetyGymnasiumWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstr
         """Wrap an environment.
 
         Args:
-            env: One whose info holds "cost" [Pa s].
-            cost_scale: Factor on it [1/(Pa s)]; `info["cost"]` stays as it is.
+            env: One whose info holds "cost" [s].
+            cost_scale: Factor on it [1/s]; `info["cost"]` stays as it is.
 
         Raises:
             ValueError: If the factor is not positive.
@@ -75,8 +75,8 @@ class SafetyGymnasiumVectorWrapper(TransparentVectorWrapper, RecordConstructorAr
         """Wrap an environment.
 
         Args:
-            env: One whose infos hold "cost" [Pa s].
-            cost_scale: Factor on it [1/(Pa s)]; `infos["cost"]` stays as it is.
+            env: One whose infos hold "cost" [s].
+            cost_scale: Factor on it [1/s]; `infos["cost"]` stays as it is.
 
         Raises:
             ValueError: If the factor is not positive.

@@ -149,7 +149,7 @@ def _learn(
     demonstrations, source = shown
     model, normalizer, losses = clone(config, demonstrations, how)
     origin = {
-        **provenance(),
+        **provenance(config.environment.id),
         "demonstrations": {
             "source": source,
             "episodes": len(demonstrations),

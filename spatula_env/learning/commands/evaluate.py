@@ -10,6 +10,7 @@ from typing import Any
 
 from spatula_env.changes import with_changes
 from spatula_env.data.files import check_can_write
+from spatula_env.definitions import definition_number
 from spatula_env.learning.commands.common import add_overwrite_option, check_free, run_command
 from spatula_env.learning.configuration import ENGINES
 from spatula_env.naming import find_environment
@@ -39,6 +40,11 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
     parser.add_argument("--engine", choices=ENGINES, default="batch", help="default: %(default)s")
     parser.add_argument("--episodes", type=int, default=100, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of the first episode; default: %(default)s")
+    parser.add_argument(
+        "--horizon", choices=("success", "episode"), default="success",
+        help="until when cost, dose, forces and the way are counted: until success, or for whole episodes; "
+        "default: %(default)s",
+    )  # fmt: skip
     parser.add_argument("--processes", type=int, help="default: one in the batch engine, one for each core in Bullet")
     parser.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
@@ -75,7 +81,7 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
     source = find_policy(chosen.policy, env_id)
     kwargs = with_changes(source.kwargs, chosen.changes)
     plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)
-    episodes, rate = evaluate(source, plan, processes=chosen.processes)
+    episodes, rate = evaluate(source, plan, processes=chosen.processes, end_at_success=chosen.horizon == "success")
     if chosen.video is not None:
         film(source, plan, chosen.video)
     return {
@@ -84,6 +90,8 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
         "engine": chosen.engine,
         "seed": chosen.seed,
         "kwargs": kwargs,
+        "definition": definition_number(env_id),
+        "horizon": chosen.horizon,
         **summarize(episodes),
         "steps_per_second": rate,
         **({"provenance": dict(source.provenance)} if source.provenance else {}),
@@ -98,7 +106,9 @@ def describe(report: dict[str, Any]) -> str:
         f"{report['policy']} in {report['env']}, {report['engine']} engine, {report['episodes']} episodes",
         f"  success          {100 * report['success_rate']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})",
         f"  return           {report['return']:.1f} ± {report['return_deviation']:.1f}",
-        f"  cost             {report['cost']:.1f} Pa s",
+        f"  within budget    {100 * report['safe_success_rate']:.1f} %",
+        f"  cost             {1e3 * report['cost']:.1f} ms",
+        f"  dose             {report['dose']:.1f} Pa s",
         f"  violations       in {100 * report['violation_rate']:.0f} % of episodes",
         f"  greatest force   {report['peak_force']:.2f} N (mean), {report['peak_force_max']:.2f} N (most)",
         f"  pressure         {report['peak_pressure']:.0f} Pa (mean), {report['peak_pressure_max']:.0f} Pa (most)",

@@ -72,6 +72,7 @@ def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = 
     from spatula_env.learning.finding import find_policy
     from spatula_env.learning.saving import (
         EVALUATION,
+        definition_of,
         export_metadata,
         find_saved,
         load_model,
@@ -84,7 +85,8 @@ def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = 
     folder = find_saved(path)
     config = read_saved_config(folder)
     env_id = registered_id(config.environment.id, env) if any((episodes or {}).values()) else config.environment.id
-    exported = export_policy(load_model(folder, config), load_normalizer(folder), export_metadata(config))
+    metadata = export_metadata(config, definition_of(folder))
+    exported = export_policy(load_model(folder, config), load_normalizer(folder), metadata)
     run = folder.parent
     evaluation: dict[str, Any] = {}
     if (folder / EVALUATION).exists():

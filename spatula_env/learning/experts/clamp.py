@@ -25,14 +25,17 @@ CLOSED = 0.0004
 OPEN = 0.024
 """Free width with which the jaws go down beside the ridge [m]."""
 
-GAIN, FREE_SPEED = 6.0, 0.05
+GAIN, FREE_SPEED = 9.0, 0.05
 """Speed per distance [1/s], and the greatest [m/s]."""
 
-LIFT_GAIN, LIFT_SPEED = 4.0, 0.02
+LIFT_GAIN, LIFT_SPEED = 6.0, 0.03
 """Speed per missing lift [1/s], and the greatest [m/s]."""
 
-CLOSING_GAIN, CLOSING_SPEED = 10.0, 0.02
-"""Speed of the jaws per width [1/s], and the greatest [m/s]."""
+CLOSING_GAIN, CLOSING_SPEED, FREE_CLOSING_SPEED = 10.0, 0.022, 0.05
+"""Speed of the jaws per width [1/s], and the greatest [m/s]: on the ridge, and until they touch it."""
+
+TOUCHING = 0.0175
+"""Free width between the jaws from which on they may touch the ridge [m]."""
 
 ABOVE, BESIDE = 0.024, 0.02
 """Heights of the grip above the ridge's middle [m]: where it waits until it is in line, and where it is beside it."""
@@ -45,9 +48,14 @@ IN_LINE, IN_PLACE = 0.0012, 0.002
 
 
 class ClampExpert(Expert):
-    """Goes above the ridge, down beside it with open jaws, closes them, and lifts."""
+    """Goes above the ridge, down beside it with open jaws, closes them, and lifts.
+
+    Attributes:
+        squeeze: Free width between the jaws that is held, as a part of the ridge's width; one number, or (W,).
+    """
 
     task = "clamp"
+    squeeze: float | FloatArray = SQUEEZE
 
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
         """See `Expert`."""
@@ -56,7 +64,7 @@ class ClampExpert(Expert):
         error, height = self.error(observation), -down
         missing, slip = error[..., 0], self.goal(observation)[..., 1] - error[..., 1]
         gripping = height < AT
-        holding = gripping & (opening < SQUEEZE * WIDTH + CLOSED)
+        holding = gripping & (opening < self.squeeze * WIDTH + CLOSED)
         ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (opening > WIDTH + 0.5 * (OPEN - WIDTH))
         wanted_height = np.where(ready | (height < BESIDE), LOW, ABOVE)
 
@@ -66,8 +74,9 @@ class ClampExpert(Expert):
         going = np.clip(GAIN * (wanted_height - height), -FREE_SPEED, FREE_SPEED)
         lifting = np.clip(LIFT_GAIN * missing, -LIFT_SPEED, LIFT_SPEED)
         tighter = TIGHTER * np.clip((slip - SLIPPING) / (SLIPPED - SLIPPING), 0.0, 1.0) * holding
-        width = (SQUEEZE - tighter) * WIDTH
-        closing = np.clip(CLOSING_GAIN * (width - opening), -CLOSING_SPEED, CLOSING_SPEED)
+        width = (self.squeeze - tighter) * WIDTH
+        fastest = np.where(opening > TOUCHING, FREE_CLOSING_SPEED, CLOSING_SPEED)
+        closing = np.clip(CLOSING_GAIN * (width - opening), -fastest, fastest)
         return {
             "velocity_x": towards(along),
             "velocity_y": towards(across),

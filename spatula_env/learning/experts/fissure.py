@@ -22,8 +22,8 @@ TURN_GAIN, TURN_SPEED = 4.0, 0.4
 ABOVE, LIPS = 0.036, 0.027
 """Heights above the target [m]: where the blade waits until it is in line with the fissure, and where it is inside."""
 
-DEEP, LOW = 0.0075, 0.004
-"""Heights above the target [m]: from where on the fissure is opened, and where the blade's edge is held."""
+LOW, DEEP = 0.004, 0.0035
+"""Where the blade's edge is held, above the target, and how far above that the fissure begins to be opened [m]."""
 
 IN_LINE, IN_PLACE, UPRIGHT = 0.0012, 0.004, 0.04
 """How far off the blade may be to enter: across and along the fissure [m], and its tilt [rad]."""
@@ -39,9 +39,16 @@ TILTED = 0.1
 
 
 class FissureExpert(Expert):
-    """Goes above the fissure, enters it upright, and leans the blade against the wall until enough is seen."""
+    """Goes above the fissure, enters it upright, and leans the blade against the wall until enough is seen.
+
+    Attributes:
+        low: Height above the target at which the blade's edge is held [m].
+        wall: How far the edge is held from the target, towards the wall that is pushed [m].
+    """
 
     task = "fissure"
+    low: float = LOW
+    wall: float = WALL
 
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
         """See `Expert`."""
@@ -49,14 +56,14 @@ class FissureExpert(Expert):
         tilt = self.part(observation, "tool_orientation")[..., 0]
         view, missing = self.goal(observation)[..., 1], self.error(observation)[..., 2]
         height = -down
-        deep = height < DEEP
+        deep = height < self.low + DEEP
         ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (np.abs(tilt) < UPRIGHT)
-        wanted_height = np.where(ready | (height < LIPS), LOW, ABOVE)
+        wanted_height = np.where(ready | (height < LIPS), self.low, ABOVE)
 
         # The wall is pushed on the side that the line of sight leans to; a positive angle leans towards negative y.
         opening = np.minimum(np.abs(tilt) / TILTED, 1.0)
         further = WALL_GAIN * np.clip(missing + 0.1, 0.0, 0.3) * (opening == 1.0)
-        aside = np.where(deep, -np.sign(view) * (WALL * opening + further), 0.0)
+        aside = np.where(deep, -np.sign(view) * (self.wall * opening + further), 0.0)
         more = BEYOND + BEYOND_GAIN * np.clip(missing + 0.05, 0.0, 0.3)
         wanted_tilt = np.where(deep, view + np.sign(view) * more, 0.0)
         rate = np.clip(TURN_GAIN * (wanted_tilt - tilt), -TURN_SPEED, TURN_SPEED)

@@ -10,16 +10,25 @@ import numpy as np
 from spatula_env.arrays import FloatArray
 from spatula_env.learning.experts.base import Expert
 
-NEAR = 0.002
+RADIUS = 0.06
+"""Of the organ: it is touched where its surface is as steep as the spatula's face [m]."""
+
+NEAR = 0.003
 """The spatula goes down when it is closer to the path than this, horizontally [m]."""
 
-PLACE_GAIN = 6.0
-"""Horizontal speed per distance to where the spatula has got to on the path [1/s]."""
+PLACE_GAIN = 10.0
+"""Horizontal speed per distance to where the spatula is to be [1/s]."""
 
-APPROACH_GAIN = 4.0
+TURN_GAIN = 8.0
+"""Rate of rotation per angle [1/s]."""
+
+STEER = 1.5
+"""Rate at which the face is tilted for a centre of pressure that is off, per tilt that a round organ asks for [1/s]."""
+
+APPROACH_GAIN = 10.0
 """Speed of the descent per height above the path [1/s]."""
 
-APPROACH_SPEEDS = (0.004, 0.03)
+APPROACH_SPEEDS = (0.01, 0.05)
 """Least and greatest speed of the descent [m/s]."""
 
 TOUCH = 0.01
@@ -28,18 +37,25 @@ TOUCH = 0.01
 FORCE_GAIN = 0.12
 """Speed per error of the force [m/(s N)]."""
 
-FORCE_SPEED = 0.012
+FORCE_SPEED = 0.02
 """Greatest speed that the error of the force leads to [m/s]."""
 
-SAFE_ERROR = 0.02
+SAFE_ERROR = 0.025
 """With a greater error of the force the spatula does not go on [N]."""
 
-SLIDE_SPEED = 0.009
-"""Along the path [m/s]."""
+SAFE_PLACE = 0.003
+"""Nor while it presses farther from where it has got to on the path [m]."""
+
+AHEAD = 0.0035
+"""How far ahead of what has been felt the centre of pressure is to be [m]."""
 
 
 class PalpateExpert(Expert):
-    """Goes above the path, descends, and slides along it while it regulates the force; it stays at the path's end."""
+    """Goes above the path, descends, and rolls and slides along it while it regulates the force; it stays at the end.
+
+    A flat face touches a round organ where both are equally steep. So the expert tilts the spatula as steep as the
+    organ is where it wants to press, corrects that by where it does press, and keeps the spatula's middle there.
+    """
 
     task = "palpate"
 
@@ -48,20 +64,42 @@ class PalpateExpert(Expert):
         ahead = self.part(observation, "path_ahead")
         here, step = ahead[..., :3], ahead[..., 3:6] - ahead[..., :3]
         force = self.part(observation, "normal_force")[..., 0]
-        error = self.goal(observation)[..., 3] - force
-        length = np.sqrt((step**2).sum(axis=-1))
-        direction = step / np.maximum(length, 1e-9)[..., None]
+        goal, error = self.goal(observation), self.error(observation)
+        middle = self.part(observation, "tool_position")
+        length = np.sqrt((step**2).sum(axis=-1))[..., None]
+        direction = step / np.maximum(length, 1e-9)
+
+        touching = force > TOUCH
+        # Where it presses, from where it has got to on the path, seen from above.
+        pressed = goal[..., 1:3] - error[..., 1:3] - middle[..., :2] - here[..., :2]
+        sliding = (
+            touching
+            & (np.abs(error[..., 3]) < SAFE_ERROR)
+            & (np.hypot(pressed[..., 0], pressed[..., 1]) < SAFE_PLACE)
+            & (length[..., 0] > 1e-4)
+        )
+        feed = np.where(sliding, np.minimum(AHEAD, length[..., 0]), 0.0)[..., None] * direction
+        way = here + feed
+        off = feed[..., :2] - pressed
+        tilt = self.part(observation, "tool_orientation")
+        steep = np.stack([tilt[..., 1], -tilt[..., 0]], axis=-1)
+        steeper = np.where(
+            touching[..., None],
+            (PLACE_GAIN * feed[..., :2] + STEER * off) / RADIUS,
+            TURN_GAIN * ((middle + way)[..., :2] / RADIUS - steep),
+        )
+        rates = np.stack([-steeper[..., 1], steeper[..., 0]], axis=-1)
 
         near = np.hypot(here[..., 0], here[..., 1]) < NEAR
-        touching = force > TOUCH
-        sliding = near & touching & (np.abs(error) < SAFE_ERROR) & (length > 1e-4)
-        speed = np.where(sliding, SLIDE_SPEED, 0.0)
         down = np.clip(-APPROACH_GAIN * here[..., 2], *APPROACH_SPEEDS)
-        pressing = np.clip(FORCE_GAIN * error, -FORCE_SPEED, FORCE_SPEED)
+        pressing = np.clip(FORCE_GAIN * error[..., 3], -FORCE_SPEED, FORCE_SPEED)
         # In contact the spatula keeps its force, also where it has come off the path.
         inwards = np.where(touching, pressing, np.where(near, down, 0.0))
+        along = PLACE_GAIN * way
+        slope = steep / np.sqrt(1.0 - (steep**2).sum(axis=-1, keepdims=True))
         return {
-            "velocity_x": PLACE_GAIN * here[..., 0] + speed * direction[..., 0],
-            "velocity_y": PLACE_GAIN * here[..., 1] + speed * direction[..., 1],
-            "velocity_z": -inwards + speed * direction[..., 2],
+            "velocity_x": along[..., 0] - inwards * steep[..., 0] * touching,
+            "velocity_y": along[..., 1] - inwards * steep[..., 1] * touching,
+            "velocity_z": -inwards - np.where(touching, (along[..., :2] * slope).sum(axis=-1), 0.0),
+            **{f"rotation_{axis}": rates[..., k] for k, axis in enumerate("xy")},
         }

@@ -10,21 +10,25 @@ import numpy as np
 from spatula_env.arrays import FloatArray
 from spatula_env.learning.experts.base import Expert
 
-PLACE_GAIN = 8.0
+PLACE_GAIN = 10.0
 """Horizontal speed per distance to the place [1/s]."""
 
-DEPTH_GAIN = 6.0
-"""Vertical speed per error of the depth [1/s]."""
+DEPTH_GAIN, PRESS_SPEED = 9.0, 0.035
+"""Vertical speed per error of the depth [1/s], and the greatest [m/s]: faster, and the force would grow too fast."""
 
-FREE_SPEED = 0.06
-"""Of the descent to the organ [m/s]."""
+APPROACH_GAIN, TOUCH_SPEED = 12.0, 0.03
+"""Speed of the descent per height above the organ [1/s], and the least [m/s]."""
 
-NEAR = 0.004
-"""The spatula descends when it is closer to the place than this, horizontally [m]."""
+TOP, RADIUS, HALF_THICKNESS = -0.025, 0.06, 0.00125
+"""Height of the organ's top at rest, in the workspace frame, its radius, and half of the spatula's thickness [m]."""
+
+NEAR, WAITING = 0.004, 0.005
+"""The spatula touches the organ when it is closer to the place than this, horizontally; it waits this high above
+[m]."""
 
 
 class PressExpert(Expert):
-    """Goes above the place, descends, and regulates the depth that it sees."""
+    """Goes above the place, comes down with care, and regulates the depth that it sees."""
 
     task = "press"
 
@@ -32,9 +36,16 @@ class PressExpert(Expert):
         """See `Expert`."""
         x, y, depth = np.moveaxis(self.error(observation), -1, 0)
         touching = self.part(observation, "contact_share").max(axis=-1) > 0.0
-        down = np.where(touching, DEPTH_GAIN * depth, FREE_SPEED)
+        place = self.part(observation, "tool_position")
+        surface = TOP - 0.5 * (place[..., :2] ** 2).sum(axis=-1) / RADIUS
+        height = place[..., 2] - HALF_THICKNESS - surface
+        near = np.hypot(x, y) < NEAR
+        coming = np.where(
+            near, np.maximum(APPROACH_GAIN * height, TOUCH_SPEED), APPROACH_GAIN * np.maximum(height - WAITING, 0.0)
+        )
+        pressing = np.where(near, np.clip(DEPTH_GAIN * depth, -PRESS_SPEED, PRESS_SPEED), 0.0)
         return {
             "velocity_x": PLACE_GAIN * x,
             "velocity_y": PLACE_GAIN * y,
-            "velocity_z": -np.where(np.hypot(x, y) > NEAR, 0.0, down),
+            "velocity_z": -np.where(touching, pressing, coming),
         }

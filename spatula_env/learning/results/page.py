@@ -25,8 +25,8 @@ the policies that come with the package.
 Each agent is evaluated in {episodes} episodes that it has neither been trained nor chosen by, which end with success or
 after ten seconds; what is kept of a run is the policy of its best evaluation. Numbers are interquartile means over the
 seeds, with {confidence} % intervals by {resamples} bootstrap resamples of the seeds; those of policies to compare
-with are means over the episodes, with Wilson's interval of success. Nothing in the reward speaks of pressure: cost
-and violations ([tasks.md](tasks.md#safety)) are what agents do that are not asked to be careful.
+with are means over the episodes, with Wilson's interval of success. Nothing in the reward speaks of haste or of
+pressure: cost and violations ([tasks.md](tasks.md#safety)) are what agents do that are not asked to be careful.
 """
 
 
@@ -97,9 +97,7 @@ def _all_tasks(plan: ResultsPlan, rows: Sequence[Row]) -> str:
 
 
 def _success_table(rows: Sequence[Row], engine: str) -> str:
-    lines = [
-        ("", "seeds", "success [%]", "return", "cost [Pa s]", "episodes with a violation [%]", "time to success [s]")
-    ]
+    lines = [("", "seeds", "success [%]", "return", "cost [s]", "episodes with a violation [%]", "time to success [s]")]
     for row in rows:
         told = row.quantities.get(engine, {})
         lines.append(
@@ -152,7 +150,7 @@ def _transfer_table(rows: Sequence[Row], engines: Sequence[str]) -> str:
         there = [row for row in rows if engine in row.quantities]
         if not there:
             continue
-        lines = [("", "success [%]", "difference [%]", "cost [Pa s]", "episodes with a violation [%]")]
+        lines = [("", "success [%]", "difference [%]", "cost [s]", "episodes with a violation [%]")]
         for row in there:
             told = row.quantities[engine]
             before = row.quantities.get(first, {}).get("success_rate")

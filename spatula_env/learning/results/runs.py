@@ -168,7 +168,7 @@ def evaluate_agent(run: Run, scoring: ScoringPlan, engine: str, *, again: bool =
             "summary": {**summarize(episodes), "steps_per_second": rate},
             # JSON knows no NaN, which is the time of what has not succeeded.
             "episodes": {name: _as_list(episodes[name]) for name in MEASURES},
-            "provenance": provenance(),
+            "provenance": provenance(run.environment),
         },
     )
     return True

@@ -221,7 +221,7 @@ class WebDevice(TeleopDevice):
                 force=info["force"],
                 pressure=info["peak_pressure"],
                 success=info["is_success"],
-                cost=info["episode_cost"],
+                dose=info["episode_dose"],
                 held=info["hold_time"],
                 hold_time=made.task.hold_time,
                 criteria=made.task.criteria(as_seen(episodes.achieved[0]), as_seen(episodes.goals[0])),

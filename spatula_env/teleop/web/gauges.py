@@ -52,7 +52,7 @@ class Bars:
             + _bar("Peak pressure", f"{kilo:.2f} kPa", kilo, HIGHEST, warm, limits)
             + _scale(pressures, HIGHEST)
             + f'<div class="small">Dose above {LOWER:.2f} kPa'
-            f'<span class="n">{1e-3 * reading.cost:.2f} kPa·s</span></div>'
+            f'<span class="n">{1e-3 * reading.dose:.2f} kPa·s</span></div>'
         )
 
 

@@ -29,7 +29,7 @@ class Reading:
         force: Magnitude of the contact force [N].
         pressure: Greatest contact pressure [Pa].
         success: Whether the goal has been held in this episode.
-        cost: Of the episode [Pa s].
+        dose: Of pressure, in the episode [Pa s].
         held: For how long the goal has been kept [s].
         hold_time: For how long it is to be kept [s].
         criteria: What the goal asks for.
@@ -40,7 +40,7 @@ class Reading:
     force: float
     pressure: float
     success: bool = False
-    cost: float = 0.0
+    dose: float = 0.0
     held: float = 0.0
     hold_time: float = 0.0
     criteria: tuple[Criterion, ...] = ()
