@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spatula_env.geometry.tetrahedra import fill_organ
+from spatula_env.geometry.transforms import rotate
 from spatula_env.scenes import Material
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.tissue import nodal
@@ -67,7 +68,7 @@ class Lump:
         """Fill an organ of a scene of that scale."""
         material = Material() if placed.material is None else placed.material
         mesh = fill_organ(placed.organ)
-        filled = replace_nodes(mesh.nodes, placed)
+        filled = place_nodes(mesh.nodes, placed)
         vertices = len(placed.organ.vertices)
         order = np.concatenate([along_longest(filled[:vertices]), vertices + along_longest(filled[vertices:])])
         place = np.empty(len(order), dtype=np.int64)
@@ -109,10 +110,8 @@ class Lump:
         return np.ceil(dt / longest).astype(np.int64)
 
 
-def replace_nodes(nodes: FloatArray, placed: PlacedOrgan) -> FloatArray:
+def place_nodes(nodes: FloatArray, placed: PlacedOrgan) -> FloatArray:
     """(N, 3) nodes of an organ's own frame, where they are in the scene."""
-    from spatula_env.geometry.transforms import rotate
-
     moved: FloatArray = rotate(np.array(placed.orientation), nodes) + placed.position
     return moved
 
@@ -348,8 +347,3 @@ def _node_table(lump: Lump) -> FloatArray:
     """(N, `nodal.NODE_COLUMNS`)."""
     moves = ~lump.held
     return np.column_stack([moves / lump.masses, moves, lump.solid.shares, lump.solid.own_gradients])
-
-
-def with_material(placed: PlacedOrgan, material: Material) -> PlacedOrgan:
-    """An organ of another material."""
-    return replace(placed, material=material)

@@ -124,7 +124,6 @@ class TissueEngine:
         body, going = self.body, np.flatnonzero(~diverged)
         blocks, surface = body.blocks, body.blocks.surface
         for array, values in ((blocks.positions, positions), (blocks.velocities, velocities)):
-            # The nodes come second to last, so that what is indexed is a view of the blocks.
             nodes = body.read(array, going)
             nodes[:, surface] = values[going]
             body.write(array, going, nodes)

@@ -171,7 +171,7 @@ class Sum:
     def __init__(self, build: Build) -> None:
         """Begin with zero."""
         self._build = build
-        self._place = cgutils.alloca_once(build.builder, build.kind)
+        self._place: Any = cgutils.alloca_once(build.builder, build.kind)  # type: ignore[no-untyped-call]
         build.store(build.constant(0.0), self._place)
 
     @property

@@ -296,7 +296,8 @@ def _emit_move(
 
 
 def _emit_move_surface(build: Build, directions: Any, holds: Any, debts: Any, *given: Any) -> None:
-    _emit_move(build, *given, touch=(directions, holds, debts))
+    move: Callable[..., None] = _emit_move
+    move(build, *given, touch=(directions, holds, debts))
 
 
 @intrinsic

@@ -100,7 +100,8 @@ class Solid:
         stiffness = np.bincount(to, rows[of] * others, count) + rows * own
         fastest = FASTEST_NODE * float(np.median(stiffness / self.shares))
         masses = np.maximum(self.shares, stiffness / fastest)
-        return masses * (self.shares.sum() / masses.sum())
+        spread: FloatArray = masses * (self.shares.sum() / masses.sum())
+        return spread
 
     @property
     def pair_nodes(self) -> IntArray:
