@@ -128,7 +128,8 @@ class Solid:
         pulls = stabiliser * self.weights[:, None] * (positions[to] - positions[of])
         pulls -= np.einsum("kab,kb->ka", loads[to], self.reversed_gradients)
         forces: FloatArray = np.add.reduceat(pulls, self.starts[:-1], axis=0)
-        return forces - np.einsum("nab,nb->na", loads, self.own_gradients)
+        forces -= np.einsum("nab,nb->na", loads, self.own_gradients)
+        return forces
 
     def fastest(self, shear: float, bulk: float, stabiliser: float) -> float:
         """The greatest squared angular frequency of small motions, of unit density [1/s2].
