@@ -91,7 +91,8 @@ class TetrahedralMesh:
         """(T, 3) the triangles that belong to one tetrahedron alone, counter-clockwise from outside."""
         faces = self.tetrahedra[:, np.array(FACES)].reshape(-1, 3)
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-        return faces[np.sort(first[count == 1])]
+        boundary: Int32Array = faces[np.sort(first[count == 1])]
+        return boundary
 
     def check_fills(self, organ: Organ) -> None:
         """Check that the tetrahedra fill an organ: its nodes come first, and its triangles are the boundary.
