@@ -18,6 +18,9 @@ from typing import Any
 import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+PACKAGE = __name__.partition(".")[0] + "."
+"""What the names of this package's modules begin with."""
+
 
 class KernelCache(FunctionCache):
     """The cache of one kernel."""
@@ -62,8 +65,8 @@ def fingerprint(function: Callable[..., object]) -> str:
 
 def _add_value(value: Any, parts: list[str], seen: set[int]) -> None:
     """Add what is to be told of what a name stands for."""
-    # Of a kernel, the function that was compiled.
-    function = getattr(value, "py_func", value)
+    # Of a kernel, the function that was compiled; of an intrinsic, the one that writes its instructions.
+    function = getattr(value, "py_func", getattr(value, "_defn", value))
     if isinstance(function, FunctionType):
         if id(function) in seen:
             return
@@ -83,6 +86,13 @@ def _add_value(value: Any, parts: list[str], seen: set[int]) -> None:
         _add_records(value.__annotations__, vars(sys.modules[value.__module__]), parts, seen)
     elif isinstance(value, ModuleType):
         parts.append(value.__name__)
+    elif isinstance(value, type) and value.__module__.startswith(PACKAGE):
+        # What instructions are written with.
+        if id(value) not in seen:
+            seen.add(id(value))
+            for method in vars(value).values():
+                if isinstance(method, FunctionType):
+                    _add_value(method, parts, seen)
     else:
         # Types, intrinsics and functions of other libraries: their versions are Numba's business.
         parts.append(str(getattr(value, "__qualname__", type(value).__qualname__)))

@@ -12,6 +12,7 @@ from typing import Any
 ENGINES: dict[str, str] = {
     "bullet": "spatula_env.sim.bullet:BulletEngine",
     "batch": "spatula_env.sim.batch_engine:BatchEngine",
+    "tissue": "spatula_env.sim.tissue.engine:TissueEngine",
 }
 """What can integrate the organs, by name: module and class of a `sim.engine.Engine`. As Gymnasium's registry of
 environments does, it grows by registration; see `register_engine`."""

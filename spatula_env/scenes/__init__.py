@@ -17,6 +17,7 @@ from spatula_env.scenes.base import (
 )
 from spatula_env.scenes.clamp import JAW_CLEARANCE, clamp
 from spatula_env.scenes.fissure import FISSURE_CLEARANCE, ON_EDGE, fissure
+from spatula_env.scenes.material import BrainRegion, Material, ModelName
 from spatula_env.scenes.palpate import palpate
 from spatula_env.scenes.retract import BLADE_CLEARANCE, QUARTER_TURN, UPRIGHT, retract
 from spatula_env.scenes.seed import RESTING_SPHERE, seed
@@ -31,7 +32,10 @@ __all__ = [
     "STANDARD_DENSITY",
     "TISSUE_MODULUS",
     "UPRIGHT",
+    "BrainRegion",
     "Ground",
+    "Material",
+    "ModelName",
     "PlacedOrgan",
     "PlacedTool",
     "Scale",

@@ -16,6 +16,7 @@ import numpy as np
 from spatula_env.geometry import Organ, Tool
 from spatula_env.geometry.checks import check_not_negative, check_positive
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotate
+from spatula_env.scenes.material import Material
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -101,6 +102,8 @@ class PlacedOrgan:
         mass: Its mass [kg], spread over the nodes by the area around them.
         orientation: How it is turned, quaternion xyzw.
         fixed_nodes: Nodes that do not move.
+        material: What it is made of, for an engine that asks; None: `Material()`. The engine "tissue" takes the mass
+            from its density.
     """
 
     organ: Organ
@@ -108,6 +111,7 @@ class PlacedOrgan:
     mass: float = 10.0
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     fixed_nodes: tuple[int, ...] = ()
+    material: Material | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -116,6 +120,8 @@ class PlacedOrgan:
         for node in self.fixed_nodes:
             if not isinstance(node, int | np.integer) or not 0 <= node < len(self.organ.vertices):
                 raise ValueError(f"fixed_nodes must be integers in 0..{len(self.organ.vertices) - 1}, got {node!r}")
+        if not isinstance(self.material, Material | None):
+            raise ValueError(f"material must be a Material or None, got {self.material!r}")
 
     @property
     def vertices(self) -> NDArray[np.float64]:
@@ -179,7 +185,9 @@ class Scene:
         check_positive(self.dt, "dt")
 
 
-def choose_scale(scale: ScaleName | Scale, organ: Organ, mass: float, dt: float, stiffness: float) -> Scale:
+def choose_scale(
+    scale: ScaleName | Scale, organ: Organ, mass: float, dt: float, stiffness: float, material: Material | None = None
+) -> Scale:
     """The scale of a preset scene.
 
     The soft bodies have no material of their own: moved by as much, they resist by a force in proportion to
@@ -192,6 +200,7 @@ def choose_scale(scale: ScaleName | Scale, organ: Organ, mass: float, dt: float,
         mass: Of the organ [kg].
         dt: Length of a physics step [s].
         stiffness: Of the scene: effective Young's modulus [kg/(u s2)] x dt^2 x area / mass [u], measured.
+        material: What the organ is made of: its density and modulus then are meant, whatever name the scale has.
 
     Returns:
         The scale.
@@ -205,8 +214,9 @@ def choose_scale(scale: ScaleName | Scale, organ: Organ, mass: float, dt: float,
         raise ValueError(f"scale must be one of {list(get_args(ScaleName))} or a Scale, got {scale!r}")
     check_positive(mass, "mass")
     check_positive(dt, "dt")
-    if scale == "density":
-        return Scale(length=UNIT_LENGTH, mass=STANDARD_DENSITY * organ.volume * UNIT_LENGTH**3 / mass)
+    if scale == "density" or material is not None:
+        density = STANDARD_DENSITY if material is None else material.density
+        return Scale(length=UNIT_LENGTH, mass=density * organ.volume * UNIT_LENGTH**3 / mass)
     modulus = stiffness * mass / (organ.area * dt**2)
     return Scale(length=UNIT_LENGTH, mass=TISSUE_MODULUS * UNIT_LENGTH / modulus)
 

@@ -11,6 +11,8 @@ from spatula_env.scenes.base import PlacedOrgan, PlacedTool, Scale, ScaleName, S
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from spatula_env.scenes.material import Material
+
 JAW_CLEARANCE = 0.2
 """How far each jaw is from the ridge at reset [u]."""
 
@@ -36,6 +38,7 @@ def clamp(
     faces: str = "all",
     friction: float = 0.4,
     scale: ScaleName | Scale = "stiffness",
+    material: Material | None = None,
 ) -> Scene:
     """Two jaws on either side of a ridge on a piece of an organ, which rests on the ground.
 
@@ -62,6 +65,7 @@ def clamp(
         friction: Coulomb coefficient between jaws and organ: that of a toothed jaw rather than of a smooth spatula.
         scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
+        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
 
     Returns:
         The scene. Its organ is a :class:`~spatula_env.geometry.RidgedBlock`, which names the nodes of the ridge's
@@ -91,9 +95,13 @@ def clamp(
             )
         )
     return Scene(
-        organs=(PlacedOrgan(block, mass=mass, fixed_nodes=tuple(block.base.tolist()) if fixed_base else ()),),
+        organs=(
+            PlacedOrgan(
+                block, mass=mass, fixed_nodes=tuple(block.base.tolist()) if fixed_base else (), material=material
+            ),
+        ),
         tools=tuple(tools),
         dt=dt,
-        scale=choose_scale(scale, block, mass, dt, STIFFNESS),
+        scale=choose_scale(scale, block, mass, dt, STIFFNESS, material),
         name="clamp",
     )

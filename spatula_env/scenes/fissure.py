@@ -13,6 +13,8 @@ from spatula_env.scenes.base import PlacedOrgan, PlacedTool, Scale, ScaleName, S
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from spatula_env.scenes.material import Material
+
 ON_EDGE = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 """How a plate stands on edge, quaternion xyzw: its y axis upwards and its thickness, z, along negative y."""
 
@@ -40,6 +42,7 @@ def fissure(
     faces: str = "all",
     friction: float = 0.2,
     scale: ScaleName | Scale = "stiffness",
+    material: Material | None = None,
 ) -> Scene:
     """A fissure in a piece of an organ, and a thin spatula that stands on edge above it.
 
@@ -71,6 +74,7 @@ def fissure(
         friction: Coulomb coefficient between spatula and organ.
         scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
+        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
 
     Returns:
         The scene. Its organ is a :class:`~spatula_env.geometry.FissuredBlock`, which names the nodes of walls and floor
@@ -84,7 +88,7 @@ def fissure(
     fixed = np.union1d(block.base, block.floor) if fixed_floor else block.base
     top = float(block.bounds[1, 2])
     return Scene(
-        organs=(PlacedOrgan(block, mass=mass, fixed_nodes=tuple(fixed.tolist())),),
+        organs=(PlacedOrgan(block, mass=mass, fixed_nodes=tuple(fixed.tolist()), material=material),),
         tools=(
             PlacedTool(
                 tool,
@@ -94,6 +98,6 @@ def fissure(
             ),
         ),
         dt=dt,
-        scale=choose_scale(scale, block, mass, dt, STIFFNESS),
+        scale=choose_scale(scale, block, mass, dt, STIFFNESS, material),
         name="fissure",
     )

@@ -14,6 +14,8 @@ from spatula_env.scenes.seed import seed
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from spatula_env.scenes.material import Material
+
 STIFFNESS = 0.69
 """Effective modulus of the organ under the spatula [kg/(u s2)], x dt^2 x area / mass [u].
 Measured by scripts/calibrate_stiffness.py; docs/calibration.md tells how."""
@@ -29,6 +31,7 @@ def palpate(
     faces: str = "largest",
     friction: float = 0.2,
     scale: ScaleName | Scale = "stiffness",
+    material: Material | None = None,
 ) -> Scene:
     """The scene of the seed, its sphere held up to a height as a brain is held in the skull.
 
@@ -45,6 +48,7 @@ def palpate(
         friction: Coulomb coefficient between spatula and sphere.
         scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
+        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
 
     Returns:
         The scene.
@@ -61,10 +65,10 @@ def palpate(
             f"held_height must be between {heights.min():.4f} and {heights.max():.4f} u, where the sphere begins and "
             f"ends; got {held_height!r}"
         )
-    organ = replace(scene.organs[0], fixed_nodes=tuple(held.tolist()))
+    organ = replace(scene.organs[0], fixed_nodes=tuple(held.tolist()), material=material)
     return replace(
         scene,
         organs=(organ,),
-        scale=choose_scale(scale, organ.organ, mass, dt, STIFFNESS),
+        scale=choose_scale(scale, organ.organ, mass, dt, STIFFNESS, material),
         name="palpate",
     )

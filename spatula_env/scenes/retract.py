@@ -11,6 +11,8 @@ from spatula_env.scenes.base import PlacedOrgan, PlacedTool, Scale, ScaleName, S
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from spatula_env.scenes.material import Material
+
 UPRIGHT = (0.5, 0.5, 0.5, 0.5)
 """How a plate stands with its faces to the left and to the right, quaternion xyzw: its x axis along y, its y axis
 upwards, and its thickness, z, along x."""
@@ -41,6 +43,7 @@ def retract(
     faces: str = "all",
     friction: float = 0.4,
     scale: ScaleName | Scale = "stiffness",
+    material: Material | None = None,
 ) -> Scene:
     """A fold of an organ, and an upright blade above it, its faces to the left and to the right.
 
@@ -64,6 +67,7 @@ def retract(
             rather than of bare steel.
         scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
+        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
 
     Returns:
         The scene. Its organ is a :class:`~spatula_env.geometry.RidgedBlock`, which names the nodes of the fold's
@@ -76,7 +80,11 @@ def retract(
     tool = Tool.box(tool_size, faces=faces, node_spacing=node_spacing, name="blade")
     top = float(block.bounds[1, 2])
     return Scene(
-        organs=(PlacedOrgan(block, mass=mass, orientation=QUARTER_TURN, fixed_nodes=tuple(block.base.tolist())),),
+        organs=(
+            PlacedOrgan(
+                block, mass=mass, orientation=QUARTER_TURN, fixed_nodes=tuple(block.base.tolist()), material=material
+            ),
+        ),
         tools=(
             PlacedTool(
                 tool,
@@ -86,6 +94,6 @@ def retract(
             ),
         ),
         dt=dt,
-        scale=choose_scale(scale, block, mass, dt, STIFFNESS),
+        scale=choose_scale(scale, block, mass, dt, STIFFNESS, material),
         name="retract",
     )

@@ -10,6 +10,8 @@ from spatula_env.scenes.base import PlacedOrgan, PlacedTool, Scale, ScaleName, S
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from spatula_env.scenes.material import Material
+
 RESTING_SPHERE = (-0.0235445, 0.0522466, 0.0003375, 0.9983566)
 """How the seed's sphere lies when it has rolled to rest, quaternion xyzw. It is a polyhedron, and its first node would
 stand on the ground like a ball on a needle's point: from there it rolls for many seconds."""
@@ -28,6 +30,7 @@ def seed(
     faces: str = "largest",
     friction: float = 0.2,
     scale: ScaleName | Scale = "stiffness",
+    material: Material | None = None,
 ) -> Scene:
     """The scene of the seed: a thin spatula over a soft sphere that rests on the ground.
 
@@ -43,6 +46,7 @@ def seed(
         friction: Coulomb coefficient between spatula and sphere.
         scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
+        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
 
     Returns:
         The scene.
@@ -50,9 +54,11 @@ def seed(
     sphere = seed_sphere()
     tool = Tool.box(size=tool_size, nodes_per_edge=nodes_per_edge, faces=faces)
     return Scene(
-        organs=(PlacedOrgan(sphere, position=(0.0, 0.0, 3.0), orientation=RESTING_SPHERE, mass=mass),),
+        organs=(
+            PlacedOrgan(sphere, position=(0.0, 0.0, 3.0), orientation=RESTING_SPHERE, mass=mass, material=material),
+        ),
         tools=(PlacedTool(tool, position=(0.0, 0.0, 7.0), friction=friction),),
         dt=dt,
-        scale=choose_scale(scale, sphere, mass, dt, STIFFNESS),
+        scale=choose_scale(scale, sphere, mass, dt, STIFFNESS, material),
         name="seed",
     )

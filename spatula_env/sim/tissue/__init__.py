@@ -1,0 +1,1 @@
+"""Organs that are a material: nearly incompressible hyperelastic solids, by finite elements."""
