@@ -80,7 +80,7 @@ def summarise(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """
     finite = [outcome for outcome in outcomes if not outcome.non_finite]
     failed = sum(outcome.failed for outcome in outcomes)
-    worst = sorted((outcome for outcome in outcomes if outcome.failed), key=_badness, reverse=True)[:WORST]
+    worst = sorted(outcomes, key=_badness, reverse=True)[:WORST]
     return {
         "cases": len(outcomes),
         "failed": failed,
@@ -104,9 +104,10 @@ def summarise(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     }
 
 
-def _badness(outcome: Outcome) -> tuple[bool, bool, float, int]:
-    """Order of failures: divergence, then missed contact and enclosure, then depth, then the count of the rest."""
+def _badness(outcome: Outcome) -> tuple[bool, bool, bool, float, int]:
+    """Order of cases: failures first; divergence, then missed contact and enclosure, then depth, then the rest."""
     return (
+        outcome.failed,
         outcome.non_finite,
         outcome.missed > 0 or outcome.enclosed > 0,
         outcome.residual,
