@@ -272,8 +272,9 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
 def _begin_ways(start: np.ndarray, expected: np.ndarray, vertices: np.ndarray, queries: int) -> np.ndarray:
     """Put vertices (V, 3) where the first query looks, before it moves them on. Returns the way of a divided step."""
     if queries > 1:
-        copy_points(start, vertices)
+        # First, as the vertices may be where they are expected.
         ways: np.ndarray = expected - start
+        copy_points(start, vertices)
         return ways
     copy_points(expected, vertices)
     return start
