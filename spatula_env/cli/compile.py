@@ -123,6 +123,20 @@ def _simulation() -> None:
         simulation.close()
 
 
+def _tissue() -> None:
+    import numpy as np
+
+    from spatula_env import scenes
+    from spatula_env.sim.worlds import Worlds
+
+    materials = (scenes.Material(), scenes.Material(relaxation=((0.3, 2.0),)), scenes.Material.brain("cortex"))
+    for precision in ("single", "double"):
+        for material in materials:
+            worlds = Worlds(scenes.seed(material=material), 1, engine="tissue", precision=precision)
+            worlds.advance(np.zeros((1, 1, 3)))
+            worlds.close()
+
+
 def _worlds() -> None:
     import numpy as np
 
@@ -190,6 +204,7 @@ STEPS: dict[str, Callable[[], None]] = {
     "the contact model": _contact,
     "simulations": _simulation,
     "many worlds at once": _worlds,
+    "organs of tissue": _tissue,
     "environments": _environments,
     "pictures": _pictures,
     "observations in pictures and points": _picture_observations,

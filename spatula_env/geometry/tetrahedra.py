@@ -4,8 +4,8 @@ Presets' organs come filled, from files that `scripts/fill_presets.py` has writt
 Other organs are filled by Netgen (J. Schöberl, NETGEN: an advancing front 2D/3D-mesh generator based on abstract rules,
 Computing and Visualization in Science 1, 1997), with the extra ``tissue``: it keeps the surface exactly, its smallest
 altitudes are two to five times those of TetGen on three of the presets' organs and half of them on the fourth, it has
-wheels for Linux, macOS and Windows, and its licence is the LGPL, where TetGen's is the AGPL and Gmsh's the GPL. fTetWild,
-of the MPL, moves the surface.
+wheels for Linux, macOS and Windows, and its licence is the LGPL, where TetGen's is the AGPL and Gmsh's the GPL.
+fTetWild, of the MPL, moves the surface.
 """
 
 from __future__ import annotations

@@ -248,7 +248,7 @@ class ClampTask(Task):
     def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
         """See `Task`."""
         slip = float(achieved[1])
-        note = "no grip, too loose or too tight" if slip >= float(self.goal_high[1]) else ""
+        note = "no grip" if slip >= float(self.goal_high[1]) else ""
         return (
             Criterion.near("lift", "m", float(achieved[0]), float(goal[0]), self.config.lift_tolerance),
             Criterion.at_most("slip", "m", slip, float(goal[1]), note),

@@ -93,6 +93,9 @@ def wrapper(entry_point, name="Innocent", **kwargs):
     return [{"name": name, "entry_point": entry_point, "kwargs": kwargs}]
 
 
+# What is meddled with is of another environment, with another definition.
+pytestmark = pytest.mark.filterwarnings("ignore::spatula_env.definitions.DefinitionWarning")
+
 POISONS = {
     "entry point": {"entry_point": "poison_entry:Env", "vector_entry_point": "poison_vector:Env"},
     "wrapper": {"additional_wrappers": wrapper("poison_wrapper:Wrapper")},

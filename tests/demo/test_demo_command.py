@@ -89,7 +89,7 @@ def test_a_trained_policy_succeeds_in_the_episode(document: dict[str, Any]) -> N
     episode = document["episode"]
     assert episode["task"] == "Spatula/Press-v0"
     assert episode["policy"] == "trained policy"
-    assert "steps" in episode["origin"]
+    assert "demonstrations" in episode["origin"]
     assert episode["success"] is True
     assert abs(episode["depth_error"]) < 0.001
 

@@ -405,7 +405,7 @@ def test_what_does_not_exist_is_refused(make: Env, id: str) -> None:
         made(colour=1)
     for option, value, allowed in (
         ("obs_mode", "smell", r"\['state', 'dict', 'rgb', 'rgbd', 'pointcloud'\]"),
-        ("control", "force", r"\['velocity', 'velocity_6d'\]"),
+        ("control", "force", r"\['velocity', 'velocity_6d'(, 'velocity_level')?\]"),
         ("reward", "shaped", r"\['dense', 'sparse'\]"),
         ("contact", "magic", r"\['flags', 'second_step', 'bullet'\]"),
     ):

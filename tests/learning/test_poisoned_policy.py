@@ -33,6 +33,9 @@ from spatula_env.learning.saving import (  # noqa: E402
 )
 from spatula_env.learning.worlds import make_training_env  # noqa: E402
 
+# What is meddled with does not say which definition of its task it is of.
+pytestmark = pytest.mark.filterwarnings("ignore::spatula_env.definitions.DefinitionWarning")
+
 PRESS = "Spatula/Press-v0"
 
 

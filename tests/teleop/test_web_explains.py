@@ -146,7 +146,8 @@ def test_it_says_what_is_asked_how_near_it_is_and_what_hands_can_do(page, sessio
     assert page.locator("#sp-foot").is_visible()
     wait_for(page, lambda: ("Period" in codes()) == ("jaw_speed" in names), "the keys of this task")
     assert ("KeyU" in codes()) == ("rotation_x" in names)
-    assert not {"KeyI", "KeyO"} & set(codes()) and {"KeyW", "KeyQ", "Enter"} <= set(codes())
+    assert ("KeyI" in codes()) == ("rotation_y" in names) and ("KeyO" in codes()) == ("rotation_z" in names)
+    assert {"KeyW", "KeyQ", "Enter"} <= set(codes())
     # Handles to turn it by, and the jaws' slider, where there is something to turn or to open.
     wait_for(page, lambda: (mesh(page, "/turn/x") is not None) == ("rotation_x" in names), "handles to turn it by")
     jaws = page.get_by_text("Jaws [mm]")
