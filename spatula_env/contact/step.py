@@ -10,6 +10,7 @@ from numba import types
 from spatula_env._kernels import ARRAYS, array_kernel, inline_kernel, kernel
 from spatula_env.contact import skin
 from spatula_env.contact.depth import pair_depth
+from spatula_env.contact.edge_depth import depth_of_edges, edge_depth
 from spatula_env.contact.energy import keep_passive
 from spatula_env.contact.flags import fill_local, fill_rotation
 from spatula_env.contact.islands import find_islands, make_island_room
@@ -246,7 +247,7 @@ def make_tools(world: Any, motions: Any, passes: np.ndarray) -> tuple[Any, float
 
 @kernel(types.float64(WORLD_CONTACTS, F8_2, F8_2, F8_2))
 def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, vertices: np.ndarray) -> float:
-    """How deep the tools and the organs are in each other, see `depth.pair_depth`.
+    """How deep the tools and the organs are in each other, see `depth.pair_depth` and `edge_depth.edge_depth`.
 
     Args:
         world: `WorldContacts`.
@@ -265,6 +266,7 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
             local = world.memories[k * organ_count + o].organ.local
             fill_local(positions[k], rotation, vertices, world.first_vertices[o], local)
             deepest = pair_depth(world.tools[k].geometry, local, world.surfaces[o], deepest, scratch)
+            deepest = edge_depth(world.tools[k].geometry, local, world.surfaces[o], deepest, scratch)
     return deepest
 
 
@@ -396,6 +398,7 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
     """
     pose_tools(motions, 0.0, tools, world.room.scratch.axes)
     before: float = measure_tools(world, plan, tools, organs.start, 1)
+    before = depth_of_edges(world, tools.position, tools.rotation, organs.start, before)
     if before >= depth:
         return depth
     copy_points(organs.start, organs.vertices)
@@ -482,7 +485,8 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         remember_poses(tools)
     if first_step == 0:
         progress.depth = measure_tools(world, plan, tools, vertices, 0)
-    elif progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
+    progress.depth = depth_of_edges(world, tools.position, tools.rotation, vertices, progress.depth)
+    if first_step != 0 and progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
         depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
         numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
     numbers[RESIDUAL] = progress.depth
