@@ -341,7 +341,7 @@ def _append_contacts(
             return -int(wanted)
         if found > 0:
             count = gather_features(
-                table, count, tool, organ, triangles, found, placement, attempt > 0 and not plan.is_divided, attempt,
+                table, count, tool, organ, triangles, found, placement, attempt > 0 and (plan.is_last or not plan.is_divided), attempt,
                 tried, trial, scratch,
             )  # fmt: skip
         # Where less was thrown into the tool than expected, it is looked where that really is.
@@ -495,7 +495,7 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
     with_features = plan.first_step != 0
     if with_features:
         progress.depth = measure_tools(world, plan, tools, vertices, attempt)
-    if not plan.is_divided and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
+    if (plan.is_last or not plan.is_divided) and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
         # Rows are missing, or could not be kept.
         progress.sinks = progress.sinks or settled or progress.depth > SUNK_DEPTH
         if progress.depth < progress.least:
