@@ -16,6 +16,7 @@ from spatula_env._kernels import inline_kernel
 from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.features import find_candidates
 from spatula_env.contact.flags import fill_local
+from spatula_env.contact.structures import NO_PAIR
 
 
 @inline_kernel
@@ -27,6 +28,7 @@ def depth_of_tools(
     rotation: np.ndarray,
     vertices: np.ndarray,
     known: float,
+    is_placed: bool,
 ) -> float:
     """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
 
@@ -38,14 +40,19 @@ def depth_of_tools(
         rotation: (N, 9).
         vertices: (V, 3) of the organs [u].
         known: What is returned where no depth is greater [u].
+        is_placed: Whether the memories' `local` and `Scratch.listed` are of these vertices already.
     """
-    depth, organ_count = known, len(world.surfaces)
+    depth, organ_count, scratch = known, len(world.surfaces), world.room.scratch
+    if not is_placed:
+        scratch.listed[0] = NO_PAIR
     for k in range(tool_count):
         for o in range(organ_count):
-            if looked_at[k * organ_count + o]:
-                local = world.memories[k * organ_count + o].organ.local
-                fill_local(position[k], rotation[k], vertices, world.first_vertices[o], local)
-                depth = pair_depth(world.tools[k].geometry, local, world.surfaces[o], depth, world.room.scratch)
+            pair = k * organ_count + o
+            if looked_at[pair]:
+                local = world.memories[pair].organ.local
+                if not is_placed:
+                    fill_local(position[k], rotation[k], vertices, world.first_vertices[o], local)
+                depth = pair_depth(world.tools[k].geometry, local, world.surfaces[o], pair, depth, scratch)
     return depth
 
 

@@ -460,21 +460,28 @@ def gather_sunk_corners(
 
     A corner that slides over an edge of the organ's mesh may pass the plane of the triangle that it comes to while it
     is still over the one that it leaves: its way goes through neither. Where it is then tells.
+
+    Writes into `scratch` which triangles are near the tool, their boxes, how many there are (`listed`), and how far
+    corners are from them, where that is asked for.
     """
     local, last, corners, names = organ.local, organ.last_local, tool.corners, table.names
     reach = SUNK * tool.extent[7]
     nearest, normal, near = scratch.nearest, scratch.normal, scratch.near
     heights, behind, turned = scratch.corner_heights, scratch.corner_behind, scratch.turned
-    boxes, away, others = scratch.boxes, scratch.away, scratch.other_boxes
+    boxes, away, others, distances = scratch.boxes, scratch.away, scratch.other_boxes, scratch.corner_distances
     found = list_near(tool.extent, local, triangles, reach, near, scratch.codes)
     fill_boxes(local, triangles, near, found, boxes)
+    scratch.listed[1] = found
     has_last = False
     for corner in range(corners.shape[0]):
         x, y, z = corners[corner, 0], corners[corner, 1], corners[corner, 2]
+        distances[corner] = np.inf
         if heights[corner] < -RESIDUAL_TOLERANCE or count == room:
             continue
         t = find_nearest(local, triangles, near, found, x, y, z, reach, boxes, away, nearest)
         depth = -nearest[0]
+        if t >= 0:
+            distances[corner] = nearest[0]
         if t < 0:
             # Nothing is near, or it is in so far, where the organ has been put already, that the nearest way out may be
             # the wrong one. It slid no farther than to the triangles around the one where it was.

@@ -11,6 +11,7 @@ import numpy as np
 
 from spatula_env._kernels import array_kernel
 from spatula_env.contact.corners import SUNK, encloses, fill_boxes, find_nearest, list_near
+from spatula_env.contact.structures import NO_PAIR
 
 PRECISION = 1e-5
 """To which a depth is found [u]."""
@@ -166,7 +167,7 @@ def surface_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, found: in
 
 
 @array_kernel
-def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float, scratch: Any) -> float:
+def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, pair: int, known: float, scratch: Any) -> float:
     """Greatest depth of an organ's surface in a tool and of the tool's corners in the organ.
 
     A corner that the organ encloses is as deep as it is far from the organ's surface.
@@ -175,6 +176,8 @@ def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float
         tool: `ToolGeometry`.
         local: (3, V) the organ's vertices in the tool's frame [u].
         triangles: (T, 3).
+        pair: Index of the tool and the organ among all pairs. If `scratch.listed` is of this pair, what comes near the
+            tool, and how near its corners, is known.
         known: A depth that there is elsewhere [u].
         scratch: `Scratch`.
 
@@ -183,19 +186,27 @@ def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float
     """
     corners, extent, turned = tool.corners, tool.extent, scratch.turned
     greatest, reach = known, SUNK * extent[7]
-    nearest, near, boxes, away = scratch.nearest, scratch.near, scratch.boxes, scratch.away
-    found = list_near(extent, local, triangles, reach, near, scratch.codes)
+    nearest, near, boxes, away, listed = scratch.nearest, scratch.near, scratch.boxes, scratch.away, scratch.listed
+    found, is_listed, distances = listed[1], listed[0] == pair, scratch.corner_distances
+    if not is_listed:
+        listed[0] = NO_PAIR
+        found = list_near(extent, local, triangles, reach, near, scratch.codes)
+        fill_boxes(local, triangles, near, found, boxes)
     if found == 0 and not encloses(local, triangles, corners[0, 0], corners[0, 1], corners[0, 2], turned):
         # No surface is near the tool: it is outside as a whole.
         return known
-    fill_boxes(local, triangles, near, found, boxes)
     for k in range(corners.shape[0]):
         x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
-        t = find_nearest(local, triangles, near, found, x, y, z, np.inf, boxes, away, nearest)
-        if (t < 0 or nearest[0] < -greatest) and encloses(local, triangles, x, y, z, turned):
+        if is_listed and np.isfinite(distances[k]):
+            distance = distances[k]
+        else:
+            t = find_nearest(local, triangles, near, found, x, y, z, np.inf, boxes, away, nearest)
+            distance = nearest[0] if t >= 0 else -np.inf
+        if distance < -greatest and encloses(local, triangles, x, y, z, turned):
             # Beyond `reach` another triangle than those near the tool may be the nearest.
-            if t < 0 or nearest[0] < -reach:
+            if distance < -reach:
                 fill_boxes(local, triangles, near, -1, scratch.other_boxes)
                 find_nearest(local, triangles, near, -1, x, y, z, np.inf, scratch.other_boxes, away, nearest)
-            greatest = max(greatest, abs(nearest[0]))
+                distance = nearest[0]
+            greatest = max(greatest, abs(distance))
     return surface_depth(tool, local, triangles, found, greatest, scratch)

@@ -33,11 +33,12 @@ class IslandRoom(NamedTuple):
 
 
 @inline_kernel
-def make_island_room(tool_count: int, vertex_count: int) -> IslandRoom:
-    """An `IslandRoom` for so many tools and vertices."""
+def island_room(step: Any, tool_count: int, vertex_count: int) -> IslandRoom:
+    """The `IslandRoom` for so many tools and vertices in a `StepRoom`."""
+    islands = step.islands
     return IslandRoom(
-        np.zeros(tool_count + 2, np.int64), np.full(vertex_count, -1), np.empty(tool_count + 1, np.int64),
-        np.empty(tool_count + 1, np.int64),
+        islands[0, : tool_count + 2], step.holders[:vertex_count], islands[1, : tool_count + 1],
+        islands[2, : tool_count + 1],
     )  # fmt: skip
 
 

@@ -217,12 +217,16 @@ def tool_pressures(
     nodes, normals, face, areas = shape.nodes, shape.normals, shape.face, shape.areas
     rows, features = world.constraints.table.rows, world.constraints.table.features
     count, organs = nodes.shape[0], world.first_vertices.shape[0]
-    touching = np.zeros(count, np.bool_)
+    room = world.room.spread
+    touching, shares, rotation, point, impulse = (
+        room.touching[:count], room.shares[:count], room.rotation, room.point, room.impulse,
+    )  # fmt: skip
+    for i in range(count):
+        touching[i] = False
     for organ in range(organs):
         flags = world.memories[tool * organs + organ].nodes.flags
         for i in range(count):
             touching[i] |= flags[i]
-    rotation, shares, point, impulse = np.empty(9), np.empty(count), np.empty(3), np.empty(3)
     fill_rotation(orientation, 1.0, rotation)
     for i in range(count):
         pressures[i] = 0.0

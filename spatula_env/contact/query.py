@@ -44,7 +44,7 @@ from spatula_env.contact.settings import (
     ORGAN_FRICTION,
     PENETRATION,
 )
-from spatula_env.contact.structures import DISPLACEMENT, Placement, reserve
+from spatula_env.contact.structures import DISPLACEMENT, NO_PAIR, Placement, reserve
 from spatula_env.contact.sunk import gather_sunk_triangles
 
 POSITION_TOLERANCE = 3e-5
@@ -150,6 +150,8 @@ class QueryPlan(NamedTuple):
         is_only: Whether this is the step's only query.
         is_last: Whether it is its last.
         predicts: Whether the organs are expected where contact put them in the last step.
+        helps_sunk: Whether an organ that is still in a tool is helped by where it is. Not so before a divided step's
+            last query: what comes next shows by its way where it came in.
         sweeps: Most sweeps in a solve.
         relaxation: Factor on what a sweep changes.
     """
@@ -159,6 +161,7 @@ class QueryPlan(NamedTuple):
     is_only: bool
     is_last: bool
     predicts: bool
+    helps_sunk: bool
     sweeps: int
     relaxation: float
 
@@ -285,7 +288,8 @@ def detect(world: Any, plan: Any, tools: Any, points: Any) -> int:
     Returns:
         0; otherwise what `raycast.cast_columns` returned.
     """
-    organ_count, axes, normal = len(world.surfaces), world.room.scratch.axes, world.room.scratch.normal
+    organ_count, scratch = len(world.surfaces), world.room.scratch
+    axes, normal = scratch.axes, scratch.normal
     tools.quiet[:] = False
     for k in range(tools.position.shape[0]):
         shape, friction = world.tools[k], world.friction[k]
@@ -332,6 +336,7 @@ def _append_contacts(
         position, rotation, tools.linear_velocity[k], tools.angular_velocity[k], met.friction, k, first
     )
     before, least = count, count + tool.nodes.shape[0] + (triangles.shape[0] if sinks else 0)
+    scratch.listed[0] = NO_PAIR
     for look in range(2):
         if attempt > 0 or plan.predicts:
             fill_local(position, rotation, points.vertices if look == 0 else points.thrown, first, organ.local)
@@ -341,9 +346,10 @@ def _append_contacts(
             return -int(wanted)
         if found > 0:
             count = gather_features(
-                table, count, tool, organ, triangles, found, placement, attempt > 0 and (plan.is_last or not plan.is_divided), attempt,
+                table, count, tool, organ, triangles, found, placement, attempt > 0 and plan.helps_sunk, attempt,
                 tried, trial, scratch,
             )  # fmt: skip
+            scratch.listed[0] = met.pair
         # Where less was thrown into the tool than expected, it is looked where that really is.
         if attempt > 0 or not plan.predicts or count > before:
             break
@@ -424,10 +430,13 @@ def gather_contacts(world: Any, plan: Any, tools: Any, points: Any, progress: An
 
 
 @inline_kernel
-def measure_tools(world: Any, plan: Any, tools: Any, vertices: np.ndarray, attempt: int) -> float:
+def measure_tools(
+    world: Any, plan: Any, tools: Any, vertices: np.ndarray, attempt: int, is_placed: bool = False
+) -> float:
     """How deep tools and organs are in each other [u], where vertices (V, 3) are: what is allowed if it is no more.
 
-    Between queries it is enough to know that it is not too deep.
+    Between queries it is enough to know that it is not too deep. If contacts have just been looked for where the
+    vertices are, in a later pass than the first, the organs are placed beside the tools already (`is_placed`).
     """
     organ_count = len(world.surfaces)
     for k in range(tools.position.shape[0]):
@@ -436,8 +445,9 @@ def measure_tools(world: Any, plan: Any, tools: Any, vertices: np.ndarray, attem
             tools.looked_at[index] = tools.passes[k] and (attempt > 0 or not tools.quiet[index])
     allowed = 0.0 if plan.is_last else RESIDUAL_TOLERANCE
     depth: float = depth_of_tools(
-        world, tools.position.shape[0], tools.looked_at, tools.position, tools.rotation, vertices, allowed
-    )
+        world, tools.position.shape[0], tools.looked_at, tools.position, tools.rotation, vertices, allowed,
+        is_placed,
+    )  # fmt: skip
     return depth
 
 
@@ -494,8 +504,8 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
     near, attempt, vertices = world.near, progress.attempt, points.vertices
     with_features = plan.first_step != 0
     if with_features:
-        progress.depth = measure_tools(world, plan, tools, vertices, attempt)
-    if (plan.is_last or not plan.is_divided) and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
+        progress.depth = measure_tools(world, plan, tools, vertices, attempt, True)
+    if plan.helps_sunk and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
         # Rows are missing, or could not be kept.
         progress.sinks = progress.sinks or settled or progress.depth > SUNK_DEPTH
         if progress.depth < progress.least:
@@ -580,7 +590,7 @@ def resolve_query(
     progress: Any,
     room: Any,
     numbers: np.ndarray,
-) -> int:
+) -> tuple[int, int, np.ndarray]:
     """Find and solve for the contacts of a query, pass after pass.
 
     Args:
@@ -593,10 +603,9 @@ def resolve_query(
         numbers: Columns of the result; penetration is written.
 
     Returns:
-        How many constraints there are.
+        How many constraints there are, how many islands of them, and their order (C,); see `islands.find_islands`.
     """
     inverse_mass, mean, tool_count = world.inverse_mass, world.settings[MEAN_INVERSE_MASS], tools.position.shape[0]
-    count = 0
     copy_points(points.reference, points.held)
     for attempt in range(MOST_LOOKS):
         progress.attempt = attempt
@@ -614,4 +623,4 @@ def resolve_query(
         solve_contacts(world, plan, points, progress, count, islands, order, room.starts)
         if not plan.is_last:
             progress.passed = note_passed(count, progress.passed, table, world.earlier.table, tools.position)
-    return count
+    return count, islands, order

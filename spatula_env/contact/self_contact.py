@@ -341,7 +341,7 @@ def _append_pairs(
         is_tangled: Whether organs cross.
         mean_edge: As in `gather_organs`, as the next.
         friction: See there.
-        room: (10, 9) workspace.
+        room: (10, 9) workspace, of zeros where nobody has written.
         table: `ConstraintTable`.
         count: How many constraints there are.
 
@@ -472,7 +472,7 @@ def gather_organs(
         return count
     if afresh:
         forget_gaps(near)
-    room = np.zeros((10, 9))
+    room = near.room
     for kind in range(2):
         if near.counts[EDGE_PAIRS if kind == 1 else VERTEX_PAIRS] > 0:
             count = _gather_pairs(

@@ -80,6 +80,7 @@ class Near(structref.StructRefProxy):
         order (P,): patches by where they begin along x.
         crossing (2,): for how long organs have crossed themselves or each other [s]; in how many places.
         tangled (V,): whether a vertex belongs to what crosses.
+        room (10, 9): workspace of `self_contact.gather_organs`.
     """
 
 
@@ -127,6 +128,7 @@ NEAR_FIELDS = [
     ("order", ARRAYS["i4"]),
     ("crossing", ARRAYS["f8"]),
     ("tangled", ARRAYS["b1"]),
+    ("room", ARRAYS["f8_2"]),
 ]
 structref.define_proxy(Skin, SkinType, [name for name, _ in SKIN_FIELDS])
 structref.define_proxy(Near, NearType, [name for name, _ in NEAR_FIELDS])
@@ -169,7 +171,7 @@ def make_near(skin: Any) -> Any:
         np.zeros(6, np.int64),
         np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3), np.zeros(vertices),
         np.zeros(vertices), np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32),
-        np.zeros(2), np.zeros(vertices, np.bool_),
+        np.zeros(2), np.zeros(vertices, np.bool_), np.zeros((10, 9)),
     )  # fmt: skip
 
 

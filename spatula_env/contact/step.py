@@ -13,7 +13,7 @@ from spatula_env.contact.depth import pair_depth
 from spatula_env.contact.edge_depth import depth_of_edges, edge_depth
 from spatula_env.contact.energy import keep_passive
 from spatula_env.contact.flags import fill_local, fill_rotation
-from spatula_env.contact.islands import find_islands, make_island_room
+from spatula_env.contact.islands import find_islands, island_room
 from spatula_env.contact.motion import (
     MOTIONS,
     ORGAN_MOTION,
@@ -56,7 +56,7 @@ from spatula_env.contact.settings import (
     RESIDUAL,
     STOPPED,
 )
-from spatula_env.contact.structures import IMPULSE, WORLD_CONTACTS, reserve
+from spatula_env.contact.structures import IMPULSE, NO_PAIR, WORLD_CONTACTS, reserve
 
 F8_2 = ARRAYS["f8_2"]
 
@@ -223,13 +223,16 @@ def divide_step(world: Any, motions: Any, organs: Any, way: float, passes: np.nd
 
 
 @inline_kernel
-def make_tools(world: Any, motions: Any, passes: np.ndarray) -> tuple[Any, float]:
-    """`QueryTools` at the start of a step, and the greatest speed of any tool [u/s]."""
+def make_tools(world: Any, step: Any, motions: Any, passes: np.ndarray) -> tuple[Any, float]:
+    """`QueryTools` at the start of a step, in a `StepRoom`, and the greatest speed of any tool [u/s]."""
     count, pairs = passes.shape[0], passes.shape[0] * len(world.surfaces)
+    vectors, rotations = step.vectors, step.rotations
     tools = QueryTools(
-        np.empty((count, 3)), np.empty((count, 9)), np.empty((count, 3)), np.empty((count, 9)), np.empty((count, 3)),
-        np.empty((count, 3)), passes, np.zeros(pairs, np.bool_), np.zeros(pairs, np.bool_),
+        vectors[0, :count], rotations[0, :count], vectors[1, :count], rotations[1, :count], vectors[2, :count],
+        vectors[3, :count], passes, step.pairs[0, :pairs], step.pairs[1, :pairs],
     )  # fmt: skip
+    for index in range(pairs):
+        tools.quiet[index] = tools.looked_at[index] = False
     fastest, greatest = 0.0, COURANT_LIMIT * world.settings[MEAN_EDGE] / world.settings[DT]
     for k in range(count):
         speed = greatest_speed(
@@ -259,26 +262,31 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
         The greatest depth [u].
     """
     deepest, rotation, scratch = 0.0, np.empty(9), world.room.scratch
+    scratch.listed[0] = NO_PAIR
     organ_count = len(world.surfaces)
     for k in range(len(world.tools)):
         fill_rotation(orientations[k], 1.0, rotation)
         for o in range(organ_count):
             local = world.memories[k * organ_count + o].organ.local
             fill_local(positions[k], rotation, vertices, world.first_vertices[o], local)
-            deepest = pair_depth(world.tools[k].geometry, local, world.surfaces[o], deepest, scratch)
+            deepest = pair_depth(world.tools[k].geometry, local, world.surfaces[o], 0, deepest, scratch)
             deepest = edge_depth(world.tools[k].geometry, local, world.surfaces[o], deepest, scratch)
     return deepest
 
 
 @inline_kernel
-def _begin_ways(start: np.ndarray, expected: np.ndarray, vertices: np.ndarray, queries: int) -> np.ndarray:
+def _begin_ways(
+    start: np.ndarray, expected: np.ndarray, vertices: np.ndarray, queries: int, predicts: bool
+) -> np.ndarray:
     """Put vertices (V, 3) where the first query looks, before it moves them on. Returns the way of a divided step."""
     if queries > 1:
         # First, as the vertices may be where they are expected.
         ways: np.ndarray = expected - start
         copy_points(start, vertices)
         return ways
-    copy_points(expected, vertices)
+    if predicts:
+        # Else they are where they are expected.
+        copy_points(expected, vertices)
     return start
 
 
@@ -310,8 +318,15 @@ def _parts_done(queries: int, organ_parts: int, tool_parts: int) -> tuple[float,
 
 @inline_kernel
 def solve_impulses(
-    world: Any, plan: Any, count: int, tried: int, velocities: np.ndarray, room: Any, tool_count: int
-) -> None:  # fmt: skip
+    world: Any,
+    plan: Any,
+    count: int,
+    tried: int,
+    velocities: np.ndarray,
+    islands: int,
+    order: np.ndarray,
+    starts: np.ndarray,
+) -> None:
     """Give the organs the impulses that stop their surfaces at what they touch.
 
     Args:
@@ -320,8 +335,9 @@ def solve_impulses(
         count: How many constraints there are.
         tried: How many pushed in the last position solve.
         velocities: (V, 3) changed [u/s].
-        room: `IslandRoom`.
-        tool_count: N.
+        islands: How many islands of constraints, see `islands.find_islands`, as the next two.
+        order: (C,).
+        starts: (N + 2,).
     """
     table, inverse_mass, dt, sweeps = world.constraints.table, world.inverse_mass, world.settings[DT], plan.sweeps
     rows, features = table.rows, table.features
@@ -331,8 +347,6 @@ def solve_impulses(
         start_warm(count, table, IMPULSE, tried, world.trial.table, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
         sweeps = MOST_SWEEPS_VELOCITY
-    order, starts = np.empty(count, np.int64), room.starts
-    islands = find_islands(count, features, inverse_mass, tool_count, order, room)
     solve_velocities(order[: starts[0]], rows, features, inverse_mass, velocities, dt, 1, VELOCITY_TOLERANCE)
     for island in range(islands):
         solve_velocities(
@@ -347,6 +361,8 @@ def _finish_step(
     plan: Any,
     progress: Any,
     count: int,
+    islands: int,
+    order: np.ndarray,
     motions: Any,
     organs: Any,
     outcome: Any,
@@ -367,7 +383,10 @@ def _finish_step(
     measure_gaps(
         count, table.rows, table.features, world.inverse_mass, world.settings[MEAN_INVERSE_MASS], organs.vertices
     )
-    solve_impulses(world, plan, count, tried, organs.velocities, room, tool_count)
+    if order.shape[0] < count:
+        order = np.empty(count, np.int64)
+        islands = find_islands(count, table.features, world.inverse_mass, tool_count, order, room)
+    solve_impulses(world, plan, count, tried, organs.velocities, islands, order, room.starts)
     numbers[CONTACT_COUNT] = count
     sum_impulses(
         count, table.rows, table.features, tool_count, motions.positions, organs.vertices, outcome.nodal_impulses,
@@ -413,6 +432,32 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
     return before
 
 
+@inline_kernel
+def _end_ways(
+    world: Any, plan: Any, tools: Any, motions: Any, organs: Any, progress: Any, crossings: float, way: float
+) -> float:  # fmt: skip
+    """Measure the tools' edges as well at the end of a step, and stop the tools if they are too deep.
+
+    Args:
+        world: `WorldContacts`.
+        plan: `QueryPlan` of the step's last query.
+        tools: `QueryTools`.
+        motions: `Motions`; written if the tools are stopped, as the next.
+        organs: `OrganMotion`.
+        progress: `QueryProgress`; its depth is written.
+        crossings: In how many places organs crossed before the step.
+        way: How far any point of a tool goes in the step [u].
+
+    Returns:
+        1 if the tools were stopped, otherwise 0.
+    """
+    depth = depth_of_edges(world, tools.position, tools.rotation, organs.vertices, progress.depth)
+    progress.depth = depth
+    if plan.first_step != 0 and depth > STOPPING_DEPTH and way <= STOPPING_WAY * world.settings[MEAN_EDGE]:
+        progress.depth = stop_tools(world, plan, tools, motions, organs, crossings, depth)
+    return 1.0 if progress.depth < depth else 0.0
+
+
 @kernel(types.int64(WORLD_CONTACTS, types.int64, MOTIONS, ORGAN_MOTION, STEP_OUTCOME))
 def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome: Any) -> int:
     """Resolve all contacts at the end of a step.
@@ -440,7 +485,8 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     way = largest_shift(start, vertices)
     if not way < FARTHEST:
         return NOT_FINITE
-    passes, predicted = np.zeros(tool_count, np.bool_), np.empty_like(vertices)
+    step, vertex_count = world.room.step, vertices.shape[0]
+    passes, predicted = step.passes[:tool_count], step.points[0, :vertex_count]
     division = divide_step(world, motions, organs, way, passes, predicted)
     expected = predicted if division.predicts else vertices
     parts, organ_parts = division.by_tools, division.by_organs
@@ -452,13 +498,13 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             warm_count[0], world.warm.table,
         )  # fmt: skip
     reference, crossings = start, near.crossing[skin.CROSSINGS]
-    shift = _begin_ways(start, expected, vertices, queries)
-    tools, fastest = make_tools(world, motions, passes)
+    shift = _begin_ways(start, expected, vertices, queries, division.predicts)
+    tools, fastest = make_tools(world, step, motions, passes)
     sweeps, relaxation = _effort(queries, fastest * dt)
-    held, kept, axes = np.empty_like(start), np.empty_like(start), world.room.scratch.axes
-    room = make_island_room(tool_count, vertices.shape[0])
-    plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, sweeps, relaxation)
-    progress, count, organ_done = begin_query(near, 0, 0), 0, 0.0
+    held, kept = step.points[2, :vertex_count], step.points[3, :vertex_count]
+    room = island_room(step, tool_count, vertex_count)
+    plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, True, sweeps, relaxation)
+    progress, organ_done = begin_query(near, 0, 0), 0.0
     for query in range(queries):
         organ_part, tool_part = _parts_done(query + 1, organ_parts, parts)
         if queries > 1:
@@ -469,26 +515,27 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         # The flags are decided where the organs would be without contact, as published.
         thrown = vertices
         if division.predicts and is_last:
-            thrown = np.empty_like(vertices)
+            thrown = step.points[1, :vertex_count]
             fill_thrown(vertices, organs.free_vertices, expected, thrown)
-        pose_tools(motions, tool_part, tools, axes)
-        plan = QueryPlan(first_step, parts > 1, queries == 1, is_last, division.predicts, sweeps, relaxation)
+        pose_tools(motions, tool_part, tools, step.orientation)
+        helps_sunk = is_last or parts == 1
+        plan = QueryPlan(
+            first_step, parts > 1, queries == 1, is_last, division.predicts, helps_sunk, sweeps, relaxation
+        )
         points = QueryPoints(vertices, reference, thrown, held, kept)
         status = detect(world, plan, tools, points)
         if status != 0:
             return status
-        progress = begin_query(near, progress.tried, progress.passed)
-        count = resolve_query(world, plan, tools, points, progress, room, numbers)
+        if query > 0:
+            progress = begin_query(near, progress.tried, progress.passed)
+        count, islands, order = resolve_query(world, plan, tools, points, progress, room, numbers)
         if not is_last:
             sum_passed(progress.passed, world.earlier.table)
             remember_sides(near, progress.tried, world.trial.table)
         remember_poses(tools)
     if first_step == 0:
         progress.depth = measure_tools(world, plan, tools, vertices, 0)
-    progress.depth = depth_of_edges(world, tools.position, tools.rotation, vertices, progress.depth)
-    if first_step != 0 and progress.depth > STOPPING_DEPTH and fastest * dt <= STOPPING_WAY * mean_edge:
-        depth = stop_tools(world, plan, tools, motions, organs, crossings, progress.depth)
-        numbers[STOPPED], progress.depth = 1.0 if depth < progress.depth else 0.0, depth
+    numbers[STOPPED] = _end_ways(world, plan, tools, motions, organs, progress, crossings, fastest * dt)
     numbers[RESIDUAL] = progress.depth
-    _finish_step(world, plan, progress, count, motions, organs, outcome, room)
+    _finish_step(world, plan, progress, count, islands, order, motions, organs, outcome, room)
     return 0

@@ -192,6 +192,9 @@ class Scratch(NamedTuple):
         codes: (V,) see `LocalOrgan`.
         turned: (3, V) an organ along a line.
         axes: (9,) of a group of rays.
+        listed: (2,) of which pair of a tool and an organ, counted tool by tool, `near` and `boxes` are, where the organ
+            was last brought into the tool's frame, or `NO_PAIR`; and how many triangles that is.
+        corner_distances: (K,) of corners from that pair's organ, negative inside; infinite where not known [u].
     """
 
     heights: np.ndarray
@@ -215,6 +218,50 @@ class Scratch(NamedTuple):
     codes: np.ndarray
     turned: np.ndarray
     axes: np.ndarray
+    listed: np.ndarray
+    corner_distances: np.ndarray
+
+
+class StepRoom(NamedTuple):
+    """Workspace of a step, for up to N tools, M pairs of a tool and an organ, and V vertices of all organs.
+
+    Attributes:
+        points: (4, V, 3) where vertices are expected, thrown, held and kept, see `step` and `query.QueryPoints`.
+        vectors: (4, N, 3) of `query.QueryTools`: both positions and both velocities.
+        rotations: (2, N, 9) of `query.QueryTools`.
+        passes: (N,) of `query.QueryTools`.
+        pairs: (2, M) of `query.QueryTools`: what is quiet and what is looked at.
+        islands: (3, N + 2) of `islands.IslandRoom`: starts, parents and sizes.
+        holders: (V,) of `islands.IslandRoom`, all -1 between two steps.
+        orientation: (4,) of one tool.
+    """
+
+    points: np.ndarray
+    vectors: np.ndarray
+    rotations: np.ndarray
+    passes: np.ndarray
+    pairs: np.ndarray
+    islands: np.ndarray
+    holders: np.ndarray
+    orientation: np.ndarray
+
+
+class SpreadRoom(NamedTuple):
+    """Workspace of `pressure.tool_pressures`, for a tool of up to n contact nodes.
+
+    Attributes:
+        touching: (n,) nodes in contact with any organ.
+        shares: (n,) of a push.
+        rotation: (9,) of the tool.
+        point: (3,) where a push acts, tool frame [u].
+        impulse: (3,) of a push, tool frame [kg u/s].
+    """
+
+    touching: np.ndarray
+    shares: np.ndarray
+    rotation: np.ndarray
+    point: np.ndarray
+    impulse: np.ndarray
 
 
 def _arrays(kind: Any, *elements: str) -> Any:
@@ -283,8 +330,12 @@ class Constraints(structref.StructRefProxy):
 class ScratchRoom(structref.StructRefProxy):
     """Room for the workspace of kernels, which worlds that are queried one after the other share.
 
+    Making arrays anew in every step would take longer than much of what is done with them.
+
     Fields:
         scratch: `Scratch`.
+        step: `StepRoom`.
+        spread: `SpreadRoom`.
     """
 
 
@@ -316,6 +367,9 @@ FRICTION, INERTIA, GAP, DISPLACEMENT, IMPULSE = 15, 16, 17, 18, 21
 ROW_LENGTH = 24
 FOURTH, OWNER, PLANE, FEATURE_LENGTH = 3, 4, 5, 6
 
+NO_PAIR = -1
+"""In the place of a pair's index in `Scratch.listed`: none."""
+
 NO_VERTEX = -1
 """In the place of a fourth vertex: none. The constrained point is one of the organ and kept from a plane."""
 
@@ -328,13 +382,15 @@ structref.define_proxy(Constraints, ConstraintsType, ["table"])
 TOOL = ToolShapeType([("geometry", TOOL_GEOMETRY), ("rays", RAY_LINES)])
 MEMORY = PairMemoryType([("nodes", NODE_MEMORY), ("organ", LOCAL_ORGAN)])
 CONSTRAINTS = ConstraintsType([("table", CONSTRAINT_TABLE)])
-structref.define_proxy(ScratchRoom, ScratchRoomType, ["scratch"])
+structref.define_proxy(ScratchRoom, ScratchRoomType, ["scratch", "step", "spread"])
 SCRATCH = _arrays(
     Scratch,
     *("f8_2", "f8_2", "f8_2", "f8_2", "f8_2", "f8", "f8", "b1", "f8", "f8", "f8", "f8_2", "f8", "i4", "i4"),
-    *("f8_2", "f8_2", "f8", "u1", "f8_2", "f8"),
+    *("f8_2", "f8_2", "f8", "u1", "f8_2", "f8", "i8", "f8"),
 )
-ROOM = ScratchRoomType([("scratch", SCRATCH)])
+STEP_ROOM = _arrays(StepRoom, "f8_3", "f8_3", "f8_3", "b1", "b1_2", "i8_2", "i8", "f8")
+SPREAD_ROOM = _arrays(SpreadRoom, "b1", "f8", "f8", "f8", "f8")
+ROOM = ScratchRoomType([("scratch", SCRATCH), ("step", STEP_ROOM), ("spread", SPREAD_ROOM)])
 TOOLS = types.ListType(TOOL)
 MEMORIES = types.ListType(MEMORY)
 SURFACE = ARRAYS["i4_2"]
@@ -401,14 +457,27 @@ def _make_scratch(planes: int, corners: int, vertices: int, triangles: int) -> A
         np.empty(3), np.empty(3), np.empty((3, 3)), np.empty(4), np.empty(triangles, np.int32),
         np.empty(triangles, np.int32),
         np.empty((6, triangles)), np.empty((6, triangles)), np.empty(triangles), np.empty(vertices, np.uint8),
-        np.empty((3, vertices)), np.empty(9),
+        np.empty((3, vertices)), np.empty(9), np.full(2, NO_PAIR), np.empty(corners),
     )  # fmt: skip
+
+
+@inline_kernel
+def _make_step_room(tools: int, pairs: int, vertices: int) -> Any:
+    return StepRoom(
+        np.empty((4, vertices, 3)), np.empty((4, tools, 3)), np.empty((2, tools, 9)), np.empty(tools, np.bool_),
+        np.empty((2, pairs), np.bool_), np.empty((3, tools + 2), np.int64), np.full(vertices, -1), np.empty(4),
+    )  # fmt: skip
+
+
+@inline_kernel
+def _make_spread_room(nodes: int) -> Any:
+    return SpreadRoom(np.empty(nodes, np.bool_), np.empty(nodes), np.empty(9), np.empty(3), np.empty(3))
 
 
 @kernel(ROOM())
 def make_room() -> Any:
     """A `ScratchRoom` without any room."""
-    return ScratchRoom(_make_scratch(0, 0, 0, 0))
+    return ScratchRoom(_make_scratch(0, 0, 0, 0), _make_step_room(0, 0, 0), _make_spread_room(0))
 
 
 @kernel(types.void(WORLD_CONTACTS))
@@ -416,9 +485,12 @@ def fit_room(world: Any) -> None:
     """Have the workspace of a world be large enough for all of its tools and organs."""
     scratch, vertices = world.room.scratch, world.inverse_mass.shape[0]
     planes, corners, triangles = scratch.under.shape[0], scratch.corner_heights.shape[0], scratch.near.shape[0]
+    step, nodes = world.room.step, 0
+    tools, pairs = max(len(world.tools), step.passes.shape[0]), max(len(world.memories), step.pairs.shape[1])
     fits = vertices <= scratch.codes.shape[0]
     for k in range(len(world.tools)):
         tool = world.tools[k].geometry
+        nodes = max(nodes, tool.nodes.shape[0])
         fits &= tool.plane_offsets.shape[0] <= planes and tool.corners.shape[0] <= corners
         planes, corners = max(planes, tool.plane_offsets.shape[0]), max(corners, tool.corners.shape[0])
     for o in range(len(world.surfaces)):
@@ -426,6 +498,11 @@ def fit_room(world: Any) -> None:
         triangles = max(triangles, world.surfaces[o].shape[0])
     if not fits:
         world.room.scratch = _make_scratch(planes, corners, max(vertices, scratch.codes.shape[0]), triangles)
+    vertices = max(vertices, step.holders.shape[0])
+    if tools > step.passes.shape[0] or pairs > step.pairs.shape[1] or vertices > step.holders.shape[0]:
+        world.room.step = _make_step_room(tools, pairs, vertices)
+    if nodes > world.room.spread.shares.shape[0]:
+        world.room.spread = _make_spread_room(nodes)
 
 
 @array_kernel
