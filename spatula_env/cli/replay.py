@@ -155,6 +155,8 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             }
         )
     else:
+        # Means of what the hand did lead elsewhere, and how far is what was asked.
+        differs = "by means" if chosen.mean_actions else "DIFFERS"
         rows = [["episode", "steps", "difference [u]", "reward", "success", ""]]
         for each in results:
             rows.append(
@@ -164,12 +166,13 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
                     "not recorded" if math.isnan(each.difference) else f"{each.difference:.1e}",
                     f"{each.reward_difference:.1e}",
                     "yes" if each.success else "no",
-                    "as recorded" if each.matches else "DIFFERS",
+                    "as recorded" if each.matches else differs,
                 ]
             )
         print_table(rows, right=(0, 1, 2, 3))
         found = "no states were recorded" if not differences else f"greatest difference {greatest:.3g} u"
-        say(f"{found}; {len(results)} episodes, tolerance {tolerance:g} u")
+        ending = "how far means of the actions lead from it" if chosen.mean_actions else f"tolerance {tolerance:g} u"
+        say(f"{found}; {len(results)} episodes, {ending}")
     if chosen.mean_actions:
         return 0
     if not good:

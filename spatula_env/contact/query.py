@@ -150,8 +150,6 @@ class QueryPlan(NamedTuple):
         is_only: Whether this is the step's only query.
         is_last: Whether it is its last.
         predicts: Whether the organs are expected where contact put them in the last step.
-        helps_sunk: Whether an organ that is still in a tool is helped by where it is. Not so before a divided step's
-            last query: what comes next shows by its way where it came in.
         sweeps: Most sweeps in a solve.
         relaxation: Factor on what a sweep changes.
     """
@@ -161,7 +159,6 @@ class QueryPlan(NamedTuple):
     is_only: bool
     is_last: bool
     predicts: bool
-    helps_sunk: bool
     sweeps: int
     relaxation: float
 
@@ -346,8 +343,8 @@ def _append_contacts(
             return -int(wanted)
         if found > 0:
             count = gather_features(
-                table, count, tool, organ, triangles, found, placement, attempt > 0 and plan.helps_sunk, attempt,
-                tried, trial, scratch,
+                table, count, tool, organ, triangles, found, placement, attempt > 0 and (sinks or not plan.is_divided),
+                attempt, tried, trial, scratch,
             )  # fmt: skip
             scratch.listed[0] = met.pair
         # Where less was thrown into the tool than expected, it is looked where that really is.
@@ -496,6 +493,15 @@ def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any,
 
 
 @inline_kernel
+def _allowed_depth(plan: Any) -> float:
+    """How deep an organ may be left in a tool before it is helped by where it is [u]."""
+    if not plan.is_divided:
+        return RESIDUAL_TOLERANCE
+    # What comes next shows by its way where it came in; at the end of a way nothing comes any more.
+    return SUNK_DEPTH if plan.is_last else np.inf
+
+
+@inline_kernel
 def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settled: bool) -> bool:
     """Whether contacts are looked for again, although they hold (`settled`) or it was tried often enough.
 
@@ -505,7 +511,7 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
     with_features = plan.first_step != 0
     if with_features:
         progress.depth = measure_tools(world, plan, tools, vertices, attempt, True)
-    if plan.helps_sunk and progress.depth > RESIDUAL_TOLERANCE and progress.tries < MOST_SUNK:
+    if progress.depth > _allowed_depth(plan) and progress.tries < MOST_SUNK:
         # Rows are missing, or could not be kept.
         progress.sinks = progress.sinks or settled or progress.depth > SUNK_DEPTH
         if progress.depth < progress.least:

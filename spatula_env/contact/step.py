@@ -21,6 +21,7 @@ from spatula_env.contact.motion import (
     copy_points,
     largest_shift,
     tool_passes,
+    turn_between,
 )
 from spatula_env.contact.multipliers import (
     add_passed,
@@ -98,6 +99,15 @@ STOPPING_DEPTH = 8e-3
 
 STOPPING_WAY = 0.5
 """That is, unless a point of a tool goes farther than this in the step, in mean edges of the organ."""
+
+SLOWING = 0.25
+"""Part of its pace that a stop leaves to the hand,"""
+
+SPEEDING = 2.0
+"""and factor by which it grows again in each step without one."""
+
+SLOWEST = 2.0**-8
+"""Least pace."""
 
 FARTHEST = 1e9
 """An organ of which a vertex goes farther than this in a step has flown apart [u]."""
@@ -397,6 +407,31 @@ def _finish_step(
 
 
 @inline_kernel
+def slow_tools(world: Any, motions: Any) -> None:
+    """Have the tools go a part of their ways alone, after a step that has stopped them.
+
+    Away from where it was stopped, a hand that goes as fast as before may be stopped again and again, as a step that is
+    too long for the organ to follow leaves it too deep as well. Shorter ones let it out.
+
+    Args:
+        world: `WorldContacts`.
+        motions: `Motions`; their ends and velocities are written if the pace is less than 1.
+    """
+    pace, turned = world.pace[0], world.room.step.orientation
+    if pace == 1.0:
+        return
+    for k in range(motions.positions.shape[0]):
+        turn_between(motions.start_orientations[k], motions.orientations[k], pace, turned)
+        for entry in range(4):
+            motions.orientations[k, entry] = turned[entry]
+        for axis in range(3):
+            start = motions.start_positions[k, axis]
+            motions.positions[k, axis] = start + pace * (motions.positions[k, axis] - start)
+            motions.linear_velocities[k, axis] *= pace
+            motions.angular_velocities[k, axis] *= pace
+
+
+@inline_kernel
 def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, crossings: float, depth: float) -> float:
     """Have tools and organs stay where they were before the step, if they end it deeper in each other than they were.
 
@@ -436,7 +471,7 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
 def _end_ways(
     world: Any, plan: Any, tools: Any, motions: Any, organs: Any, progress: Any, crossings: float, way: float
 ) -> float:  # fmt: skip
-    """Measure the tools' edges as well at the end of a step, and stop the tools if they are too deep.
+    """Measure the tools' edges as well at the end of a step, and stop the tools if they are too deep; see `slow_tools`.
 
     Args:
         world: `WorldContacts`.
@@ -449,13 +484,18 @@ def _end_ways(
         way: How far any point of a tool goes in the step [u].
 
     Returns:
-        1 if the tools were stopped, otherwise 0.
+        1 if the tools were stopped or slowed, otherwise 0.
     """
     depth = depth_of_edges(world, tools.position, tools.rotation, organs.vertices, progress.depth)
     progress.depth = depth
     if plan.first_step != 0 and depth > STOPPING_DEPTH and way <= STOPPING_WAY * world.settings[MEAN_EDGE]:
         progress.depth = stop_tools(world, plan, tools, motions, organs, crossings, depth)
-    return 1.0 if progress.depth < depth else 0.0
+    pace: float = world.pace[0]
+    if progress.depth < depth:
+        world.pace[0] = max(SLOWEST, SLOWING * pace)
+        return 1.0
+    world.pace[0] = min(SPEEDING * pace, 1.0)
+    return 1.0 if pace < 1.0 else 0.0
 
 
 @kernel(types.int64(WORLD_CONTACTS, types.int64, MOTIONS, ORGAN_MOTION, STEP_OUTCOME))
@@ -466,7 +506,8 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         world: `WorldContacts`; what it remembers is written.
         first_step: Code of the detectors' first step. With 0 there is none, and nothing but flagged nodes makes
             contact: the published method's second step.
-        motions: `Motions` of the tools; of none if only the ground counts. Written if `numbers[STOPPED]` is 1.
+        motions: `Motions` of the tools; of none if only the ground counts. Written if `numbers[STOPPED]` is 1:
+            they were stopped, or slowed after that.
         organs: `OrganMotion`; written.
         outcome: `StepOutcome`; written.
 
@@ -485,6 +526,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     way = largest_shift(start, vertices)
     if not way < FARTHEST:
         return NOT_FINITE
+    slow_tools(world, motions)
     step, vertex_count = world.room.step, vertices.shape[0]
     passes, predicted = step.passes[:tool_count], step.points[0, :vertex_count]
     division = divide_step(world, motions, organs, way, passes, predicted)
@@ -503,7 +545,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     sweeps, relaxation = _effort(queries, fastest * dt)
     held, kept = step.points[2, :vertex_count], step.points[3, :vertex_count]
     room = island_room(step, tool_count, vertex_count)
-    plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, True, sweeps, relaxation)
+    plan = QueryPlan(first_step, parts > 1, queries == 1, queries == 1, division.predicts, sweeps, relaxation)
     progress, organ_done = begin_query(near, 0, 0), 0.0
     for query in range(queries):
         organ_part, tool_part = _parts_done(query + 1, organ_parts, parts)
@@ -518,10 +560,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             thrown = step.points[1, :vertex_count]
             fill_thrown(vertices, organs.free_vertices, expected, thrown)
         pose_tools(motions, tool_part, tools, step.orientation)
-        helps_sunk = is_last or parts == 1
-        plan = QueryPlan(
-            first_step, parts > 1, queries == 1, is_last, division.predicts, helps_sunk, sweeps, relaxation
-        )
+        plan = QueryPlan(first_step, parts > 1, queries == 1, is_last, division.predicts, sweeps, relaxation)
         points = QueryPoints(vertices, reference, thrown, held, kept)
         status = detect(world, plan, tools, points)
         if status != 0:

@@ -358,6 +358,7 @@ class WorldContacts(structref.StructRefProxy):
         skin: `Skin` of all organs.
         near: `Near`: which features of organs are near each other.
         ledger (O, 5): of the energy that the tools put into each organ; see `energy`.
+        pace (1,): part of their ways that the tools go in the next step; 1 unless they were stopped.
         room: `ScratchRoom`, large enough for all tools and organs.
     """
 
@@ -412,6 +413,7 @@ WORLD_FIELDS = [
     ("skin", SKIN),
     ("near", NEAR),
     ("ledger", ARRAYS["f8_2"]),
+    ("pace", ARRAYS["f8"]),
     ("room", ROOM),
 ]
 structref.define_proxy(WorldContacts, WorldContactsType, [name for name, _ in WORLD_FIELDS])
@@ -432,13 +434,13 @@ def _make_memory(nodes: Any, organ: Any) -> Any:
 @kernel(WORLD_CONTACTS(*[kind for _, kind in WORLD_FIELDS]))
 def make_world_contacts(
     tools: Any, memories: Any, surfaces: Any, constraints: Any, earlier: Any, trial: Any, warm: Any,
-    warm_count: Any,    first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, skin: Any,
-    near: Any, ledger: Any, room: Any,
+    warm_count: Any, first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, skin: Any,
+    near: Any, ledger: Any, pace: Any, room: Any,
 ) -> Any:  # fmt: skip
     """A `WorldContacts` of these fields."""
     return WorldContacts(
         tools, memories, surfaces, constraints, earlier, trial, warm, warm_count, first_vertices, friction,
-        settings, inverse_mass, skin, near, ledger, room,
+        settings, inverse_mass, skin, near, ledger, pace, room,
     )  # fmt: skip
 
 

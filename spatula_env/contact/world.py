@@ -75,6 +75,7 @@ class ContactMemory:
         ledger: (O, 5) of the energy that the tools put into each organ; see `energy`.
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
         near: Of organs that are near themselves or each other.
+        pace: Part of their ways that the tools go in the next step.
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
@@ -82,6 +83,7 @@ class ContactMemory:
     ledger: FloatArray
     wrenches: FloatArray
     near: NearMemory
+    pace: float = 1.0
 
 
 def _mean_edge(scene: Scene) -> float:
@@ -125,6 +127,7 @@ class World:
         settings: (10,) by the column names of `settings`.
         inverse_masses: (V,) of the organs' nodes [1/kg].
         ledger: (O, 5) of the energy that the tools put into each organ; see `energy`.
+        pace: (1,) part of their ways that the tools go in the next step; see `step.slow_tools`.
         workspace: Of a query.
         structure: For kernels.
     """
@@ -168,6 +171,7 @@ class World:
             self.settings[settings.GROUND_FRICTION] = scene.ground.friction
         self.set_inverse_masses(inverse_masses)
         self.ledger = np.zeros((len(scene.organs), LEDGER_LENGTH))
+        self.pace = np.ones(1)
         self.workspace = workspace
         self._warm = make_constraints(FIRST_ROOM)
         self._warm_count = np.zeros(1, dtype=np.int64)
@@ -188,6 +192,7 @@ class World:
             skin,
             self._near,
             self.ledger,
+            self.pace,
             workspace.room,
         )
         fit_room(self.structure)
@@ -200,9 +205,10 @@ class World:
         self.settings[settings.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
 
     def forget_solves(self) -> None:
-        """Start the next step's solves from nothing, and count energy anew."""
+        """Start the next step's solves from nothing, count energy anew, and let the tools go all of their ways."""
         self._warm_count[0] = 0
         self.ledger[:] = 0.0
+        self.pace[:] = 1.0
         forget_near(self._near)
 
     def copy_multipliers(self) -> Multipliers:

@@ -24,12 +24,14 @@ class WorldMemory:
         multipliers: From which solves start.
         ledger: Of the energy that the tools put in.
         near: Of organs that are near themselves or each other.
+        pace: Part of their ways that the tools go in the next step.
     """
 
     flags: tuple[BoolArray, ...]
     multipliers: Multipliers
     ledger: FloatArray
     near: NearMemory
+    pace: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ class SimulationState:
                 ledger=memory.ledger,
                 wrenches=np.concatenate([forces, np.zeros_like(forces)], axis=1),
                 near=memory.near,
+                pace=memory.pace,
             ),
             time=float(state.times[world]),
             inner=None if state.inner is None else state.inner[world],
@@ -127,6 +130,7 @@ class SimulationState:
                     multipliers=state.contact.multipliers,
                     ledger=state.contact.ledger,
                     near=state.contact.near,
+                    pace=state.contact.pace,
                 )
                 for state in states
             ),

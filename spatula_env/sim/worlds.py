@@ -756,6 +756,7 @@ class Worlds:
                     multipliers=contact.copy_multipliers(),
                     ledger=contact.ledger.copy(),
                     near=contact.copy_near(),
+                    pace=float(contact.pace[0]),
                 )
                 for contact in (self.contacts[w] for w in indices.tolist())
             ),
@@ -798,6 +799,7 @@ class Worlds:
             contact.restore_multipliers(remembered.multipliers)
             contact.restore_near(remembered.near, mine.nodes[w])
             contact.ledger[:] = remembered.ledger
+            contact.pace[0] = remembered.pace
             contact.admit_energy(mine.nodes[w], mine.velocities[w])
 
     def close(self) -> None:
