@@ -243,6 +243,26 @@ def test_the_page_tells_what_the_runs_say(tmp_path):
     assert "](images/results_press.png)" in page and "](images/results_success.png)" in page
 
 
+def test_the_page_tells_of_which_part_of_the_plan_it_is(tmp_path):
+    plan = pretended_plan(tmp_path)
+    rows = gather(plan)
+    assert "last added to" not in write_page(plan, rows, [], "python -m agents.results")
+    part = "python -m agents.results --engines batch"
+    assert f"What is here was last added to with `{part}`." in write_page(plan, rows, [], part)
+
+
+def test_some_engines_do(tmp_path, capsys):
+    pretended_plan(tmp_path)
+    arguments = ["--plan", str(tmp_path / "plan.yaml"), "--page"]
+    assert main([*arguments, "--engines", "batch"], "python -m agents.results") == 0
+    page = (tmp_path / "docs" / "results.md").read_text()
+    assert "In the batch engine" in page and "The same policies in Bullet" not in page
+    assert "--page --engines batch`" in page
+    write_plan(tmp_path, evaluation={"episodes": 1, "engines": ["batch"]})
+    assert main([*arguments, "--engines", "bullet"]) == 1
+    assert "engines must be some of ['batch'], got ['bullet']" in capsys.readouterr().err
+
+
 def test_pictures_show_something_and_are_small(tmp_path):
     from PIL import Image
 

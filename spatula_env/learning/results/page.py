@@ -34,13 +34,19 @@ careful.
 """
 
 
-def write_page(plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mapping[str, Any]]) -> str:
+COMMAND = "python -m agents.results"
+
+
+def write_page(
+    plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mapping[str, Any]], command: str = COMMAND
+) -> str:
     """The page.
 
     Args:
         plan: What there is to be.
         rows: From `gather`.
         machines: From `read_machines`.
+        command: That was last given, which the page tells if it is about a part of the plan.
     """
     engines = plan.evaluation.engines
     parts = [
@@ -54,6 +60,8 @@ def write_page(plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mappin
             definitions="definitions.md",
         )
     ]
+    if command != COMMAND:
+        parts.append(f"What is here was last added to with `{command}`.\n")
     parts.append(_missing(plan, rows))
     parts.append(_all_tasks(plan, rows))
     for task in plan.tasks:
