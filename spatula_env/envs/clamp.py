@@ -37,6 +37,7 @@ CLAMP = Definition(
         mean_pressure=6e3,
         displacement=0.06,
         untouched={"velocity": (5, 11)},
+        face_count=12,
     ),
 )
 """Two jaws above a ridge."""

@@ -35,6 +35,7 @@ FISSURE = Definition(
         mean_pressure=3e3,
         displacement=0.03,
         untouched={"velocity": (5,)},
+        face_count=6,
     ),
 )
 """A blade on edge above a fissure."""

@@ -169,7 +169,7 @@ class ObservationBuilder:
                 end of an episode depend on it.
 
         Raises:
-            ValueError: If the mode has no such choice of parts, or the tools have not the faces that are left out.
+            ValueError: If the mode has no such choice of parts.
         """
         check_parts(settings.parts, obs_mode)
         self.settings = settings

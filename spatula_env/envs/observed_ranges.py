@@ -35,6 +35,7 @@ class ObservedRanges:
         displacement: Of landmarks on the organ, along each axis [m].
         untouched: By `control`, the faces of the tools, in the order of `Situation.contact_share`, that the organ
             cannot touch as the control moves them: nothing is told of them, as it would be the same always.
+        face_count: How many faces the tools have that `untouched` is about; where a scene has others, all are told of.
     """
 
     force: float = 10.0
@@ -44,29 +45,29 @@ class ObservedRanges:
     mean_pressure: float = 20e3
     displacement: float = 0.1
     untouched: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    face_count: int = 0
 
     def __post_init__(self) -> None:
         """Check the values."""
         for each in fields(self):
-            if each.name != "untouched":
+            if each.name not in ("untouched", "face_count"):
                 check_positive(getattr(self, each.name), f"observed.{each.name}")
+        faces = set(range(self.face_count))
+        for control, left_out in self.untouched.items():
+            if not set(left_out) < faces:
+                raise ValueError(
+                    f"observed.untouched must be some of the faces 0 to {self.face_count - 1}, and not all, got "
+                    f"{left_out} for the control {control!r}"
+                )
 
     def touched(self, control: str, count: int) -> IntArray:
         """The faces that are told of.
 
         Args:
             control: Name of the control.
-            count: Of the tools' faces.
-
-        Raises:
-            ValueError: If there are no such faces as are left out, or no others.
+            count: How many faces the tools have.
         """
-        left_out = self.untouched.get(control, ())
-        if not set(left_out) < set(range(count)):
-            raise ValueError(
-                f"observed.untouched must be some of the faces 0 to {count - 1}, and not all, got {left_out} for the "
-                f"control {control!r}"
-            )
+        left_out = self.untouched.get(control, ()) if count == self.face_count else ()
         return np.setdiff1d(np.arange(count), left_out)
 
 

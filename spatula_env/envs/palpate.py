@@ -34,6 +34,7 @@ PALPATE = Definition(
         mean_pressure=3e3,
         displacement=0.03,
         untouched={"velocity_level": (1,)},
+        face_count=2,
     ),
     former_options={1: {"control": ("velocity", {"velocity": "velocity_level"})}},
 )

@@ -19,7 +19,13 @@ PRESS = Definition(
     # More than experts, haste and random motion have met, but for pressures and for a sphere that has rolled away. A
     # plate that lies flat is touched from below alone.
     observed=ObservedRanges(
-        force=1.5, torque=0.01, contact_depth=0.015, mean_pressure=4e3, displacement=0.1, untouched={"velocity": (1,)}
+        force=1.5,
+        torque=0.01,
+        contact_depth=0.015,
+        mean_pressure=4e3,
+        displacement=0.1,
+        untouched={"velocity": (1,)},
+        face_count=2,
     ),
 )
 """A spatula over a sphere."""

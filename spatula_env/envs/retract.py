@@ -23,7 +23,13 @@ RETRACT = Definition(
     # More than experts, haste and random motion have met, but for the greatest pressure. The fold does not reach the
     # blade's upper edge.
     observed=ObservedRanges(
-        force=0.8, torque=0.012, contact_depth=0.03, mean_pressure=4e3, displacement=0.04, untouched={"velocity": (5,)}
+        force=0.8,
+        torque=0.012,
+        contact_depth=0.03,
+        mean_pressure=4e3,
+        displacement=0.04,
+        untouched={"velocity": (5,)},
+        face_count=6,
     ),
 )
 """A blade over a fold."""

@@ -157,14 +157,16 @@ def test_ranges_are_checked() -> None:
 
 def test_faces_that_nothing_touches_are_left_out() -> None:
     assert ObservedRanges().touched("velocity", 3).tolist() == [0, 1, 2]
-    ranges = ObservedRanges(untouched={"velocity": (1,)})
+    ranges = ObservedRanges(untouched={"velocity": (1,)}, face_count=3)
     assert ranges.touched("velocity", 3).tolist() == [0, 2]
     assert ranges.touched("velocity_6d", 3).tolist() == [0, 1, 2]
-    for count in (1, 0):
+    # It is about other tools.
+    assert ranges.touched("velocity", 4).tolist() == [0, 1, 2, 3]
+    for faces, count in (((1,), 1), ((0, 1), 2)):
         with pytest.raises(
-            ValueError, match=rf"faces 0 to {count - 1}, and not all, got \(1,\) for the control 'velocity'"
+            ValueError, match=rf"faces 0 to {count - 1}, and not all, got .* for the control 'velocity'"
         ):
-            ranges.touched("velocity", count)
+            ObservedRanges(untouched={"velocity": faces}, face_count=count)
     sizes = {}
     for control in ("velocity", "velocity_6d"):
         env = make(control=control)

@@ -96,7 +96,7 @@ def test_spaces(env: PressEnv, sparse_env: PressEnv) -> None:
     assert env.observation_space.shape == (71,)
     assert isinstance(sparse_env.observation_space, spaces.Dict)
     assert set(sparse_env.observation_space) == {"observation", "achieved_goal", "desired_goal"}
-    assert sparse_env.observation_space["observation"].shape == (65,)
+    assert sparse_env.observation_space["observation"].shape == (64,)
 
 
 def test_the_episode_is_cut_after_ten_seconds() -> None:
