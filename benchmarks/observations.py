@@ -182,14 +182,12 @@ def passed(table: Mapping[str, Mapping[str, Any]]) -> bool:
     )
 
 
-def show(table: Mapping[str, Mapping[str, Any]]) -> None:
-    """Print a table."""
-    print(f"{'task':8} {'part':16} {'used':>6}" + "".join(f"{'clipped ' + driver:>17}" for driver in DRIVERS))
-    for task, row in table.items():
-        for name, part in row["parts"].items():
-            clipped = "".join(f"{100 * part['clipped'][driver]:15.2f} %" for driver in DRIVERS)
-            print(f"{task:8} {name:16} {100 * part['used']:4.0f} %{clipped}")
-        print(f"{task:8} constant: {', '.join(row['constant']) or 'none'}")
+def show(task: str, row: Mapping[str, Any]) -> None:
+    """Print what was measured of a task."""
+    for name, part in row["parts"].items():
+        clipped = "".join(f"{100 * part['clipped'][driver]:15.2f} %" for driver in DRIVERS)
+        print(f"{task:8} {name:16} {100 * part['used']:4.0f} %{clipped}")
+    print(f"{task:8} constant: {', '.join(row['constant']) or 'none'}", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -204,9 +202,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if getattr(chosen, name) < 1:
             options.error(f"argument --{name}: must be at least 1, got {getattr(chosen, name)}")
     start = time.perf_counter()
-    table = {task: measure(task, chosen.episodes, chosen.steps, chosen.seed) for task in chosen.tasks}
+    table: dict[str, dict[str, Any]] = {}
     if not chosen.json:
-        show(table)
+        print(f"{'task':8} {'part':16} {'used':>6}" + "".join(f"{'clipped ' + driver:>17}" for driver in DRIVERS))
+    for task in chosen.tasks:
+        table[task] = measure(task, chosen.episodes, chosen.steps, chosen.seed)
+        if not chosen.json:
+            show(task, table[task])
     finish(
         {
             "benchmark": "observations",

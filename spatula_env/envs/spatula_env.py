@@ -60,7 +60,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     space, which are finite; those of velocities follow `max_speed`, `max_rotation_rate` and `max_jaw_speed`, and those
     of what is felt and of the organ are what is met in the task, with a margin. SI units make small numbers: normalise
     them for learning, for instance with `gymnasium.wrappers.RescaleObservation`.
-    Random motion does not leave the bounds of forces, torques and contact depths. It does leave those of pressures,
+    Random motion hardly leaves the bounds of forces, torques and contact depths. It does leave those of pressures,
     which are several times what tissue bears, and of places on an organ that it pushes away:
     [how often](../tasks.md#bounds-of-observations). `info["peak_pressure"]` and `info["peak_force"]` are not clipped.
 
