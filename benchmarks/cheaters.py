@@ -228,6 +228,43 @@ def play(env: Any, act: Act, seeds: Sequence[int]) -> Played:
     return Played(**{name: np.array(values) for name, values in rows.items()})
 
 
+def count_successes(task: str, engine: str, name: str, episodes: int, seed: int, worlds: int = 50) -> dict[str, int]:
+    """How often one of the cheaters succeeds.
+
+    Args:
+        task: Its name.
+        engine: "batch" or "bullet".
+        name: Of the cheater.
+        episodes: How many.
+        seed: Of the first one.
+        worlds: How many are played together.
+
+    Returns:
+        "episodes", "successes", "within", the episodes in which any control step was within tolerance, and "at_reset",
+        those that began so.
+
+    Raises:
+        ValueError: If the task knows no such cheater.
+    """
+    found = {"episodes": 0, "successes": 0, "within": 0, "at_reset": 0}
+    for first in range(seed, seed + episodes, worlds):
+        count = min(worlds, seed + episodes - first)
+        env = make(task, count, engine)
+        try:
+            known = cheaters_of(env, task, first)
+            if name not in known:
+                raise ValueError(f"{task} must have the cheater, one of {sorted(known)}; got {name!r}")
+            _, infos = env.reset(seed=list(range(first, first + count)))
+            found["at_reset"] += int(infos["within_tolerance"].sum())
+            played = play(env, known[name], range(first, first + count))
+        finally:
+            env.close()
+        found["episodes"] += count
+        found["successes"] += int(played.success.any(axis=0).sum())
+        found["within"] += int((played.sparse == 0.0).any(axis=0).sum())
+    return found
+
+
 def earnings(played: Played, options: Mapping[str, Any], task: Any, horizon: int) -> dict[str, NDArray[Any]]:
     """What a policy earns where episodes may end.
 

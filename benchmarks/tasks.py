@@ -248,6 +248,32 @@ def report_cheaters(tasks: Sequence[str], engines: Sequence[str], episodes: int,
     )
 
 
+def report_one(
+    tasks: Sequence[str], engines: Sequence[str], name: str, episodes: int, seed: int, *, quiet: bool
+) -> None:
+    """Count and print the successes of one cheater."""
+    start = time.perf_counter()
+    table = {
+        task: {engine: cheaters.count_successes(task, engine, name, episodes, seed) for engine in engines}
+        for task in tasks
+    }
+    for task, row in table.items() if not quiet else ():
+        for engine, found in row.items():
+            print(
+                f"{task:8} {engine:6} {name}: {found['successes']} of {found['episodes']} episodes succeed, "
+                f"{found['within']} are within tolerance in any step, {found['at_reset']} at the reset"
+            )
+    finish(
+        {
+            "benchmark": "cheaters",
+            "only": name,
+            "passed": all(found["successes"] == 0 for row in table.values() for found in row.values()),
+            "tasks": table,
+            "seconds": time.perf_counter() - start,
+        }
+    )
+
+
 def main() -> None:
     """Measure and print."""
     options = parser(__doc__ or "")
@@ -258,10 +284,16 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0, help="of the first episode")
     options.add_argument("--workers", type=int, default=available_cores(), help="processes with Bullet")
     options.add_argument("--cheaters", action="store_true", help="what policies earn that evade the tasks")
+    options.add_argument("--only", metavar="NAME", help="with --cheaters: how often this one succeeds, such as hover")
     arguments = options.parse_args()
+    if arguments.only and not arguments.cheaters:
+        options.error("argument --only: needs --cheaters")
     if arguments.episodes < 1:
         options.error(f"argument --episodes: must be at least 1, got {arguments.episodes}")
     engines = without_bullet(arguments.engines)
+    if arguments.only:
+        report_one(arguments.tasks, engines, arguments.only, arguments.episodes, arguments.seed, quiet=arguments.json)
+        return
     if arguments.cheaters:
         report_cheaters(arguments.tasks, engines, arguments.episodes, arguments.seed, quiet=arguments.json)
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from spatula_env import scenes
+from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.registering import register_task
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
@@ -13,6 +14,7 @@ __all__ = [
     "Evaluation",
     "Mark",
     "Memory",
+    "ObservedRanges",
     "PartSpec",
     "Patch",
     "Path",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import gymnasium
 
-POLICY_HELP = "expert, random, pretrained, or the path of a run or of exported weights"
+POLICY_HELP = "expert, proportional, random, pretrained, or the path of a run or of exported weights"
 
 Policy = Callable[[Any], NDArray[np.float32]]
 

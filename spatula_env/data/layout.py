@@ -60,9 +60,15 @@ class Layout:
         entries: dict[str, tuple[str, ...]] = {}
         whole = tuple(name for names in named.values() for name in names)
         space = env.observation_space
+        apart = {
+            entry: tuple(name for part in builder.parts if part.sensed is sensed for name in named[part.name])
+            for entry, sensed in (("sensors", True), ("privileged", False))
+        }
         for entry, inner in getattr(space, "spaces", {VECTOR: space}).items():
             if entry in (VECTOR, "state"):
                 names = whole
+            elif entry in apart:
+                names = apart[entry]
             elif entry in ("achieved_goal", "desired_goal"):
                 names = tuple(f"{entry}_{name}" for name in goals)
             else:

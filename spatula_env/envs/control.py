@@ -330,15 +330,15 @@ class VelocityControl:
             ones = np.ones(len(self._axes))
             limit, rate = self.layout.max_turn * ones, self.max_rotation_rate * ones
             parts += [
-                PartSpec("tool_orientation", "rad", -limit, limit),
-                PartSpec("tool_rotation_rate", "rad/s", -rate, rate),
+                PartSpec("tool_orientation", "rad", -limit, limit, sensed=True),
+                PartSpec("tool_rotation_rate", "rad/s", -rate, rate, sensed=True),
             ]
         if self.layout.jaws:
             low, high = self.layout.opening_range
             speed = np.full(1, self.max_jaw_speed)
             parts += [
-                PartSpec("jaw_opening", "m", np.full(1, low), np.full(1, high)),
-                PartSpec("jaw_speed", "m/s", -speed, speed),
+                PartSpec("jaw_opening", "m", np.full(1, low), np.full(1, high), sensed=True),
+                PartSpec("jaw_speed", "m/s", -speed, speed, sensed=True),
             ]
         return tuple(parts)
 

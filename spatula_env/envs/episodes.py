@@ -139,6 +139,8 @@ class Episodes:
             self.control,
             settings.obs_mode,
             settings.observation,
+            definition.observed,
+            settings.control,
             goal_interface=self.has_goal_interface,
             hold_progress=not self.has_goal_interface or settings.terminate_on_success,
         )

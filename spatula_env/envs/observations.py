@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from spatula_env.envs.observed_ranges import ALL_PARTS, GROUPED, ObservedRanges, check_parts
 from spatula_env.geometry.rotations import turn
 from spatula_env.tasks.base import PartSpec
 from spatula_env.tasks.surface import farthest_points, surface_samples
@@ -28,20 +29,8 @@ Observation = NDArray[Any] | dict[str, NDArray[Any]]
 LANDMARKS = 16
 """Number of the organ's nodes that are followed."""
 
-GREATEST_FORCE = 10.0
-"""Observed forces are clipped to this along each axis [N]; 0.1 to 2 N is usual, and a Falcon renders 9 N."""
-
-GREATEST_TORQUE = 0.2
-"""Observed torques are clipped to this about each axis [N m]."""
-
-GREATEST_PRESSURE = 20e3
-"""Observed pressures are clipped to this [Pa]."""
-
-GREATEST_CONTACT_DEPTH = 0.05
-"""Observed contact depths are clipped to this [m]."""
-
-GREATEST_DISPLACEMENT = 0.1
-"""Observed displacements of landmarks, and places of points, are clipped to this along each axis [m]."""
+GREATEST_PLACE = 0.2
+"""Observed places of points are clipped to this along each axis [m]."""
 
 FARTHEST = 1.0
 """Observed distances from the camera are clipped to this [m]."""
@@ -84,6 +73,8 @@ LEROBOT_KEYS: Mapping[str, str] = MappingProxyType(
     {
         "observation": "observation.state",
         "state": "observation.state",
+        "sensors": "observation.state",
+        "privileged": "observation.environment_state",
         "image": "observation.images.front",
         "depth": "observation.images.front_depth",
         "organ": "observation.points.organ",
@@ -104,7 +95,8 @@ def lerobot_keys(space: spaces.Space[Any]) -> dict[str, str]:
 
     Returns:
         New names by old ones: "observation.state" for a vector (under the name "observation" where the observation is
-        nothing but it) or "state", "observation.images.front" for "image", and "observation.<name>" for other parts.
+        nothing but it), "state" or "sensors", "observation.images.front" for "image", and "observation.<name>" for
+        other parts.
     """
     names = list(space.spaces) if isinstance(space, spaces.Dict) else ["observation"]
     return {name: LEROBOT_KEYS.get(name, f"observation.{name}") for name in names}
@@ -136,8 +128,12 @@ class ObservationBuilder:
 
     Every number is clipped to the bounds of its space.
 
+    `ObservationSettings.parts` chooses among the parts. "sensors": those that are `sensed`. "grouped": the vector falls
+    into two, the entries "sensors" and "privileged" of a dictionary, instead of the vector alone, "observation" or
+    "state".
+
     Attributes:
-        parts: In the order of the vector.
+        parts: In the order of the vector; grouped, those of "sensors" come first.
         space: Of the observations of one world.
         landmarks: (L,) indices of the nodes whose displacement is observed.
         settings: Noise, delay, history, and sizes.
@@ -152,6 +148,8 @@ class ObservationBuilder:
         control: VelocityControl,
         obs_mode: str,
         settings: ObservationSettings,
+        ranges: ObservedRanges | None = None,
+        control_name: str = "",
         *,
         goal_interface: bool,
         hold_progress: bool,
@@ -163,11 +161,17 @@ class ObservationBuilder:
             task: For the goals, and for what else it has to tell.
             control: For the speeds, and for what else it moves.
             obs_mode: See the class.
-            settings: Noise, delay, history, and sizes.
+            settings: Noise, delay, history, sizes, and which parts.
+            ranges: Of forces, pressures and displacements, and which faces are told of; None: wide ones, and all.
+            control_name: By which `ranges` know the control.
             goal_interface: Whether goals are entries of their own.
             hold_progress: Whether there is a part that tells for how long the goal has been held: where rewards or the
                 end of an episode depend on it.
+
+        Raises:
+            ValueError: If the mode has no such choice of parts.
         """
+        check_parts(settings.parts, obs_mode)
         self.settings = settings
         self._hold_progress = hold_progress
         self._mode = obs_mode
@@ -180,33 +184,38 @@ class ObservationBuilder:
         self.landmarks: NDArray[np.int64] = upper[farthest_points(rest[upper], min(LANDMARKS, len(upper)))]
         self._rest_landmarks = rest[self.landmarks]
         self._goal_space = spaces.Box(task.goal_low, task.goal_high, dtype=np.float32)
-        parts = self._list_parts(setting, task)
-        if obs_mode in ("rgb", "rgbd", "pointcloud"):
-            parts = [part for part in parts if part.name in ROBOT_PARTS]
+        ranges = ranges or ObservedRanges()
+        self._faces = ranges.touched(control_name, setting.face_count)
+        parts = self._chosen(self._list_parts(setting, task, ranges))
         self.parts = tuple(parts)
         self._low = np.concatenate([part.low for part in parts]).astype(np.float64)
         self._high = np.concatenate([part.high for part in parts]).astype(np.float64)
         ends = np.cumsum([part.size for part in parts]).tolist()
         self._slices = {part.name: slice(end - part.size, end) for part, end in zip(parts, ends, strict=True)}
+        self._first_privileged = sum(part.size for part in parts if part.sensed)
         self._deviations = np.concatenate([_deviation(part) for part in parts])
         if obs_mode == "pointcloud":
             self._prepare_points(setting)
         self.frame_space: spaces.Space[Any] = self._make_space()
         self.space: spaces.Space[Any] = self._stacked(self.frame_space)
 
-    def _list_parts(self, setting: Setting, task: Task) -> list[Part]:
+    def _list_parts(self, setting: Setting, task: Task, ranges: ObservedRanges) -> list[Part]:
         tools, control = len(setting.tools), self._control
-        displaced = np.full(3 * len(self.landmarks), GREATEST_DISPLACEMENT)
-        speed, force, torque = np.full(3, control.max_speed), np.full(3 * tools, GREATEST_FORCE), GREATEST_TORQUE
+        displaced = np.full(3 * len(self.landmarks), ranges.displacement)
+        speed, force, torque = (
+            np.full(3, control.max_speed),
+            np.full(3 * tools, ranges.force),
+            np.full(3, ranges.torque),
+        )
         specs = [
-            PartSpec("tool_position", "m", setting.workspace_low, setting.workspace_high),
-            PartSpec("tool_velocity", "m/s", -speed, speed),
+            PartSpec("tool_position", "m", setting.workspace_low, setting.workspace_high, sensed=True),
+            PartSpec("tool_velocity", "m/s", -speed, speed, sensed=True),
             *control.parts,
-            PartSpec("contact_force", "N", -force, force),
-            PartSpec("contact_torque", "N m", np.full(3, -torque), np.full(3, torque)),
-            PartSpec("contact_share", "1", np.zeros(setting.face_count), np.ones(setting.face_count)),
-            PartSpec("contact_depth", "m", np.zeros(1), np.full(1, GREATEST_CONTACT_DEPTH)),
-            PartSpec("contact_pressure", "Pa", np.zeros(2), np.full(2, GREATEST_PRESSURE)),
+            PartSpec("contact_force", "N", -force, force, sensed=True),
+            PartSpec("contact_torque", "N m", -torque, torque, sensed=True),
+            PartSpec("contact_share", "1", np.zeros(len(self._faces)), np.ones(len(self._faces))),
+            PartSpec("contact_depth", "m", np.zeros(1), np.full(1, ranges.contact_depth)),
+            PartSpec("contact_pressure", "Pa", np.zeros(2), np.array([ranges.peak_pressure, ranges.mean_pressure])),
             PartSpec("landmarks", "m", -displaced, displaced),
             *task.extra_parts,
         ]
@@ -214,15 +223,42 @@ class ObservationBuilder:
         if not self._goal_interface:
             low, high = task.goal_low, task.goal_high
             unit = " ".join(dict.fromkeys(task.goal_units))
-            specs += [PartSpec("goal", unit, low, high), PartSpec("error", unit, low - high, high - low)]
+            specs += [PartSpec("goal", unit, low, high, sensed=True), PartSpec("error", unit, low - high, high - low)]
         if self._hold_progress:
             specs.append(PartSpec("hold_progress", "1", np.zeros(1), np.ones(1)))
-        return [Part(spec.name, spec.unit, spec.low.astype(np.float32), spec.high.astype(np.float32)) for spec in specs]
+        return [
+            Part(spec.name, spec.unit, spec.low.astype(np.float32), spec.high.astype(np.float32), spec.sensed)
+            for spec in specs
+        ]
+
+    def _chosen(self, parts: list[Part]) -> list[Part]:
+        """Those of all parts that the mode and the settings ask for."""
+        choice = self.settings.parts
+        if choice == GROUPED:
+            return [part for part in parts if part.sensed] + [part for part in parts if not part.sensed]
+        if self._mode in ("rgb", "rgbd", "pointcloud"):
+            parts = [part for part in parts if part.name in ROBOT_PARTS]
+        return parts if choice == ALL_PARTS else [part for part in parts if part.sensed]
 
     @property
     def slices(self) -> Mapping[str, slice]:
-        """Where each part is in the vector of all parts."""
-        return dict(self._slices)
+        """Where each part is in the vector of all parts; grouped, in that of "sensors" or that of "privileged"."""
+        if self.settings.parts != GROUPED:
+            return dict(self._slices)
+        first = self._first_privileged
+        return {
+            part.name: where if part.sensed else slice(where.start - first, where.stop - first)
+            for part, where in zip(self.parts, self._slices.values(), strict=True)
+        }
+
+    def vectors_of(self, wide: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """The entries that hold the vector of all parts (..., D), where parts are no entries of their own."""
+        if self.settings.parts == GROUPED:
+            first = self._first_privileged
+            return {"sensors": wide[..., :first].copy(), "privileged": wide[..., first:].copy()}
+        if self._mode == "state":
+            return {"observation" if self._goal_interface else "": wide}
+        return {"state": wide}
 
     def build(
         self,
@@ -254,7 +290,7 @@ class ObservationBuilder:
             **dict(zip((part.name for part in self._control.parts), self._control.observe(situation), strict=True)),
             "contact_force": situation.contact_forces.reshape(count, -1),
             "contact_torque": situation.contact_torque,
-            "contact_share": situation.contact_share,
+            "contact_share": situation.contact_share[:, self._faces],
             "contact_depth": situation.contact_depth[:, None],
             "contact_pressure": np.stack([situation.peak_pressure, situation.mean_pressure], axis=1),
             "landmarks": moved.reshape(count, -1),
@@ -269,11 +305,11 @@ class ObservationBuilder:
         vectors = np.minimum(np.maximum(wide, self._low), self._high).astype(np.float32)
         result: dict[str, NDArray[Any]]
         if self._mode == "state":
-            result = {"observation" if self._goal_interface else "": vectors}
+            result = self.vectors_of(vectors)
         elif self._mode == "dict":
             result = {name: vectors[:, part].copy() for name, part in self._slices.items()}
         else:
-            result = {**self._look(situation, pictures), "state": vectors}
+            result = {**self._look(situation, pictures), **self.vectors_of(vectors)}
         if self._goal_interface:
             result["achieved_goal"] = evaluation.achieved.astype(np.float32)
             result["desired_goal"] = goal.astype(np.float32)
@@ -291,8 +327,7 @@ class ObservationBuilder:
                 ],
                 axis=1,
             )
-            clipped = (np.minimum(np.maximum(points, -2.0 * GREATEST_DISPLACEMENT), 2.0 * GREATEST_DISPLACEMENT)
-                       for points in (organ, tool))  # fmt: skip
+            clipped = (np.minimum(np.maximum(points, -GREATEST_PLACE), GREATEST_PLACE) for points in (organ, tool))
             return dict(zip(("organ", "tool"), (points.astype(np.float32) for points in clipped), strict=True))
         if pictures is None:
             raise ValueError(f"pictures are needed with obs_mode={self._mode!r}")
@@ -313,25 +348,25 @@ class ObservationBuilder:
             self._tool_points.append(np.einsum("pka,pk->pa", corners, weights))
 
     def _make_space(self) -> spaces.Space[Any]:
-        flat = spaces.Box(self._low.astype(np.float32), self._high.astype(np.float32), dtype=np.float32)
+        low, high = (self.vectors_of(bound.astype(np.float32)) for bound in (self._low, self._high))
+        flat = {name: spaces.Box(low[name], high[name], dtype=np.float32) for name in low}
         named: dict[str, spaces.Space[Any]] = {}
         if self._mode == "state":
-            if not self._goal_interface:
-                return flat
-            named["observation"] = flat
+            if "" in flat:
+                return flat[""]
+            named.update(flat)
         elif self._mode == "dict":
             named.update({part.name: part.space for part in self.parts})
         elif self._mode == "pointcloud":
-            reach = 2.0 * GREATEST_DISPLACEMENT
             for name, count in (("organ", self.settings.organ_points), ("tool", self.settings.tool_points)):
-                named[name] = spaces.Box(-reach, reach, (count, 3), dtype=np.float32)
-            named["state"] = flat
+                named[name] = spaces.Box(-GREATEST_PLACE, GREATEST_PLACE, (count, 3), dtype=np.float32)
+            named.update(flat)
         else:
             size = tuple(self.settings.image_size)
             named["image"] = spaces.Box(0, 255, (*size, 3), dtype=np.uint8)
             if self.needs_depth:
                 named["depth"] = spaces.Box(0.0, FARTHEST, (*size, 1), dtype=np.float32)
-            named["state"] = flat
+            named.update(flat)
         if self._goal_interface:
             named["achieved_goal"] = self._goal_space
             named["desired_goal"] = self._goal_space

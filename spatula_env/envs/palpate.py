@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
+from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.settings import Definition
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
@@ -24,6 +25,17 @@ PALPATE = Definition(
     },
     # A path is felt with 0.21 N at most.
     defaults={"max_speed": 0.05, "max_force": 0.6},
+    # More than experts, haste and random motion have met, but for the greatest pressure. A level plate is touched from
+    # below alone.
+    observed=ObservedRanges(
+        force=1.5,
+        torque=0.01,
+        contact_depth=0.02,
+        mean_pressure=3e3,
+        displacement=0.03,
+        untouched={"velocity_level": (1,)},
+        face_count=2,
+    ),
     former_options={1: {"control": ("velocity", {"velocity": "velocity_level"})}},
 )
 """A spatula over a sphere that is held from below."""
@@ -76,24 +88,24 @@ class PalpateEnv(SpatulaEnv):
     | 3-5     | velocity of the spatula in the last step              | -0.05   | 0.05   | tool_velocity      | m/s   |
     | 6-7     | tilt: rotation about x and y                          | -0.6    | 0.6    | tool_orientation   | rad   |
     | 8-9     | rate of the tilt in the last step                     | -1      | 1      | tool_rotation_rate | rad/s |
-    | 10-12   | mean force on the spatula in the last step            | -10     | 10     | contact_force      | N     |
-    | 13-15   | its mean torque about the spatula's middle            | -0.2    | 0.2    | contact_torque     | N m   |
+    | 10-12   | mean force on the spatula in the last step            | -1.5    | 1.5    | contact_force      | N     |
+    | 13-15   | its mean torque about the spatula's middle            | -0.01   | 0.01   | contact_torque     | N m   |
     | 16      | share of the lower face's nodes in contact            | 0       | 1      | contact_share      | 1     |
     | 17      | the same of the upper face                            | 0       | 1      | contact_share      | 1     |
-    | 18      | deepest contact, before the organ gives way           | 0       | 0.05   | contact_depth      | m     |
+    | 18      | deepest contact, before the organ gives way           | 0       | 0.02   | contact_depth      | m     |
     | 19      | greatest contact pressure on a node in the last step  | 0       | 20000  | contact_pressure   | Pa    |
-    | 20      | greatest mean pressure on a face                      | 0       | 20000  | contact_pressure   | Pa    |
-    | 21-68   | displacement of 16 nodes of the organ (x, y, z)       | -0.1    | 0.1    | landmarks          | m     |
-    | 69-83   | 5 points of the path from the underside (x, y, z)     | -0.15   | 0.15   | path_ahead         | m     |
+    | 20      | greatest mean pressure on a face                      | 0       | 3000   | contact_pressure   | Pa    |
+    | 21-68   | displacement of 16 nodes of the organ (x, y, z)       | -0.03   | 0.03   | landmarks          | m     |
+    | 69-83   | 5 points of the path from the underside (x, y, z)     | -0.09   | 0.09   | path_ahead         | m     |
     | 84      | farthest place on the path that has been felt         | 0       | 1      | progress           | 1     |
     | 85-94   | share felt of each tenth of the path                  | 0       | 1      | felt               | 1     |
-    | 95      | force perpendicular to the spatula's faces            | -5      | 5      | normal_force       | N     |
+    | 95      | force perpendicular to the spatula's faces            | -1      | 1      | normal_force       | N     |
     | 96      | share of the path that is to be felt                  | 0       | 1      | goal               | 1     |
     | 97-98   | place of the path's end (x, y)                        | -0.0508 | 0.0508 | goal               | m     |
-    | 99      | middle of the force's band                            | -5      | 5      | goal               | N     |
+    | 99      | middle of the force's band                            | -1      | 1      | goal               | N     |
     | 100     | share to be felt minus share felt                     | -1      | 1      | error              | 1     |
     | 101-102 | path's end minus centre of pressure (x, y)            | -0.1016 | 0.1016 | error              | m     |
-    | 103     | middle of the band minus normal force                 | -10     | 10     | error              | N     |
+    | 103     | middle of the band minus normal force                 | -2      | 2      | error              | N     |
     | 104     | for how long the goal has been held, of what is asked | 0       | 1      | hold_progress      | 1     |
 
     The 5 points of the path lie 0, 1/8, 1/4, 3/8 and 1/2 of its length ahead of the farthest place that has been felt,
@@ -102,6 +114,11 @@ class PalpateEnv(SpatulaEnv):
     Goals are (share, x, y, force). The place achieved is the centre of pressure, less by how far the path's end has
     gone with the organ. The share is felt along the episode's path and in its band, so there is no hindsight: with
     `reward="sparse"` observations are the same.
+
+    Sensors know `tool_position`, `tool_velocity`, `tool_orientation`, `tool_rotation_rate`, `contact_force`,
+    `contact_torque`, `normal_force` and `goal`; all else is privileged. Of the path sensors are told the end alone: the
+    rest of it is not in pictures either, so that who has these parts only has to search for it.
+    With `control="velocity_level"` there is no number for the upper face.
 
     ## Rewards
     A step is *within tolerance* if as much of the path has been felt as is asked for, the centre of pressure is within

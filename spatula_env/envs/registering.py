@@ -36,8 +36,8 @@ def register_task(
         module: Name of the module that calls this when it is imported. By default that in which the task is written; a
             task of this package needs ``module=__name__``.
         **fields: Of the `Definition`: `scene`, `config` and `workspace_height`, and where they are not to be the
-            defaults `stop_height`, `controls`, `defaults` and `randomization`. Its `name` is by default the id's name
-            in lower case.
+            defaults `stop_height`, `controls`, `defaults`, `randomization` and `observed`. Its `name` is by default the
+            id's name in lower case.
 
     Returns:
         The environment for one agent, and that for many.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env.engines import choose_engine
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
+from spatula_env.envs.observed_ranges import ALL_PARTS, PART_CHOICES, ObservedRanges, check_parts
 from spatula_env.envs.randomization import DEFAULT_RANGES, LONGEST_DELAY, Ranges, read_ranges
 from spatula_env.geometry.checks import check_boolean, check_count, check_not_negative, check_positive, is_number
 from spatula_env.tasks.configuration import config_from_mapping
@@ -55,6 +56,8 @@ class ObservationSettings:
         image_size: (height, width) of pictures [pixels].
         organ_points: How many points of the organ's surface a point cloud has.
         tool_points: How many points of the tools' surfaces a point cloud has.
+        parts: "all"; "sensors": those that a robot knows by its own sensors or is told; "grouped": all, in two entries,
+            "sensors" and "privileged".
     """
 
     noise: float = 0.0
@@ -63,6 +66,7 @@ class ObservationSettings:
     image_size: tuple[int, int] = (84, 84)
     organ_points: int = 256
     tool_points: int = 64
+    parts: str = ALL_PARTS
 
     def __post_init__(self) -> None:
         """Check the values, and take a list as it comes from a file, and NumPy's numbers and arrays."""
@@ -82,6 +86,7 @@ class ObservationSettings:
         for number in (height, width):
             check_count(number, "observation.image_size", 8, LARGEST_PICTURE)
         object.__setattr__(self, "image_size", (height, width))
+        check_choice(self.parts, "observation.parts", PART_CHOICES)
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,7 @@ class EnvSettings:
             check_count(getattr(self, name), name, 1, LARGEST_PICTURE)
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")
         object.__setattr__(self, "observation", observation)
+        check_parts(observation.parts, self.obs_mode)
 
 
 @dataclass(frozen=True)
@@ -174,6 +180,7 @@ class Definition:
         controls: What an action moves, by the names that the option `control` takes.
         defaults: Defaults of options that differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
+        observed: Up to which values observations tell what is measured of contact and of the organ, and of which faces.
         former_options: By the number of a former definition of the task, options whose values meant something else
             then: their default then, and what the values are called now. See `definitions.present_options`.
     """
@@ -189,6 +196,7 @@ class Definition:
     )
     defaults: Mapping[str, Any] = field(default_factory=dict)
     randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
+    observed: ObservedRanges = field(default_factory=ObservedRanges)
     former_options: Mapping[int, Mapping[str, tuple[Any, Mapping[Any, Any]]]] = field(default_factory=dict)
 
     def read(

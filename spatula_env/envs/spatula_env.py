@@ -57,10 +57,12 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     ## Observation Space
     Everything is in SI units, positions in the frame of the workspace. Every number is clipped to the bounds of its
-    space, which are finite; those of velocities follow `max_speed`, `max_rotation_rate` and `max_jaw_speed`. SI units
-    make small numbers: normalise them for learning, for instance with `gymnasium.wrappers.RescaleObservation`.
-    Pressures end at 20 kPa, which is several times what tissue bears: under violent random actions up to 12 % of the
-    control steps are above, and what they reach is in `info["peak_pressure"]`, which nothing clips.
+    space, which are finite; those of velocities follow `max_speed`, `max_rotation_rate` and `max_jaw_speed`, and those
+    of what is felt and of the organ are what is met in the task, with a margin. SI units make small numbers: normalise
+    them for learning, for instance with `gymnasium.wrappers.RescaleObservation`.
+    Random motion hardly leaves the bounds of forces, torques and contact depths. It does leave those of pressures,
+    which are several times what tissue bears, and of places on an organ that it pushes away:
+    [how often](../tasks.md#bounds-of-observations). `info["peak_pressure"]` and `info["peak_force"]` are not clipped.
 
     | `obs_mode`   | Observation                                                                                     |
     | ------------ | ----------------------------------------------------------------------------------------------- |
@@ -81,8 +83,22 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     so that no step can be replayed as if something else had been asked: there is no `compute_reward`, and observations
     are as with the dense reward.
 
-    `observation` changes what is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm, 1 mm/s,
-    2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
+    `observation={"parts": ...}` chooses among the parts, for one environment and for many:
+
+    | `parts`     | Observation                                                                                     |
+    | ----------- | ----------------------------------------------------------------------------------------------- |
+    | `"all"`     | all parts; the default                                                                          |
+    | `"sensors"` | what a robot knows: pose, velocity, force and torque of the tools, and the goal, which is told  |
+    | `"grouped"` | all in two entries, `sensors` and `privileged`, as for a critic that knows more than the actor  |
+
+    What is privileged is read off the simulated organ: where it touches, how deep and with what pressure, the
+    landmarks, what the task measures on it, how far the goal is from being achieved and for how long it has been held.
+    The choice is of the vector in the mode `state`, of the entries in the mode `dict`, which has no groups, and of
+    `state` beside pictures; a point cloud follows points of the organ, which no sensor does, and has no choice. With
+    the goal interface "achieved_goal" stays an entry, for hindsight replay, and is privileged.
+
+    `observation` also changes how it is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm,
+    1 mm/s, 2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
     observations are shown at once, the oldest first, on a first axis; `image_size` (height, width); `organ_points` and
     `tool_points`. Goals are exact and never late.
 

@@ -160,7 +160,9 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
             finally:
                 judged.close()
         if config.demonstrations:
-            shown = dataclasses.replace(plan, engine=environment.engine).make(1, obs_mode=EXPERT_MODES[0])
+            shown = dataclasses.replace(plan, engine=environment.engine).make(
+                1, obs_mode=EXPERT_MODES[0], observation=None
+            )
             try:
                 make_expert(shown)
             finally:

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,20 @@ class Demonstration:
     success: bool
 
 
+class Collected(NamedTuple):
+    """What was demonstrated, and what it took.
+
+    Attributes:
+        episodes: Those that succeeded.
+        noise: That they have.
+        steps: Control steps that were made for them, with those of episodes that failed and of tries of the noise.
+    """
+
+    episodes: list[Demonstration]
+    noise: float
+    steps: int
+
+
 def greatest_noise(plan: Plan, *, num_envs: int = 32, steps: int | None = None) -> float:
     """The greatest noise that the scripted expert copes with.
 
@@ -80,12 +94,23 @@ def greatest_noise(plan: Plan, *, num_envs: int = 32, steps: int | None = None) 
     Returns:
         One of `NOISES`: the first with which nine of ten trials succeed; 0 if there is no such.
     """
-    trial = replace(plan, episodes=TRIALS, seed=TRIAL_SEED)
+    return _try_noises(plan, num_envs, steps)[0]
+
+
+def _try_noises(plan: Plan, num_envs: int, steps: int | None) -> tuple[float, int]:
+    """See `greatest_noise`; and how many control steps that takes."""
+    trial, made = replace(plan, episodes=TRIALS, seed=TRIAL_SEED), 0
     for noise in NOISES[:-1]:
         episodes = collect(trial, num_envs=num_envs, noise=noise, steps=steps)
+        made += steps_of(episodes)
         if np.mean([episode.success for episode in episodes]) >= COPES:
-            return noise
-    return NOISES[-1]
+            return noise, made
+    return NOISES[-1], made
+
+
+def steps_of(episodes: Sequence[Demonstration]) -> int:
+    """How many control steps some episodes have, all together."""
+    return sum(len(episode.actions) for episode in episodes)
 
 
 def collect_successes(
@@ -95,7 +120,7 @@ def collect_successes(
     noise: float | str = "auto",
     parts: tuple[str, ...] | None = None,
     steps: int | None = None,
-) -> tuple[list[Demonstration], float]:
+) -> Collected:
     """Let the scripted expert demonstrate until enough episodes have succeeded.
 
     Args:
@@ -106,13 +131,13 @@ def collect_successes(
         steps: Length of an episode; None: the environment's.
 
     Returns:
-        The episodes, and the noise that they have.
+        The episodes, the noise that they have, and how many control steps were made for them.
 
     Raises:
         ValueError: If the expert hardly ever succeeds.
     """
     check_noise(noise, "noise")
-    sigma = greatest_noise(plan, num_envs=num_envs, steps=steps) if isinstance(noise, str) else noise
+    sigma, made_steps = _try_noises(plan, num_envs, steps) if isinstance(noise, str) else (noise, 0)
     successes: list[Demonstration] = []
     made = 0
     while len(successes) < plan.episodes:
@@ -131,7 +156,8 @@ def collect_successes(
         )
         successes += [episode for episode in some if episode.success]
         made += count
-    return successes[: plan.episodes], sigma
+        made_steps += steps_of(some)
+    return Collected(successes[: plan.episodes], sigma, made_steps)
 
 
 def collect(
@@ -167,7 +193,7 @@ def collect(
     # An expert looks at the state, whatever the one looks at that learns.
     seen_by_expert: SpatulaVectorEnv | None = None
     try:
-        if env.settings.obs_mode not in EXPERT_MODES:
+        if env.settings.obs_mode not in EXPERT_MODES or env.settings.observation.parts != "all":
             seen_by_expert = plan.make(worlds, **more, obs_mode=EXPERT_MODES[0], observation=None)
         expert = ExpertPolicy(make_expert(env if seen_by_expert is None else seen_by_expert))
         leader = None if driver is None else driver.make(env)

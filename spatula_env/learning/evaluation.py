@@ -317,7 +317,8 @@ def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float6
         if "tool_position" in observation:
             numbers, part = observation["tool_position"], slice(None)
         else:
-            numbers = observation["state" if "state" in observation else "observation"]
+            entry = next(name for name in ("sensors", "state", "observation") if name in observation)
+            numbers = observation[entry]
     else:
         numbers = observation
     position = np.asarray(numbers, dtype=np.float64)[..., part]

@@ -7,12 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from spatula_env.definitions import FIRST, present_options
-from spatula_env.learning.policies import ExpertPolicy, Policy, PolicySource, RandomPolicy, interface_of, make_expert
+from spatula_env.learning.policies import (
+    ExpertPolicy,
+    Policy,
+    PolicySource,
+    RandomPolicy,
+    interface_of,
+    make_expert,
+    make_proportional,
+)
 from spatula_env.learning.saving import definition_of, find_saved, load_policy, read_saved_config
 from spatula_env.naming import same_environment
 from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenance
 
-NAMES = ("expert", "random", "pretrained")
+NAMES = ("expert", "proportional", "random", "pretrained")
 """Policies that are known by name; any other is a path."""
 
 
@@ -20,8 +28,8 @@ def find_policy(name: str, env_id: str) -> PolicySource:
     """What a name on the command line means.
 
     Args:
-        name: "expert", "random", "pretrained", or a path: of a run or one of its policies or checkpoints (a folder), or
-            of exported weights (.npz).
+        name: "expert", "proportional", "random", "pretrained", or a path: of a run or one of its policies or
+            checkpoints (a folder), or of exported weights (.npz).
         env_id: Of the environment.
 
     Raises:
@@ -30,6 +38,8 @@ def find_policy(name: str, env_id: str) -> PolicySource:
     """
     if name == "expert":
         return PolicySource(_make_expert_policy, description="scripted expert")
+    if name == "proportional":
+        return PolicySource(_make_proportional_policy, description="proportional controller")
     if name == "random":
         return PolicySource(_make_random_policy, description="uniform actions")
     path = pretrained_path(env_id) if name == "pretrained" else Path(name)
@@ -62,6 +72,10 @@ def _check_env(trained: str, wanted: str, path: Path) -> None:
 
 def _make_expert_policy(env: Any) -> Policy:
     return ExpertPolicy(make_expert(env))
+
+
+def _make_proportional_policy(env: Any) -> Policy:
+    return ExpertPolicy(make_proportional(env))
 
 
 def _make_random_policy(env: Any) -> Policy:

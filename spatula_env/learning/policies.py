@@ -10,7 +10,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.learning.experts import ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert
+from spatula_env.learning.experts import (
+    ClampExpert,
+    FissureExpert,
+    PalpateExpert,
+    PressExpert,
+    RetractExpert,
+    proportional,
+)
 from spatula_env.learning.experts.base import Expert
 
 INTERFACE = (
@@ -96,11 +103,37 @@ def make_expert(env: Any) -> Expert:
     Raises:
         ValueError: If the environment is not one of this package.
     """
-    experts = {each.task: each for each in (ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert)}
+    return _of_its_task(env, (ClampExpert, FissureExpert, PalpateExpert, PressExpert, RetractExpert))
+
+
+def make_proportional(env: Any) -> Expert:
+    """The proportional controller of an environment's task, to compare with.
+
+    Args:
+        env: For one agent or for many, wrapped or not.
+
+    Raises:
+        ValueError: If the environment is not one of this package.
+    """
+    return _of_its_task(
+        env,
+        (
+            proportional.ProportionalClamp,
+            proportional.ProportionalFissure,
+            proportional.ProportionalPalpate,
+            proportional.ProportionalPress,
+            proportional.ProportionalRetract,
+        ),
+    )
+
+
+def _of_its_task(env: Any, scripted: Sequence[type[Expert]]) -> Expert:
+    """That of some scripted policies which is for the task of an environment."""
+    known = {each.task: each for each in scripted}
     definition = getattr(env.unwrapped, "definition", None)
-    if definition is None or definition.name not in experts:
-        raise ValueError(f"env must be of one of the tasks {sorted(experts)}, got {env}")
-    return experts[definition.name](env)
+    if definition is None or definition.name not in known:
+        raise ValueError(f"env must be of one of the tasks {sorted(known)}, got {env}")
+    return known[definition.name](env)
 
 
 def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:

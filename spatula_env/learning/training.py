@@ -85,7 +85,9 @@ class Trainer(BaseCallback):
         """
         super().__init__()
         self.config, self.folder, self.view = config, folder, view
-        self.progress = {"seconds": 0.0, "evaluated": 0, "saved": 0, "best": None, **progress}
+        self.progress = {
+            "seconds": 0.0, "evaluated": 0, "saved": 0, "best": None, "demonstration_steps": 0, **progress
+        }  # fmt: skip
         self.reached = False
         self._costs: deque[float] = deque(maxlen=RECENT)
         self._successes: deque[float] = deque(maxlen=RECENT)
@@ -125,6 +127,8 @@ class Trainer(BaseCallback):
         warming = isinstance(self.config.hyperparameters, SACConfig) and (
             steps <= self.config.hyperparameters.learning_starts
         )
+        if steps == 0 and self.config.clone_steps and not self._curve:
+            self.look()
         evaluation = self.config.evaluation
         due = steps // evaluation.every > self.progress["evaluated"] // evaluation.every
         if due and not warming and (self._success() or 0.0) >= evaluation.from_success:
@@ -143,8 +147,15 @@ class Trainer(BaseCallback):
             self.logger.record("rollout/cost", cost)
         return not self.reached
 
-    def evaluate(self) -> None:
-        """Evaluate the policy as it is now, and keep it if none was better."""
+    def look(self) -> dict[str, Any]:
+        """Evaluate the policy as it is now, and write it down.
+
+        Of an agent that begins as a clone that is done before it learns, too: what comes of the demonstrations alone
+        is on the curve, and is neither kept as the best nor counted as reaching the target.
+
+        Returns:
+            The line of the curve.
+        """
         steps = self.model.num_timesteps
         start = time.perf_counter()
         policy = acting_policy(self.model, self.normalizer, export_metadata(self.config))
@@ -155,6 +166,7 @@ class Trainer(BaseCallback):
         summary = summarize(run_episodes(self._env, policy.bound_to(self._env), seeds, end_at_success=True))
         line = {
             "step": steps,
+            "demonstration_steps": self.progress["demonstration_steps"],
             "seconds": self.seconds,
             "training_success": self._success(),
             "steps_per_second": steps / self.seconds,
@@ -169,6 +181,11 @@ class Trainer(BaseCallback):
                 self.logger.record(f"evaluation/{name}", value)
         self.logger.dump(steps)
         self.view.evaluated(line)
+        return line
+
+    def evaluate(self) -> None:
+        """Evaluate the policy as it is now, and keep it if none was better."""
+        line = self.look()
         # Of two that succeed as often the faster is better, whose return is smaller: its episodes are shorter.
         needed = line["time_to_success"]
         rank = [line["success_rate"], line["return"] if needed is None else -needed]
@@ -231,7 +248,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         if checkpoint is None:
             model = make_model(config, env, seed)
             if config.demonstrations:
-                demonstrate(config, seed, model, env)
+                progress["demonstration_steps"] = demonstrate(config, seed, model, env)
         else:
             if isinstance(env, VecNormalize):
                 load_normalizer(checkpoint, env)
@@ -267,6 +284,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         summary = {
             "seed": seed,
             "steps": int(model.num_timesteps),
+            "demonstration_steps": trainer.progress["demonstration_steps"],
             "seconds": trainer.seconds,
             "reached_target": trainer.reached,
             "evaluation": read_curve(folder / CURVE)[-1],
@@ -335,6 +353,7 @@ def write_summary(config: TrainingConfig, output: Path, results: Sequence[Mappin
         "success_rate_mean": float(np.mean(rates)),
         "success_rates": rates,
         "steps": [result["steps"] for result in results],
+        "demonstration_steps": [result.get("demonstration_steps", 0) for result in results],
         "seconds": [result["seconds"] for result in results],
         "reached_target": [result["reached_target"] for result in results],
         "config": to_mapping(config),
@@ -363,7 +382,7 @@ def _overlap_gradients(model: Any, overlap: VecEnv, config: TrainingConfig) -> N
     overlap.meanwhile = meanwhile
 
 
-def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> None:
+def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> int:
     """Let the agent know the scripted expert's episodes before it learns by rewards.
 
     Args:
@@ -371,6 +390,9 @@ def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> N
         seed: Of batches.
         model: With an empty replay buffer.
         env: What it trains in; its normalisation gets to know what is demonstrated.
+
+    Returns:
+        How many control steps were made for that.
     """
     environment = config.environment
     assert isinstance(model, OffPolicyAlgorithm)
@@ -378,7 +400,7 @@ def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> N
     kwargs = dict(environment.kwargs)
     steps = kwargs.pop("max_episode_steps", None)
     plan = Plan(environment.id, kwargs, environment.engine, rounds * environment.num_envs, DEMONSTRATION_SEED)
-    demonstrations, _ = collect_successes(
+    demonstrations, _, made_steps = collect_successes(
         plan,
         num_envs=environment.num_envs,
         noise=config.demonstration_noise,
@@ -402,6 +424,7 @@ def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> N
         actions = np.concatenate([each.actions for each in demonstrations])
         imitate(model, observations, actions, CloneConfig(gradient_steps=config.clone_steps, seed=seed))
         calm_down(model)
+    return made_steps
 
 
 class _TensorBoard(KVWriter):

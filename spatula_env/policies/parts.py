@@ -43,10 +43,11 @@ class PartSelection:
         if parts is None:
             return None
         made = env.unwrapped
-        if made.settings.obs_mode != "state" or made.settings.observation.history != 1:
+        shown = made.settings.observation
+        if made.settings.obs_mode != "state" or shown.history != 1 or shown.parts == "grouped":
             raise ValueError(
-                "parts can be chosen with obs_mode='state' and history=1 only, and must be null otherwise; they are "
-                f"{made.settings.obs_mode!r} and {made.settings.observation.history}"
+                "parts can be chosen with obs_mode='state', history=1 and observation.parts 'all' or 'sensors' only, "
+                f"and must be null otherwise; they are {made.settings.obs_mode!r}, {shown.history} and {shown.parts!r}"
             )
         slices = made.observation_builder.slices
         unknown = [name for name in parts if name not in slices]

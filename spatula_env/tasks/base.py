@@ -33,12 +33,15 @@ class PartSpec:
         unit: Of all its numbers.
         low: (k,) least values.
         high: (k,) greatest values.
+        sensed: Whether a robot knows it by its own sensors or is told it: pose, velocity, force, torque, and the goal.
+            What is not is privileged: it is read off the simulated organ.
     """
 
     name: str
     unit: str
     low: NDArray[Any]
     high: NDArray[Any]
+    sensed: bool = False
 
     @property
     def size(self) -> int:

@@ -22,7 +22,7 @@ from spatula_env.tasks.situation import Setting, Situation, Start
 GREATEST_VIEW = 0.6
 """Tilts of the blade and of the line of sight are reported up to this [rad]."""
 
-GREATEST_OFFSET = 0.12
+GREATEST_OFFSET = 0.1
 """The way from the blade's edge to the target is reported up to this along each axis [m]."""
 
 SIGHT_LENGTH = 0.06

@@ -26,10 +26,10 @@ TENTHS = 10
 AHEAD = (0.0, 0.125, 0.25, 0.375, 0.5)
 """Which points of the path are observed: how far ahead of where the spatula has got to, as parts of its length."""
 
-GREATEST_OFFSET = 0.15
+GREATEST_OFFSET = 0.09
 """The way from the spatula to points of the path is observed up to this along each axis [m]."""
 
-GREATEST_NORMAL_FORCE = 5.0
+GREATEST_NORMAL_FORCE = 1.0
 """Normal forces are reported up to this, to either side [N]."""
 
 LEAST_FORCE = 0.01
@@ -177,7 +177,9 @@ class PalpateTask(Task):
             PartSpec("path_ahead", "m", np.full(count, -GREATEST_OFFSET), np.full(count, GREATEST_OFFSET)),
             PartSpec("progress", "1", np.zeros(1), np.ones(1)),
             PartSpec("felt", "1", np.zeros(TENTHS), np.ones(TENTHS)),
-            PartSpec("normal_force", "N", np.full(1, -GREATEST_NORMAL_FORCE), np.full(1, GREATEST_NORMAL_FORCE)),
+            PartSpec(
+                "normal_force", "N", np.full(1, -GREATEST_NORMAL_FORCE), np.full(1, GREATEST_NORMAL_FORCE), sensed=True
+            ),
         )
         self._check_reach()
 

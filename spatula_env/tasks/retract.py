@@ -21,7 +21,7 @@ from spatula_env.tasks.situation import Setting, Situation, Start
 GREATEST_SHIFT = 0.03
 """Displacements of the patch are reported up to this along each axis [m]."""
 
-GREATEST_PLACE = 0.15
+GREATEST_PLACE = 0.06
 """Positions of the patch are reported up to this along each axis [m]."""
 
 

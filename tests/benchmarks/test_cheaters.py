@@ -63,6 +63,13 @@ def test_who_hovers_beside_an_organ_that_is_pushed_aside_achieves_nothing() -> N
     env.close()
 
 
+def test_one_cheater_can_be_counted_alone() -> None:
+    found = cheaters.count_successes("Press", "batch", "still", episodes=3, seed=7, worlds=2)
+    assert found == {"episodes": 3, "successes": 0, "within": 0, "at_reset": 0}
+    with pytest.raises(ValueError, match=r"Press must have the cheater, one of .*'hover'.*; got 'drag'"):
+        cheaters.count_successes("Press", "batch", "drag", episodes=1, seed=0)
+
+
 def played_in(dense: list[float], success: list[bool], dose: list[float]) -> Played:
     column = np.array(dense)[:, None]
     return Played(column, -np.ones_like(column), np.array(success)[:, None], np.array(dose)[:, None])

@@ -98,7 +98,7 @@ def test_infos_can_be_written_to_a_file() -> None:
         _, _, dones, infos = env.step(action)
     assert dones.all()
     for info in infos:
-        assert info.pop("terminal_observation").shape == (72,)
+        assert info.pop("terminal_observation").shape == (71,)
         assert json.loads(json.dumps(info)) == info
         assert info["TimeLimit.truncated"] is True
         assert info["is_success"] is False

@@ -249,7 +249,7 @@ def test_pictures_and_time_may_differ() -> None:
         observation, _ = seen.restore(env.save())
         assert_alike(seen.step(np.zeros(3)), env.step(np.zeros(3)), 0.0)
         assert seen.render() is not None
-        assert observation.shape == (72,)  # type: ignore[union-attr]
+        assert observation.shape == (71,)  # type: ignore[union-attr]
 
 
 # ----------------------------------------------------------------------------------------- many agents

@@ -123,7 +123,7 @@ def test_without_a_time_limit_episodes_go_on() -> None:
 def test_gymnasiums_own_vector_environment_takes_it_too() -> None:
     env = gym.make_vec("Spatula/Press-v0", num_envs=1, vectorization_mode="sync", engine="batch")
     assert isinstance(env, SyncVectorEnv)
-    assert env.reset(seed=0)[0].shape == (1, 72)
+    assert env.reset(seed=0)[0].shape == (1, 71)
     env.close()
 
 
@@ -132,9 +132,9 @@ def test_spaces_and_metadata(env: PressVectorEnv) -> None:
     assert env.single_action_space == spaces.Box(-1.0, 1.0, (3,), np.float32)
     assert env.action_space == spaces.Box(-1.0, 1.0, (COUNT, 3), np.float32)
     assert isinstance(env.single_observation_space, spaces.Box)
-    assert env.single_observation_space.shape == (72,)
+    assert env.single_observation_space.shape == (71,)
     assert isinstance(env.observation_space, spaces.Box)
-    assert env.observation_space.shape == (COUNT, 72)
+    assert env.observation_space.shape == (COUNT, 71)
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     assert env.metadata["render_fps"] == 20
     observation, _ = env.reset(seed=0)
@@ -169,7 +169,7 @@ def test_gymnasiums_wrappers_work() -> None:
     ):
         made = wrapper(made)
     observation, infos = made.reset(seed=0)
-    assert observation.shape == (COUNT, 72)
+    assert observation.shape == (COUNT, 71)
     assert [info["is_success"] for info in infos] == [False] * COUNT
     rewards = np.zeros(COUNT)
     for _ in range(4):
@@ -306,7 +306,7 @@ def test_a_part_of_the_worlds_may_begin_first() -> None:
     with pytest.raises(ResetNeeded, match=r"nothing has begun in worlds \[0, 1, 2\]"):
         env.step(STILL)
     observation, infos = env.reset(seed=0, options={"reset_mask": np.array([False, True, False])})
-    assert observation[0].tolist() == [0.0] * 72
+    assert observation[0].tolist() == [0.0] * 71
     assert infos["_depth"].tolist() == [False, True, False]
     with pytest.raises(ResetNeeded, match=r"call reset\(\) before step\(\): nothing has begun in worlds \[0, 2\]"):
         env.step(STILL)

@@ -76,7 +76,7 @@ def test_experts_demonstrate_what_they_would_do():
     env.close()
     assert len(whole) == 3
     for each in whole:
-        assert each.observations.shape == (7, 72)
+        assert each.observations.shape == (7, 71)
         np.testing.assert_array_equal(expert(each.observations[:-1]), each.actions)
     # Chance moves the tool, and the record still says what the expert wanted.
     astray = collect(plan, num_envs=2, noise=0.5)
@@ -112,9 +112,9 @@ class Unsteady:
 
     def __call__(self, plan, *, num_envs=32, noise=0.0, parts=None, steps=None):
         self.asked.append((noise, plan.episodes, plan.seed))
-        nothing = np.zeros(0)
+        nothing, three = np.zeros(0), np.zeros((3, 1))
         return [
-            Demonstration(nothing, nothing, nothing, np.array([plan.seed + k]), noise <= self.limit or k % 2 == 0)
+            Demonstration(nothing, three, three, np.array([plan.seed + k]), noise <= self.limit or k % 2 == 0)
             for k in range(plan.episodes)
         ]
 
@@ -131,8 +131,15 @@ def test_noise_is_the_greatest_that_the_expert_copes_with(monkeypatch):
 def test_what_fails_is_not_a_demonstration(monkeypatch):
     unsteady = Unsteady(0.0)
     monkeypatch.setattr(demonstrations, "collect", unsteady)
-    found, noise = collect_successes(Plan(PRESS, {}, "batch", 5, 7), num_envs=4, noise=0.2)
+    found, noise, steps = collect_successes(Plan(PRESS, {}, "batch", 5, 7), num_envs=4, noise=0.2)
     assert (len(found), noise) == (5, 0.2)
+    # Three for each of the twelve that were made.
+    assert steps == 36
+    tried = Unsteady(0.15)
+    monkeypatch.setattr(demonstrations, "collect", tried)
+    _, noise, steps = collect_successes(Plan(PRESS, {}, "batch", 4, 7), num_envs=4)
+    assert (noise, steps) == (0.1, 3 * (3 * demonstrations.TRIALS + 4))
+    monkeypatch.setattr(demonstrations, "collect", unsteady)
     assert all(each.success for each in found)
     # Eight for five, of which four succeed, then four more for the last.
     assert unsteady.asked == [(0.2, 8, 7), (0.2, 4, 15)]

@@ -39,7 +39,7 @@ def quick_experts(monkeypatch):
     """Experts that demonstrate two steps, and succeed at nothing."""
     monkeypatch.setattr(
         demonstrations, "collect_successes",
-        lambda plan, **more: (demonstrations.collect(plan, num_envs=1, steps=2), 0.0),
+        lambda plan, **more: demonstrations.Collected(demonstrations.collect(plan, num_envs=1, steps=2), 0.0, 2),
     )  # fmt: skip
 
 

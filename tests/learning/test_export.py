@@ -117,7 +117,7 @@ def test_a_model_of_another_kind_is_refused():
         export_policy(model)
 
 
-def linear(size=72, actions=3, **metadata):
+def linear(size=71, actions=3, **metadata):
     """Steers by the first numbers of an observation."""
     weights = np.zeros((actions, size), dtype=np.float32)
     weights[np.arange(actions), np.arange(actions)] = 2.0
@@ -139,10 +139,10 @@ def test_a_policy_finds_its_parts_in_an_environment():
     observation, _ = env.reset(seed=0)
     goals = observation[:, env.unwrapped.observation_builder.slices["goal"]]
     np.testing.assert_allclose(policy(observation), 2.0 * goals, rtol=1e-6)
-    with pytest.raises(ValueError, match="must have 70 numbers for this policy, got 72"):
+    with pytest.raises(ValueError, match="must have 70 numbers for this policy, got 71"):
         linear(70).bound_to(env)
     with pytest.raises(ValueError, match="actions must have 2 numbers"):
-        linear(72, 2).bound_to(env)
+        linear(71, 2).bound_to(env)
     env.close()
 
 
@@ -162,7 +162,7 @@ def test_policies_are_for_their_environment_only(tmp_path):
     assert find_policy(str(tmp_path / "press.npz"), "Spatula/Press-v0").description == "exported weights press.npz"
     with pytest.raises(ValueError, match=r"is for Spatula/Press-v0, not for Spatula/Clamp-v0"):
         find_policy(str(tmp_path / "press.npz"), "Spatula/Clamp-v0")
-    with pytest.raises(FileNotFoundError, match="expert, random, pretrained"):
+    with pytest.raises(FileNotFoundError, match="expert, proportional, random, pretrained"):
         find_policy(str(tmp_path / "none"), "Spatula/Press-v0")
 
 

@@ -68,7 +68,9 @@ def test_it_is_trained_saved_and_evaluated(mode, algorithm, tmp_path):
 def test_it_is_cloned_and_corrected(mode, tmp_path, monkeypatch):
     monkeypatch.setattr(
         demonstrations, "collect_successes",
-        lambda plan, **more: (demonstrations.collect(plan, num_envs=2, parts=more["parts"], steps=6), 0.0),
+        lambda plan, **more: demonstrations.Collected(
+            demonstrations.collect(plan, num_envs=2, parts=more["parts"], steps=6), 0.0, 12
+        ),
     )  # fmt: skip
     monkeypatch.setattr(cloning, "WORLDS", 2)
     file = write_small(tmp_path / "c.yaml", **MODES[mode])

@@ -92,7 +92,7 @@ def test_it_is_evaluated_in_processes_of_their_own(own_press):
 def test_it_is_cloned(own_press, tmp_path, monkeypatch):
     monkeypatch.setattr(
         demonstrations, "collect_successes",
-        lambda plan, **more: (demonstrations.collect(plan, num_envs=1, steps=2), 0.0),
+        lambda plan, **more: demonstrations.Collected(demonstrations.collect(plan, num_envs=1, steps=2), 0.0, 2),
     )  # fmt: skip
     monkeypatch.chdir(tmp_path)
     env_id = f"{own_press}:Mine/Press-v0"

@@ -75,8 +75,14 @@ def test_the_plan_of_the_documentation_can_be_read():
         assert run.plan.read(run.seed).seeds == (run.seed,)
     # Seed by seed, so that an interrupted plan has something of everything.
     assert [run.seed for run in everything] == sorted(run.seed for run in everything)
-    some = planned_runs(plan, ["press"], ["sac"], [0, 1])
-    assert [(run.task, run.name, run.seed) for run in some] == [("press", "sac", 0), ("press", "sac", 1)]
+    assert plan.evaluation.episodes == 200
+    for task in plan.tasks.values():
+        assert {"sac_scratch", "ppo", "clone"} <= set(task.algorithms)
+        for name in ("sac_scratch", "ppo"):
+            assert task.algorithms[name].read(0).demonstrations == 0
+    assert {run.name for run in planned_references(plan)} == {"expert", "proportional", "random", "pretrained"}
+    some = planned_runs(plan, ["retract"], ["sac"], [0, 1])
+    assert [(run.task, run.name, run.seed) for run in some] == [("retract", "sac", 0), ("retract", "sac", 1)]
     with pytest.raises(ValueError, match=r"algorithms must be some of .*'sac'.*, got \['dqn'\]"):
         planned_runs(plan, algorithms=["dqn"])
     with pytest.raises(ValueError, match=r"seeds must be some of \[0, 1, 2, 3, 4\], got \[7\]"):
@@ -151,6 +157,9 @@ def test_thresholds_are_reached_when_they_first_are():
     late = [{"step": 400, "success_rate": 1.0, "seconds": 40.0}]
     told = when_reached([CURVE, late, late], 0.8)
     assert (told.count, told.of, told.steps, told.seconds) == (3, 3, 400.0, 40.0)
+    # Steps of demonstrations are steps: what began as a clone has not learned for nothing.
+    cloned = [{"step": 0, "demonstration_steps": 2000, "success_rate": 0.85, "seconds": 3.0}, *CURVE]
+    assert first_reaching(cloned, 0.8) == (2000.0, 3.0)
     # Most never did.
     told = when_reached([CURVE, late, CURVE], 0.95)
     assert (told.count, told.of, told.steps, told.seconds) == (1, 3, None, None)
@@ -159,6 +168,8 @@ def test_thresholds_are_reached_when_they_first_are():
 def test_curves_are_read_off_between_evaluations():
     grid = np.array([50.0, 100.0, 150.0, 300.0, 900.0])
     np.testing.assert_allclose(on_grid(CURVE, grid), [np.nan, 0.1, 0.5, 0.7, 0.7])
+    later = [{**line, "demonstration_steps": 50} for line in CURVE]
+    np.testing.assert_allclose(on_grid(later, grid + 50), on_grid(CURVE, grid))
     value, low, high = estimate_columns(np.array([[0.1, 0.5], [0.1, 0.7], [0.1, 0.9]]), BootstrapPlan(resamples=50))
     np.testing.assert_allclose(value, [0.1, 0.7])
     assert (low <= value).all() and (value <= high).all()
@@ -170,13 +181,14 @@ def pretend(run, rates, curve=None):
     """What a finished run leaves, with these success rates in the engines."""
     run.folder.mkdir(parents=True)
     if run.seed is not None:
-        write_json(run.folder / "summary.json", {"steps": [3000], "seconds": [60.0]})
+        write_json(run.folder / "summary.json", {"steps": [3000], "seconds": [60.0], "demonstration_steps": [700]})
         folder = run.folder / f"seed-{run.seed}"
         folder.mkdir()
         (folder / "curve.jsonl").write_text("".join(json.dumps(line) + "\n" for line in curve or CURVE))
     for engine, rate in rates.items():
         summary = {
             "success_rate": rate, "success_interval": [rate / 2, rate], "return": 12.5, "cost": 1234.0,
+            "safe_success_rate": rate / 2,
             "violation_rate": 0.25, "time_to_success": None if rate == 0.0 else 2.5,
         }  # fmt: skip
         write_json(
@@ -212,18 +224,43 @@ def test_the_page_tells_what_the_runs_say(tmp_path):
     assert "Not finished yet: press with tqc (1 of 5 seeds)." in page
     assert "## Press\n\nA note.\n" in page
     row = cells(page, "SAC", "In the batch engine")
-    # Interquartile: the mean of 0.8, 0.9 and 1.0.
-    assert row[1:3] == ["5", row[2]] and row[2].startswith("90.0 [")
-    assert row[4].startswith("1234 [") and row[5].startswith("25.0 [")
-    assert cells(page, "TQC", "In the batch engine")[1:3] == ["1", "60.0"]
-    assert cells(page, "scripted expert", "In the batch engine")[1:3] == ["–", "100.0 [50.0, 100.0]"]
+    # Interquartile: the mean of 0.8, 0.9 and 1.0, which knows nothing of the seed that has 0.5.
+    assert row[1:3] == ["5", "3 700"] and row[3].startswith("90.0 [") and row[4:6] == ["84.0", "50.0"]
+    assert row[6].startswith("45.0 [") and row[8].startswith("1234 [") and row[9].startswith("25.0 [")
+    assert cells(page, "TQC", "In the batch engine")[1:6] == ["1", "3 700", "60.0", "60.0", "60.0"]
+    expert = cells(page, "scripted expert", "In the batch engine")
+    assert expert[1:7] == ["–", "–", "100.0 [50.0, 100.0]", "–", "–", "50.0"]
     assert cells(page, "random actions", "In the batch engine")[-1] == "–"
     learning = cells(page, "SAC", "When an evaluation")
-    assert learning == ["SAC", "5 of 5", "200", "0.1 min", "0 of 5", "–", "–", "3 000", "1.0 min"]
+    assert learning == ["SAC", "5 of 5", "200", "0.1 min", "0 of 5", "–", "–", "700", "3 700", "1.0 min"]
     there = cells(page, "SAC", "The same policies in Bullet")
-    assert there[1].startswith("80.0 [") and there[2] == "-10.0"
-    assert cells(page, "SAC", "## All tasks")[-1].startswith("90.0 [")
+    assert there[1].startswith("80.0 [") and there[2:4] == ["40.0", "-10.0"]
+    overall = cells(page, "SAC", "## All tasks")
+    assert overall[-3].startswith("90.0 [") and overall[-2:] == ["84.0", "50.0"]
+    assert cells(page, "scripted expert", "## All tasks")[-3:] == ["–", "–", "–"]
+    assert "beside scripted expert and random actions" in page
+    assert "[definition](definitions.md) 2" in page
     assert "](images/results_press.png)" in page and "](images/results_success.png)" in page
+
+
+def test_the_page_tells_of_which_part_of_the_plan_it_is(tmp_path):
+    plan = pretended_plan(tmp_path)
+    rows = gather(plan)
+    assert "last added to" not in write_page(plan, rows, [], "python -m agents.results")
+    part = "python -m agents.results --engines batch"
+    assert f"What is here was last added to with `{part}`." in write_page(plan, rows, [], part)
+
+
+def test_some_engines_do(tmp_path, capsys):
+    pretended_plan(tmp_path)
+    arguments = ["--plan", str(tmp_path / "plan.yaml"), "--page"]
+    assert main([*arguments, "--engines", "batch"], "python -m agents.results") == 0
+    page = (tmp_path / "docs" / "results.md").read_text()
+    assert "In the batch engine" in page and "The same policies in Bullet" not in page
+    assert "--page --engines batch`" in page
+    write_plan(tmp_path, evaluation={"episodes": 1, "engines": ["batch"]})
+    assert main([*arguments, "--engines", "bullet"]) == 1
+    assert "engines must be some of ['batch'], got ['bullet']" in capsys.readouterr().err
 
 
 def test_pictures_show_something_and_are_small(tmp_path):
@@ -280,6 +317,12 @@ def test_a_small_plan_is_carried_out_once_and_gone_on_with(tmp_path, capsys, mon
     assert main([*arguments, "--runs"]) == 0
     assert "press sac seed 0: goes on" in capsys.readouterr().out
     assert json.loads((run.folder / "summary.json").read_text())["steps"] == [120]
+    # Nor is an agent that was made for another definition of the task evaluated in this one.
+    places = [place for place in run.folder.rglob("provenance.json")]
+    for place in places:
+        place.write_text(json.dumps({**json.loads(place.read_text()), "definition": 1}))
+    assert main([*arguments, "--again"]) == 1
+    assert "was made for definition 1 of the task, the present one is 2" in capsys.readouterr().err
     # A run of another configuration is not taken for this one.
     (run.folder / "summary.json").unlink()
     (tmp_path / "tiny.yaml").write_text(yaml.safe_dump({**TRAINING, "total_steps": 160}))

@@ -359,7 +359,25 @@ def test_training_with_all_that_demonstrations_can_do_goes_to_its_end(tmp_path):
     )  # fmt: skip
     summary = train_seed(config, 0, tmp_path, QUIET)
     assert summary["steps"] == 120
+    # Four episodes of sixty steps, which the agent has not made itself.
+    assert summary["demonstration_steps"] == 240
     assert find_policy(str(tmp_path), "Spatula/Press-v0")
+
+
+@pytest.mark.parametrize(("clone_steps", "steps"), [(20, [0, 100]), (0, [100])])
+def test_what_begins_as_a_clone_is_evaluated_before_it_learns(tmp_path, clone_steps, steps):
+    config = small(
+        environment={**small_environment(), "kwargs": {"max_episode_steps": 60}},
+        demonstrations=4, clone_steps=clone_steps, success_target=0.0,
+    )  # fmt: skip
+    summary = train_seed(config, 0, tmp_path, QUIET)
+    curve = read_curve(tmp_path / "curve.jsonl")
+    assert [line["step"] for line in curve] == steps
+    assert {line["demonstration_steps"] for line in curve} == {240}
+    # Any evaluation would reach the target but this one, which is not what has been trained.
+    assert summary["reached_target"] and summary["steps"] >= 100
+    saved = json.loads((tmp_path / "best" / "evaluation.json").read_text())
+    assert saved["step"] == 100
 
 
 def test_stepping_meanwhile_changes_nothing():

@@ -104,7 +104,7 @@ def test_tianshou_shares_attributes_and_refuses_to_set_them() -> None:
     envs = TianshouVectorEnv(ID, 2)
     with pytest.raises(RuntimeError, match="reset all worlds before some of them"):
         envs.reset([0])
-    assert envs.observation_space[0].shape == (72,)
+    assert envs.observation_space[0].shape == (71,)
     with pytest.raises(AttributeError, match="'goal' cannot be set for single worlds"):
         envs.set_env_attr("goal", 1.0)
     envs.close()

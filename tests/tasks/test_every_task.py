@@ -125,7 +125,7 @@ def test_what_all_configurations_have_is_checked(name: str, changes: dict[str, A
         ("palpate", {"path_tolerance": 0.0}, "path_tolerance must be positive"),
         ("palpate", {"force_range": (0.2, 0.1)}, "force_range must be two finite numbers in ascending order"),
         ("palpate", {"force_range": (0.02, 0.1)}, "force_range must begin above force_tolerance, 0.03"),
-        ("palpate", {"force_range": (0.1, 9.0)}, "and end at 5.0 at most"),
+        ("palpate", {"force_range": (0.1, 9.0)}, "and end at 1.0 at most"),
         ("palpate", {"share_range": (0.0, 0.9)}, "share_range must be above 0 and 1 at most"),
         ("palpate", {"share_range": (0.5, 1.1)}, "share_range must be above 0 and 1 at most"),
         ("palpate", {"length_range": (0.003, 0.02)}, "length_range must begin above twice end_tolerance, 0.002"),

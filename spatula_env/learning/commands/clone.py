@@ -110,12 +110,12 @@ def _run(chosen: argparse.Namespace, program: str) -> Path:
     rehearse_clone(config)
     saved: list[str] = []
     try:
-        demonstrations, source = _demonstrate(chosen, plan, config)
+        demonstrations, source, made_steps = _demonstrate(chosen, plan, config)
         successes = sum(each.success for each in demonstrations)
         if demonstrations and not successes:
             warn(program, f"none of the {len(demonstrations)} demonstrations of {source} succeeded")
         with occupied(output):
-            _learn(output, plan, config, how, (demonstrations, source), chosen, saved)
+            _learn(output, plan, config, how, (demonstrations, source, made_steps), chosen, saved)
     except KeyboardInterrupt:
         told = f"{saved[-1]} is in {output}; --overwrite begins anew" if saved else "nothing has been saved"
         raise Interrupted(told) from None
@@ -127,7 +127,7 @@ def _learn(
     plan: Plan,
     config: TrainingConfig,
     how: CloneConfig,
-    shown: tuple[list[Demonstration], str],
+    shown: tuple[list[Demonstration], str, int],
     chosen: argparse.Namespace,
     saved: list[str],
 ) -> None:
@@ -138,22 +138,24 @@ def _learn(
         plan: Of the demonstrations.
         config: What is trained.
         how: How it imitates.
-        shown: The demonstrations, and where they are from.
+        shown: The demonstrations, where they are from, and how many control steps were made for them.
         chosen: Says how often it is corrected, and whether it replaces another.
         saved: Told what has been saved.
     """
     from spatula_env.learning.cloning import clone, correct
+    from spatula_env.learning.demonstrations import steps_of
     from spatula_env.learning.folders import clear_place
     from spatula_env.learning.saving import POLICY, PROVENANCE, provenance, save_policy, write_json
 
-    demonstrations, source = shown
+    demonstrations, source, made_steps = shown
     model, normalizer, losses = clone(config, demonstrations, how)
     origin = {
         **provenance(config.environment.id),
         "demonstrations": {
             "source": source,
             "episodes": len(demonstrations),
-            "steps": int(sum(len(each.actions) for each in demonstrations)),
+            "steps": steps_of(demonstrations),
+            "steps_made": made_steps,
             "success_rate": float(np.mean([each.success for each in demonstrations])),
         },
         "clone": dataclasses.asdict(how),
@@ -169,8 +171,10 @@ def _learn(
     write_json(output / PROVENANCE, origin)
     saved.append("the clone")
     for number in range(1, chosen.rounds + 1):
+        before = steps_of(demonstrations)
         success, losses = correct(output, number, plan, config, demonstrations, (model, normalizer, how))
-        origin["rounds"].append({"episodes": plan.episodes, "success_rate": success, "losses": losses})
+        made = steps_of(demonstrations) - before
+        origin["rounds"].append({"episodes": plan.episodes, "steps": made, "success_rate": success, "losses": losses})
         print(
             f"round {number}: before it {100 * success:.0f} % successful; difference then {losses[-1]:.4f}", flush=True
         )
@@ -194,16 +198,18 @@ def _planned(chosen: argparse.Namespace, config: TrainingConfig | None) -> Plan:
     return Plan(find_environment(named), kwargs, chosen.engine, chosen.expert, 2_000_000 + chosen.seed)
 
 
-def _demonstrate(chosen: argparse.Namespace, plan: Plan, config: TrainingConfig) -> tuple[list[Demonstration], str]:
-    """The demonstrations that the command line asks for, and in words where they are from."""
-    from spatula_env.learning.demonstrations import collect_successes, read_minari
+def _demonstrate(
+    chosen: argparse.Namespace, plan: Plan, config: TrainingConfig
+) -> tuple[list[Demonstration], str, int]:
+    """The demonstrations that the command line asks for, in words where they are from, and the steps made for them."""
+    from spatula_env.learning.demonstrations import collect_successes, read_minari, steps_of
 
     parts = config.environment.parts
     if chosen.dataset is not None:
         demonstrations, _, _ = read_minari(chosen.dataset, parts, plan.env_id)
-        return demonstrations, chosen.dataset
-    demonstrations, sigma = collect_successes(plan, noise=chosen.noise, parts=parts)
-    return demonstrations, f"scripted expert, {chosen.engine} engine, noise {sigma:g}"
+        return demonstrations, chosen.dataset, steps_of(demonstrations)
+    demonstrations, sigma, made_steps = collect_successes(plan, noise=chosen.noise, parts=parts)
+    return demonstrations, f"scripted expert, {chosen.engine} engine, noise {sigma:g}", made_steps
 
 
 def _noise(text: str) -> float | str:

@@ -35,7 +35,9 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
         help="environment, such as Spatula/Press-v0, press for short, or MODULE:ID for one of your own",
     )  # fmt: skip
     parser.add_argument(
-        "--policy", required=True, help="expert, random, pretrained, or the path of a run or of exported weights"
+        "--policy",
+        required=True,
+        help="expert, proportional, random, pretrained, or the path of a run or of exported weights",
     )
     parser.add_argument("--engine", choices=ENGINES, default="batch", help="default: %(default)s")
     parser.add_argument("--episodes", type=int, default=100, help="default: %(default)s")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import yaml
@@ -12,10 +14,10 @@ import yaml
 from spatula_env.files import write_text
 from spatula_env.installing import install_hint
 from spatula_env.learning.commands.common import fail
-from spatula_env.learning.configuration import find_config
+from spatula_env.learning.configuration import ENGINES, find_config
 from spatula_env.learning.results.gather import gather, read_machines
 from spatula_env.learning.results.page import write_page
-from spatula_env.learning.results.plan import planned_references, planned_runs, read_plan
+from spatula_env.learning.results.plan import ResultsPlan, planned_references, planned_runs, read_plan
 from spatula_env.learning.results.runs import evaluate_agent, is_finished, make_agents
 
 PROGRAM = "python -m spatula_env.learning.commands.results"
@@ -39,6 +41,7 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
     parser.add_argument("--tasks", nargs="+", metavar="TASK", help="some of the plan's only")
     parser.add_argument("--algorithms", nargs="+", metavar="ALGORITHM", help="some of the plan's only")
     parser.add_argument("--seeds", nargs="+", type=int, metavar="SEED", help="some of the plan's only")
+    parser.add_argument("--engines", nargs="+", choices=ENGINES, help="evaluate in some of the plan's only")
     parser.add_argument("--jobs", type=int, default=1, help="runs at once; default: %(default)s")
     parser.add_argument("--again", action="store_true", help="evaluate also what has been evaluated")
     what = parser.add_mutually_exclusive_group()
@@ -47,8 +50,9 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
     chosen = parser.parse_args(arguments)
     if chosen.jobs < 1:
         parser.error(f"--jobs must be 1 or more, got {chosen.jobs}")
+    given = sys.argv[1:] if arguments is None else arguments
     try:
-        return _run(chosen, program)
+        return _run(chosen, program, shlex.join([*program.split(), *given]))
     except (FileNotFoundError, ValueError, yaml.YAMLError) as error:
         return fail(program, str(error))
     except ImportError as error:
@@ -58,8 +62,8 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
         return fail(program, "interrupted; the same command goes on", 130)
 
 
-def _run(chosen: argparse.Namespace, program: str) -> int:
-    plan = read_plan(find_config(chosen.plan, "tasks"))
+def _run(chosen: argparse.Namespace, program: str, command: str) -> int:
+    plan = _with_engines(read_plan(find_config(chosen.plan, "tasks")), chosen.engines)
     runs = planned_runs(plan, chosen.tasks, chosen.algorithms, chosen.seeds)
     failures: list[str] = []
     if not chosen.page:
@@ -78,10 +82,25 @@ def _run(chosen: argparse.Namespace, program: str) -> int:
         if not rows:
             return fail(program, f"there is nothing to write of yet in {plan.runs}")
         pictures = draw_pictures(plan, rows)
-        write_text(Path(plan.page), write_page(plan, rows, read_machines(plan)))
+        write_text(Path(plan.page), write_page(plan, rows, read_machines(plan), command))
         for file in (*pictures, plan.page):
             print(file)
     return 1 if failures else 0
+
+
+def _with_engines(plan: ResultsPlan, engines: Sequence[str] | None) -> ResultsPlan:
+    """A plan with some of its engines only.
+
+    Raises:
+        ValueError: If it has not got one of them.
+    """
+    if engines is None:
+        return plan
+    unknown = [name for name in engines if name not in plan.evaluation.engines]
+    if unknown:
+        raise ValueError(f"engines must be some of {list(plan.evaluation.engines)}, got {unknown}")
+    kept = tuple(name for name in plan.evaluation.engines if name in engines)
+    return replace(plan, evaluation=replace(plan.evaluation, engines=kept))
 
 
 def _say(text: str) -> None:

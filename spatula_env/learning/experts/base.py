@@ -33,8 +33,8 @@ class Expert(ABC):
         """Learn how the observations and the actions of an environment are laid out.
 
         Args:
-            env: Of the task, for one agent or many, wrapped or not, in the modes "state" or "dict", with any reward,
-                noise, delay and history.
+            env: Of the task, for one agent or many, wrapped or not, in the modes "state" or "dict", with all parts
+                and any reward, noise, delay and history.
 
         Raises:
             ValueError: If it is another one.
@@ -45,6 +45,8 @@ class Expert(ABC):
             raise ValueError(f"env must be a {self.task} environment, got {env}")
         if made.settings.obs_mode not in ("state", "dict"):
             raise ValueError(f"env must have obs_mode 'state' or 'dict', got {made.settings.obs_mode!r}")
+        if made.settings.observation.parts != "all":
+            raise ValueError(f"env must have observation.parts 'all', got {made.settings.observation.parts!r}")
         self._slices = made.observation_builder.slices
         self._stacked = made.settings.observation.history > 1
         control = made.control

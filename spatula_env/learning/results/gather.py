@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,18 @@ from spatula_env.learning.results.runs import evaluation_file, is_finished
 from spatula_env.learning.results.statistics import Estimate, Reached, estimate, when_reached
 from spatula_env.learning.saving import read_curve
 
-QUANTITIES = ("success_rate", "return", "cost", "violation_rate", "time_to_success")
+QUANTITIES = ("success_rate", "safe_success_rate", "return", "cost", "violation_rate", "time_to_success")
 """What the tables have of an evaluation."""
+
+REFERENCE_LABELS: Mapping[str, str] = MappingProxyType(
+    {
+        "expert": "scripted expert",
+        "proportional": "proportional controller",
+        "random": "random actions",
+        "pretrained": "pretrained policy",
+    }
+)
+"""What policies to compare with are called."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +43,8 @@ class Row:
         quantities: For each engine, what `QUANTITIES` names; nothing if there is no evaluation.
         reached: When each threshold was; nothing for what is not trained.
         curves: Of the seeds.
-        steps: Environment steps of training, the mean; None for what is not trained.
+        steps: Control steps of training, the mean; None for what is not trained.
+        demonstration_steps: Control steps that were made for demonstrations, the mean; None for what has not learned.
         seconds: Of training, the mean [s]; None for what is not trained.
     """
 
@@ -46,7 +58,13 @@ class Row:
     reached: Mapping[float, Reached]
     curves: Sequence[Sequence[Mapping[str, Any]]]
     steps: float | None
+    demonstration_steps: float | None
     seconds: float | None
+
+    @property
+    def all_steps(self) -> float | None:
+        """Control steps of training and for demonstrations; None for what has not learned."""
+        return None if self.demonstration_steps is None else self.demonstration_steps + (self.steps or 0.0)
 
 
 def gather(plan: ResultsPlan) -> list[Row]:
@@ -114,6 +132,7 @@ def _learned(plan: ResultsPlan, task: str, name: str, label: str, own: list[Run]
         reached={threshold: when_reached(curves, threshold) for threshold in plan.thresholds} if trained else {},
         curves=curves,
         steps=float(np.mean([each["steps"][0] for each in summaries])) if summaries else None,
+        demonstration_steps=float(np.mean([_demonstrated(run) for run in done])),
         seconds=float(np.mean([each["seconds"][0] for each in summaries])) if summaries else None,
     )
 
@@ -133,8 +152,16 @@ def _reference(plan: ResultsPlan, run: Run) -> Row | None:
             quantities[engine]["success_rate"] = Estimate(summary["success_rate"], *summary["success_interval"])
     if not rates:
         return None
-    labels = {"expert": "scripted expert", "random": "random actions", "pretrained": "pretrained policy"}
-    return Row(run.task, run.name, labels[run.name], 0, 0, rates, quantities, {}, [], None, None)
+    return Row(run.task, run.name, REFERENCE_LABELS[run.name], 0, 0, rates, quantities, {}, [], None, None, None)
+
+
+def _demonstrated(run: Run) -> int:
+    """How many control steps were made for the demonstrations of a finished agent."""
+    if run.plan is not None and run.plan.clone:
+        told = json.loads((run.folder / "provenance.json").read_text(encoding="utf-8"))
+        return int(told["demonstrations"]["steps_made"] + sum(each["steps"] for each in told["rounds"]))
+    summary = json.loads((run.folder / "summary.json").read_text(encoding="utf-8"))
+    return int(sum(summary.get("demonstration_steps", [0])))
 
 
 def _estimates(summaries: Sequence[Mapping[str, Any]], plan: ResultsPlan) -> dict[str, Estimate]:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from spatula_env.learning.results.gather import Row, names_of
+from spatula_env.definitions import FIRST, definition_number
+from spatula_env.learning.results.gather import REFERENCE_LABELS, Row, names_of
 from spatula_env.learning.results.plan import ResultsPlan
 from spatula_env.learning.results.statistics import Estimate, Reached, estimate
 
@@ -17,26 +18,35 @@ ENGINE_NAMES = {"batch": "the batch engine", "bullet": "Bullet"}
 
 INTRODUCTION = """# Results
 
-Agents trained with the configurations in `configs`, {seeds} seeds each, beside the scripted expert, random actions and
-the policies that come with the package.
+Agents trained with the configurations in `configs`, {seeds} seeds each, beside {references}.
+Figures are of the tasks' [definition]({definitions}) {definition}.
 `python -m agents.results` makes this page: it trains what has not been trained, evaluates it, and writes what follows;
 `configs/results.yaml` says what there is to be.
 
 Each agent is evaluated in {episodes} episodes that it has neither been trained nor chosen by, which end with success or
-after ten seconds; what is kept of a run is the policy of its best evaluation. Numbers are interquartile means over the
-seeds, with {confidence} % intervals by {resamples} bootstrap resamples of the seeds; those of policies to compare
-with are means over the episodes, with Wilson's interval of success. Nothing in the reward speaks of haste or of
-pressure: cost and violations ([tasks.md](tasks.md#safety)) are what agents do that are not asked to be careful.
+after ten seconds; what is kept of a run is the policy of its best evaluation. *IQM* is the interquartile mean over the
+seeds, with {confidence} % intervals by {resamples} bootstrap resamples of the seeds. It leaves the worst seed out, so
+that the mean and the worst seed stand beside it. Numbers of policies to compare with are means over the episodes, with
+Wilson's interval of success. *Safe* is success within the task's budget of cost. Returns are those of whole episodes.
+*Steps* are the control steps that an agent has cost, those of its demonstrations among them. Nothing in the reward
+speaks of pressure: cost and violations ([tasks.md](tasks.md#safety)) are what agents do that are not asked to be
+careful.
 """
 
 
-def write_page(plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mapping[str, Any]]) -> str:
+COMMAND = "python -m agents.results"
+
+
+def write_page(
+    plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mapping[str, Any]], command: str = COMMAND
+) -> str:
     """The page.
 
     Args:
         plan: What there is to be.
         rows: From `gather`.
         machines: From `read_machines`.
+        command: That was last given, which the page tells if it is about a part of the plan.
     """
     engines = plan.evaluation.engines
     parts = [
@@ -45,8 +55,13 @@ def write_page(plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mappin
             episodes=plan.evaluation.episodes,
             confidence=f"{100 * plan.bootstrap.confidence:g}",
             resamples=plan.bootstrap.resamples,
+            references=_enumerated([REFERENCE_LABELS[name] for name in plan.references]) or "nothing else",
+            definition=" and ".join(map(str, _definitions(plan))),
+            definitions="definitions.md",
         )
     ]
+    if command != COMMAND:
+        parts.append(f"What is here was last added to with `{command}`.\n")
     parts.append(_missing(plan, rows))
     parts.append(_all_tasks(plan, rows))
     for task in plan.tasks:
@@ -84,27 +99,39 @@ def _all_tasks(plan: ResultsPlan, rows: Sequence[Row]) -> str:
     if not labels:
         return ""
     engine = plan.evaluation.engines[0]
-    lines = [("", *(task.capitalize() for task in plan.tasks), "all tasks")]
+    lines = [("", *(task.capitalize() for task in plan.tasks), "all tasks", "mean", "worst seed")]
     for name in labels:
         own = {row.task: row for row in rows if row.name == name and engine in row.rates}
         cells = [_rate(own[task].quantities[engine]["success_rate"]) if task in own else NONE for task in plan.tasks]
         whole = set(own) == set(plan.tasks) and name not in plan.references
         over = _rate(estimate([own[task].rates[engine] for task in plan.tasks], plan.bootstrap)) if whole else NONE
-        lines.append((labels[name], *cells, over))
-    text = f"## All tasks\n\nSuccess in {ENGINE_NAMES[engine]} [%]:\n\n{_table(lines)}"
+        every = [rate for row in own.values() for rate in row.rates[engine]] if whole else []
+        lines.append((labels[name], *cells, over, *_mean_and_worst(every)))
+    text = (
+        f"## All tasks\n\nSuccess in {ENGINE_NAMES[engine]}, IQM [%]; of all tasks the mean and the worst seed as well:"
+        f"\n\n{_table(lines)}"
+    )
     picture = _link(plan, SUMMARY_PICTURE)
     return f"{text}\n![Success by task, algorithm and engine, with intervals]({picture})\n"
 
 
 def _success_table(rows: Sequence[Row], engine: str) -> str:
-    lines = [("", "seeds", "success [%]", "return", "cost [s]", "episodes with a violation [%]", "time to success [s]")]
+    lines = [
+        (
+            "", "seeds", "steps", "success, IQM [%]", "mean", "worst seed", "safe [%]", "return", "cost [s]",
+            "episodes with a violation [%]", "time to success [s]",
+        )
+    ]  # fmt: skip
     for row in rows:
         told = row.quantities.get(engine, {})
         lines.append(
             (
                 row.label,
                 str(row.finished) if row.planned else NONE,
+                _steps(row.all_steps),
                 _cell(told, "success_rate", _rate),
+                *_mean_and_worst(row.rates.get(engine, ()) if row.planned else ()),
+                _cell(told, "safe_success_rate", _rate),
                 _cell(told, "return", _number),
                 _cell(told, "cost", _number),
                 _cell(told, "violation_rate", _rate),
@@ -121,13 +148,16 @@ def _learning_table(rows: Sequence[Row], plan: ResultsPlan) -> str:
     heads = [
         f"{what} to {100 * threshold:g} %" for threshold in plan.thresholds for what in ("runs", "steps", "wall-clock")
     ]
-    lines = [("", *heads, "steps in all", "wall-clock in all")]
+    lines = [("", *heads, "of demonstrations", "steps in all", "wall-clock in all")]
     for row in trained:
         cells = [cell for threshold in plan.thresholds for cell in _reached_cells(row.reached[threshold])]
-        lines.append((row.label, *cells, _steps(row.steps), _minutes(row.seconds)))
+        steps = (_steps(row.demonstration_steps), _steps(row.all_steps))
+        lines.append((row.label, *cells, *steps, _minutes(row.seconds)))
     return (
         "When an evaluation during training first had a success rate, the median over all runs, one that never had it "
-        f"counting as endless; time includes the evaluations. Training ends at its target:\n\n{_table(lines)}"
+        "counting as endless; steps are those of demonstrations too, and time includes the evaluations. An agent that "
+        "begins as a clone is evaluated before it learns: if it has the rate by then, its demonstrations are all it "
+        f"took. Training ends at its target:\n\n{_table(lines)}"
     )
 
 
@@ -150,13 +180,14 @@ def _transfer_table(rows: Sequence[Row], engines: Sequence[str]) -> str:
         there = [row for row in rows if engine in row.quantities]
         if not there:
             continue
-        lines = [("", "success [%]", "difference [%]", "cost [s]", "episodes with a violation [%]")]
+        lines = [("", "success, IQM [%]", "worst seed", "difference [%]", "cost [s]", "episodes with a violation [%]")]
         for row in there:
             told = row.quantities[engine]
             before = row.quantities.get(first, {}).get("success_rate")
             change = NONE if before is None else f"{100 * (told['success_rate'].value - before.value):+.1f}"
             lines.append(
-                (row.label, _rate(told["success_rate"]), change, _cell(told, "cost", _number),
+                (row.label, _rate(told["success_rate"]), _mean_and_worst(row.rates[engine] if row.planned else ())[1],
+                 change, _cell(told, "cost", _number),
                  _cell(told, "violation_rate", _rate))
             )  # fmt: skip
         parts.append(
@@ -197,6 +228,23 @@ def _link(plan: ResultsPlan, name: str) -> str:
 def _table(lines: Sequence[Sequence[str]]) -> str:
     rules = ["---", *["---:"] * (len(lines[0]) - 1)]
     return "".join(f"| {' | '.join(line)} |\n" for line in (lines[0], rules, *lines[1:]))
+
+
+def _mean_and_worst(rates: Sequence[float]) -> tuple[str, str]:
+    """Of the success rates of some seeds."""
+    if not rates:
+        return NONE, NONE
+    return f"{100 * sum(rates) / len(rates):.1f}", f"{100 * min(rates):.1f}"
+
+
+def _enumerated(names: Sequence[str]) -> str:
+    """Names as a sentence has them."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def _definitions(plan: ResultsPlan) -> list[int]:
+    """The numbers of the definitions of a plan's tasks, each once."""
+    return sorted({definition_number(task.environment) for task in plan.tasks.values()}) or [FIRST]
 
 
 def _cell(told: Mapping[str, Estimate], name: str, write: Callable[[Estimate], str]) -> str:

@@ -13,7 +13,7 @@ from spatula_env.installing import install_hint
 from spatula_env.learning.results.gather import Row, names_of
 from spatula_env.learning.results.page import SUMMARY_PICTURE, picture_name
 from spatula_env.learning.results.plan import ResultsPlan
-from spatula_env.learning.results.statistics import estimate_columns, on_grid
+from spatula_env.learning.results.statistics import estimate_columns, on_grid, steps_at
 
 COLORS: Mapping[str, str] = MappingProxyType(
     {
@@ -23,6 +23,8 @@ COLORS: Mapping[str, str] = MappingProxyType(
         "sac_her": "#cc79a7",
         "clone": "#56b4e9",
         "expert": "#444444",
+        "sac_scratch": "#882255",
+        "proportional": "#777777",
         "random": "#aaaaaa",
         "pretrained": "#e69f00",
     }
@@ -80,9 +82,9 @@ def _draw_curves(plan: ResultsPlan, rows: Sequence[Row], file: Path, colors: Map
             _draw_curve(axes, plan, row, curves, colors[row.name])
         elif row.name not in plan.references and row.rates:
             _draw_level(axes, plan, row, colors[row.name], "-.")
-        elif row.rates and row.name != "pretrained":
+        elif row.rates and row.name not in ("pretrained", "proportional"):
             _draw_level(axes, plan, row, colors[row.name], ":")
-    axes.set(xlabel="environment steps, of all worlds together", ylabel="success [%]", ylim=(-3, 103))
+    axes.set(xlabel="control steps of all worlds, with those of demonstrations", ylabel="success [%]", ylim=(-3, 103))
     axes.set_xlim(left=0)
     axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g} k" if value else "0")
     axes.set_title(rows[0].task.capitalize(), loc="left", fontsize=11)
@@ -96,15 +98,15 @@ def _draw_curves(plan: ResultsPlan, rows: Sequence[Row], file: Path, colors: Map
 
 def _draw_curve(axes: Any, plan: ResultsPlan, row: Row, curves: Sequence[Any], color: str) -> None:
     """The interquartile mean with its band, as far as any run went; thin lines are the runs."""
-    first = max(curve[0]["step"] for curve in curves)
-    last = max(curve[-1]["step"] for curve in curves)
+    first = max(steps_at(curve[0]) for curve in curves)
+    last = max(steps_at(curve[-1]) for curve in curves)
     grid = np.linspace(first, max(last, first + 1), GRID)
     samples = np.stack([on_grid(curve, grid) for curve in curves])
     value, low, high = estimate_columns(samples, plan.bootstrap)
     axes.plot(grid, 100 * value, color=color, linewidth=2, label=f"{row.label}, {len(curves)} seeds")
     axes.fill_between(grid, 100 * low, 100 * high, color=color, alpha=0.18, linewidth=0)
     for curve in curves:
-        steps, rates = [line["step"] for line in curve], [100 * line["success_rate"] for line in curve]
+        steps, rates = [steps_at(line) for line in curve], [100 * line["success_rate"] for line in curve]
         axes.plot(steps, rates, color=color, linewidth=0.6, alpha=0.45)
         axes.plot(steps[-1:], rates[-1:], color=color, marker="o", markersize=2.5, alpha=0.7)
 

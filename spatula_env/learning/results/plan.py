@@ -20,7 +20,7 @@ from spatula_env.learning.configuration import (
 from spatula_env.learning.ranges import Checked, Count, Natural, Rule
 from spatula_env.naming import find_environment, same_environment
 
-REFERENCES = ("expert", "random", "pretrained")
+REFERENCES = ("expert", "proportional", "random", "pretrained")
 """Policies that are there already, to compare with."""
 
 

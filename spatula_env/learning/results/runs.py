@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from spatula_env.definitions import definition_number
 from spatula_env.learning.configuration import read_training, to_mapping
 from spatula_env.learning.evaluation import MEASURES, Plan, evaluate, summarize
 from spatula_env.learning.finding import find_policy
 from spatula_env.learning.folders import differences
 from spatula_env.learning.policies import PolicySource
 from spatula_env.learning.results.plan import Run, ScoringPlan
-from spatula_env.learning.saving import MODEL, NORMALIZER, find_saved, provenance, write_json
+from spatula_env.learning.saving import MODEL, NORMALIZER, definition_of, find_saved, provenance, write_json
 from spatula_env.policies import pretrained_path
 
 LOG = "log.txt"
@@ -146,14 +147,24 @@ def evaluate_agent(run: Run, scoring: ScoringPlan, engine: str, *, again: bool =
 
     Returns:
         Whether there was anything to do.
+
+    Raises:
+        ValueError: If the agent was made for another definition of the task: its results would not be of this one.
     """
     source = _source_of(run)
+    present = definition_number(run.environment)
+    if run.plan is not None and (number := definition_of(find_saved(run.folder))) != present:
+        raise ValueError(
+            f"{run.folder} was made for definition {number} of the task, the present one is {present}: remove it to "
+            "begin anew"
+        )
     key = {
         "policy": _fingerprint(run),
         "kwargs": dict(source.kwargs),
         "engine": engine,
         "episodes": scoring.episodes,
         "seed": scoring.seed,
+        "definition": present,
     }
     file = evaluation_file(run, engine)
     if not again and file.exists() and json.loads(file.read_text(encoding="utf-8"))["key"] == key:

@@ -44,7 +44,7 @@ class Reached:
     Attributes:
         count: How many did.
         of: Of how many.
-        steps: Environment steps, the median over all runs; None if most did not.
+        steps: Control steps, with those of demonstrations, the median over all runs; None if most did not.
         seconds: Wall-clock time until then, likewise [s].
     """
 
@@ -118,11 +118,16 @@ def _interval(arrays: list[FloatArray], plan: BootstrapPlan, axis: int = -1) -> 
     return low, high
 
 
+def steps_at(line: Mapping[str, Any]) -> float:
+    """How many control steps an agent had cost when it was evaluated: its own, and those of its demonstrations."""
+    return float(line["step"] + line.get("demonstration_steps", 0))
+
+
 def first_reaching(curve: Sequence[Mapping[str, Any]], threshold: float) -> tuple[float, float] | None:
     """The step and the second at which an evaluation first was at a success rate; None if none was."""
     for line in curve:
         if line["success_rate"] >= threshold:
-            return float(line["step"]), float(line["seconds"])
+            return steps_at(line), float(line["seconds"])
     return None
 
 
@@ -146,11 +151,11 @@ def on_grid(curve: Sequence[Mapping[str, Any]], grid: FloatArray) -> FloatArray:
 
     Args:
         curve: Of a run, with one line at least.
-        grid: (N,) steps.
+        grid: (N,) steps, with those of demonstrations.
 
     Returns:
         (N,); NaN before the first evaluation.
     """
-    steps = np.array([line["step"] for line in curve], dtype=np.float64)
+    steps = np.array([steps_at(line) for line in curve])
     rates = np.array([line["success_rate"] for line in curve], dtype=np.float64)
     return np.asarray(np.interp(grid, steps, rates, left=np.nan), dtype=np.float64)
