@@ -101,7 +101,7 @@ STOPPING_WAY = 0.5
 """That is, unless a point of a tool goes farther than this in the step, in mean edges of the organ."""
 
 SLOWING = 0.25
-"""Part of its pace that a stop leaves to the hand,"""
+"""Part of its pace that a stop leaves to the hand, and of their speed to organs,"""
 
 SPEEDING = 2.0
 """and factor by which it grows again in each step without one."""
@@ -443,7 +443,7 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
         plan: `QueryPlan` of the step's last query.
         tools: `QueryTools`; written.
         motions: `Motions`; their ends are their starts then, and their velocities zero.
-        organs: `OrganMotion`, of which the vertices are written.
+        organs: `OrganMotion`, of which vertices and velocities are written.
         crossings: In how many places organs crossed before the step.
         depth: How deep tools and organs are in each other [u].
 
@@ -456,6 +456,10 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
     if before >= depth:
         return depth
     copy_points(organs.start, organs.vertices)
+    # Organs that kept their speed would be thrown into the same place again, and nothing would ever change.
+    for i in range(organs.velocities.shape[0]):
+        for axis in range(3):
+            organs.velocities[i, axis] *= SLOWING
     copy_points(motions.start_positions, motions.positions)
     for k in range(motions.positions.shape[0]):
         for entry in range(4):

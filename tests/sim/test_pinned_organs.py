@@ -69,9 +69,13 @@ def test_a_tool_does_not_get_into_an_organ_that_is_held(which, engine):
     assert watched.deepest < DEEPEST and watched.told < DEEPEST
     # It came as near as a step lets it, and no farther.
     assert 1.0 - DEEPEST < watched.lowest() < 1.0 + 4.0 * simulation.dt
-    stopped_at = simulation.tool_position[2]
+    stopped_at, way = simulation.tool_position[2], 4.0 * simulation.dt
     watched.go(60, (0.0, 0.0, 4.0))
-    assert simulation.tool_position[2] - stopped_at == pytest.approx(60 * 4.0 * simulation.dt, abs=1e-9)
+    # It starts slowly, from 1/256 of its pace at least, which takes eight steps, and ends as many behind.
+    assert 52 * way < simulation.tool_position[2] - stopped_at <= 60 * way + 1e-9
+    stopped_at = simulation.tool_position[2]
+    watched.go(1, (0.0, 0.0, 4.0))
+    assert simulation.tool_position[2] - stopped_at == pytest.approx(way, abs=1e-9)
     # Nor does a rim that is turned into it.
     watched.go(200, (0.0, 0.0, -4.0), (0.0, 2.0, 0.0))
     assert watched.deepest < DEEPEST and watched.told < DEEPEST
@@ -84,6 +88,55 @@ def test_a_tool_that_was_put_into_an_organ_gets_out():
     watched = Watched(simulation)
     watched.go(60, (0.0, 0.0, 2.0))
     assert watched.lowest() == pytest.approx(0.9 - 0.0625 + 60 * 2.0 * simulation.dt, abs=1e-9)
+    simulation.close()
+
+
+def test_a_hand_that_was_stopped_goes_on_slowly_and_is_saved_so():
+    simulation = Simulation(scene_of("all"), engine="batch")
+    way = 4.0 * simulation.dt
+
+    def moved(up, angular=(0.0, 0.0, 0.0)):
+        before = simulation.tool_position[2]
+        simulation.step((0.0, 0.0, 4.0 * up), angular)
+        return (simulation.tool_position[2] - before) / way
+
+    while moved(-1.0) != 0.0:
+        pass
+    saved = simulation.save()
+    ways = [moved(1.0) for _ in range(5)]
+    np.testing.assert_allclose(ways, [0.25, 0.5, 1.0, 1.0, 1.0], atol=1e-9)
+    simulation.restore(saved)
+    assert moved(1.0) == pytest.approx(0.25, abs=1e-9)
+    # Each stop in a row leaves less of it.
+    simulation.restore(saved)
+    stops = sum(moved(-1.0) == 0.0 for _ in range(100))
+    assert stops > 10
+    assert 0.0 < moved(1.0) <= 0.25
+    simulation.reset()
+    assert moved(1.0) == pytest.approx(1.0, abs=1e-9)
+    simulation.close()
+
+
+def test_a_foil_between_two_slabs_gets_free():
+    # Each step of full length leaves it too deep, in whichever direction: the slabs cannot follow so far at once.
+    foil = Tool.box((2.0, 0.5, 0.02), faces="all")
+    slabs = [PlacedOrgan(SLAB, (x, 0.0, 0.5), mass=4.0, fixed_nodes=held_nodes("most")) for x in (-2.2, 2.2)]
+    scene = Scene(organs=tuple(slabs), tools=(PlacedTool(foil, (0.0, 0.1, 1.3)),), ground=None, gravity=0.0)
+    simulation = Simulation(scene, engine="batch")
+    generator = np.random.default_rng(3)
+    stopped = 0
+    for _ in range(20):
+        linear, angular = generator.uniform(-20.0, 20.0, 3), generator.uniform(-30.0, 30.0, 3)
+        linear[2] -= 8.0
+        for _ in range(10):
+            before = simulation.tool_position
+            simulation.step(linear, angular)
+            stopped += np.array_equal(before, simulation.tool_position)
+    assert stopped > 10
+    start = simulation.tool_position[2]
+    for _ in range(120):
+        simulation.step((0.0, 0.0, 5.0))
+    assert simulation.tool_position[2] - start > 90 * 5.0 * simulation.dt
     simulation.close()
 
 
