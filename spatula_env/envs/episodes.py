@@ -24,6 +24,7 @@ from spatula_env.envs.start_options import check_free, chosen_starts
 from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.envs.workspace_frames import Frames
+from spatula_env.scenes import with_material
 from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.situation import Situation, Start
@@ -99,7 +100,10 @@ class Episodes:
         Raises:
             ValueError: If an option is not one of those allowed, or a number is out of its range.
         """
-        self.scene = scene = definition.scene()
+        scene = definition.scene()
+        if settings.material is not None:
+            scene = with_material(scene, settings.material)
+        self.scene = scene
         if len(scene.organs) != 1:
             raise ValueError(f"scene must have one organ, got {len(scene.organs)}")
         self.settings = settings

@@ -193,7 +193,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     | Parameter              | Type               | Default      | Description                                         |
     | ---------------------- | ------------------ | ------------ | --------------------------------------------------- |
-    | `engine`               | **str \| None**    | `None`       | What integrates the organ: `"bullet"`, `"batch"`    |
+    | `engine`               | **str \| None**    | `None`       | Of the organ: `"bullet"`, `"batch"` or `"tissue"`   |
+    | `material`             | **Material**       | `None`       | With `"tissue"`: what the organ is made of          |
     | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"` or, in Bullet, `"bullet"`|
     | `obs_mode`             | **str**            | `"state"`    | See above                                           |
     | `control`              | **str**            | `"velocity"` | `"velocity"` or `"velocity_6d"`                     |
@@ -215,7 +216,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `height`               | **int**            | `480`        | Of pictures, 1 to 8192 [pixels]                     |
 
     With `engine=None` it is `"bullet"` where PyBullet is installed, else `"batch"`, and a warning says so once;
-    `env.spec` has the one that is used.
+    `env.spec` has the one that is used. `material` is a `scenes.Material`, a mapping of its fields, or the name of a
+    region of the brain, as `"cortex"`; None is `Material()`, and all that the engines of springs take.
 
     Attributes:
         definition: Scene and task; subclasses have one.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, cast, get_args
 
 from spatula_env.geometry.checks import check_finite, check_not_negative, check_positive, is_number
 
@@ -145,3 +146,28 @@ class Material:
             relaxation=relaxation,
             rivlin=(first, square),
         )
+
+
+def as_material(value: Any) -> Material:
+    """A material from itself, from a mapping of some of its fields, or from the name of a region of the brain.
+
+    Args:
+        value: A `Material`; a mapping such as `{"young_modulus": 3000.0}`, whose other fields have their defaults; or a
+            region that `Material.brain` knows.
+
+    Raises:
+        ValueError: If it is none of these, or a value is not allowed.
+    """
+    if isinstance(value, Material):
+        return value
+    if isinstance(value, str):
+        return Material.brain(cast("BrainRegion", value))
+    names = [each.name for each in fields(Material)]
+    if isinstance(value, Mapping):
+        unknown = [name for name in value if name not in names]
+        if unknown:
+            raise ValueError(f"material must have fields among {names}, got {unknown}")
+        return Material(**value)
+    raise ValueError(
+        f"material must be a Material, a mapping of fields among {names}, or one of {list(BRAIN)}, got {value!r}"
+    )

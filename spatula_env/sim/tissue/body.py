@@ -13,6 +13,7 @@ from spatula_env.geometry.transforms import rotate
 from spatula_env.scenes import Material
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.tissue import nodal
+from spatula_env.sim.tissue.held import GIVEN_BACK
 from spatula_env.sim.tissue.hyperelastic import Hyperelastic
 from spatula_env.sim.tissue.kernels import Blocks
 from spatula_env.sim.tissue.solid import Solid
@@ -245,7 +246,7 @@ class TissueBody:
         rows = steps[: self.worlds]
         rows[..., 0], rows[..., 1] = length, length * ratio[:, None, None]
         rows[..., 2] = length * self._gravity[:, None, None]
-        rows[..., 3] = nodal.GIVEN_BACK * length / self.dt
+        rows[..., 3] = GIVEN_BACK * length / self.dt
         shaped = steps.reshape(count, lanes, *steps.shape[1:])
         substeps = np.ones((count * lanes, len(self.lumps)), dtype=np.int64)
         substeps[: self.worlds] = parts

@@ -7,16 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from spatula_env._kernels import array_kernel, inline_kernel, kernel
-from spatula_env.sim.tissue.nodal import (
-    find_neo_hookean,
-    find_stress,
-    give_free,
-    lead_node,
-    move_inner,
-    move_surface,
-    relax_node,
-    take_contact,
-)
+from spatula_env.sim.lanes import tell_finite
+from spatula_env.sim.tissue.held import give_free, take_contact
+from spatula_env.sim.tissue.motion import lead_node, move_inner, move_surface
+from spatula_env.sim.tissue.stress import find_neo_hookean, find_stress, relax_node
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -212,18 +206,6 @@ def relax_nodes(
         relax_node(
             lanes, positions, overstresses, histories, starts, neighbours, pairs, materials, relaxation, terms, i
         )
-
-
-@array_kernel
-def tell_finite(velocities: np.ndarray, finite: np.ndarray) -> None:
-    """Tell which worlds of a block are finite."""
-    for k in range(finite.shape[0]):
-        finite[k] = 0.0
-    for i in range(velocities.shape[0]):
-        for axis in range(3):
-            for k in range(finite.shape[0]):
-                # Stays zero as long as all is finite, and is NaN from then on otherwise.
-                finite[k] += velocities[i, axis, k] - velocities[i, axis, k]
 
 
 @inline_kernel
