@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from spatula_env.arrays import FloatArray, Int32Array, IntArray
+    from spatula_env.arrays import BoolArray, FloatArray, Int32Array, IntArray
 
 PERMUTATIONS = np.zeros((3, 3, 3))
 """The signs of permutations: of vector products."""
@@ -187,7 +187,7 @@ def _outline(cells: IntArray) -> IntArray:
     return np.unique([node for ends, middles in edges.items() if len(middles) == 1 for node in (*ends, middles[0])])
 
 
-def _on_arc(points: FloatArray, cells: int) -> FloatArray:
+def _on_arc(points: FloatArray, cells: int) -> BoolArray:
     """(P,) which points are on the arc; middles of its edges are a little within."""
     return np.asarray(np.linalg.norm(points, axis=1) > 1.0 - 1.0 / cells**2)
 
@@ -224,10 +224,10 @@ def solve_tetrahedra(
         for middle, (a, b) in zip(cell[4:], pairs, strict=True):
             for axis in range(3):
                 ends = (3 * cell[a] + axis, 3 * cell[b] + axis)
-                if all(end in given_at for end, given_at in zip(ends, (values, values), strict=True)):
+                if all(end in values for end in ends):
                     values[3 * middle + axis] = 0.5 * (values[ends[0]] + values[ends[1]])
     for part in np.linspace(0.0, 1.0, increments + 1)[1:]:
         forces = body.solve({place: part * value for place, value in values.items()})
     moved = np.array([place for place, value in values.items() if value != 0.0])
-    total = np.bincount(moved % 3, forces.ravel()[moved], 3)
+    total = np.bincount(moved % 3, forces.ravel()[moved], 3).astype(np.float64)
     return np.asarray(body.field[0].values[: len(nodes)]), total

@@ -39,7 +39,7 @@ def block(size: FloatArray, cells: tuple[int, int, int]) -> Solid:
     """
     counts = np.array(cells) + 1
     grid = np.stack(np.meshgrid(*[np.arange(n) for n in counts], indexing="ij"), axis=-1).reshape(-1, 3)
-    inner = ((grid > 0) & (grid < counts - 1)).all(axis=1)
+    inner = np.asarray(((grid > 0) & (grid < counts - 1)).all(axis=1))
     moved = grid + inner[:, None] * np.random.default_rng(0).uniform(-JITTER, JITTER, grid.shape)
     corners = grid[(grid < counts - 1).all(axis=1)]
     tetrahedra = []

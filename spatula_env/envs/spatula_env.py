@@ -187,6 +187,19 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `reward/<name>`          | each reward term before weighting                                                   |
     | `randomization/<name>`   | what was drawn, of all that is drawn                                                |
 
+    with the engine `"tissue"` also
+
+    | Key                   | At the end of the step                                                                 |
+    | --------------------- | -------------------------------------------------------------------------------------- |
+    | `peak_strain`         | greatest principal strain in the organ (Green and Lagrange's)                          |
+    | `high_strain`         | what 95 % of its volume do not exceed                                                  |
+    | `peak_stress`         | greatest principal (Cauchy) stress, tension positive [Pa]                              |
+    | `high_stress`         | what 95 % of its volume do not exceed [Pa]                                             |
+    | `strained_share`      | share of its volume with a strain beyond 0.21                                          |
+    | `strain_dose`         | that times the length of the step [s]                                                  |
+    | `episode_peak_strain` | greatest in the episode                                                                |
+    | `episode_strain_dose` | sum over the episode [s]                                                               |
+
     and what the task measures. Numbers are `numpy.float64`, which is a Python `float` too; truth values are `bool`.
 
     ## Arguments

@@ -197,3 +197,26 @@ def relax_node(
         _emit_relax, lanes, positions, overstresses, histories, starts, neighbours, pairs, materials, relaxation,
         terms, node,
     )  # fmt: skip
+
+
+def _emit_deformation(
+    build: Build, positions: Any, deformations: Any, starts: Any, neighbours: Any, pairs: Any, node: Any
+) -> None:
+    for i, row in enumerate(deformation(build, positions, starts, neighbours, pairs, node)):
+        for j, entry in enumerate(row):
+            build.store(entry, build.address(deformations, node, 3 * i + j, 9))
+
+
+@intrinsic
+def find_deformation(
+    typing_context: Any,
+    lanes: Any,
+    positions: Any,
+    deformations: Any,
+    starts: Any,
+    neighbours: Any,
+    pairs: Any,
+    node: Any,
+) -> tuple[Any, Callable[..., Any]]:
+    """Write a node's deformation gradient (N, 9, lanes)."""
+    return instructions(_emit_deformation, lanes, positions, deformations, starts, neighbours, pairs, node)
