@@ -40,8 +40,8 @@ SAFETY = 0.6
 began to swing under a plate 10 mm deep, with 0.6 it does not."""
 
 LONGEST_PASSAGE = 0.5
-"""Of a shear wave in a step, by the mean edge of a surface. Contact is resolved once in a step: by 0.25 the force on the
-seed's plate, held 10 mm deep, varies by less than a per cent, by 0.38 by three, and by 0.5 by six to twenty."""
+"""Of a shear wave in a step, by the mean edge of a surface. Contact is resolved once in a step: by 0.25 the force on
+the seed's plate, held 10 mm deep, varies by less than a per cent, by 0.38 by three, and by 0.5 by six to twenty."""
 
 UNDERESTIMATE = 1.05
 """Power iteration finds the greatest eigenvalue from below."""

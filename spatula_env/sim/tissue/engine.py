@@ -106,9 +106,10 @@ class TissueEngine:
             passage = lump.passage(scene.dt)
             if passage > LONGEST_PASSAGE:
                 warn(
-                    f"organ {lump.placed.organ.name!r} is so stiff, and its surface so fine, that forces of contact will "
-                    f"shake with steps of {scene.dt:.5f} s: a shear wave gets {passage:.2f} edges far in one. Take dt of "
-                    f"{scene.dt * LONGEST_PASSAGE / passage:.5f} s or less, a softer material or a coarser surface"
+                    f"organ {lump.placed.organ.name!r} is so stiff, and its surface so fine, that forces of contact "
+                    f"will shake with steps of {scene.dt:.5f} s: a shear wave gets {passage:.2f} edges far in one. "
+                    f"Take dt of {scene.dt * LONGEST_PASSAGE / passage:.5f} s or less, a softer material or a coarser "
+                    "surface"
                 )
 
     @property
