@@ -168,9 +168,10 @@ def test_steps_too_long_for_contact_are_told(dt: float, material: Material) -> N
 
 @pytest.mark.parametrize("scene", [scenes.seed, scenes.palpate, scenes.fissure, scenes.clamp, scenes.retract])
 def test_the_presets_steps_are_short_enough(scene: Callable[..., Scene]) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", SceneWarning)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         Worlds(scene(material=Material()), 1, engine="tissue").close()
+    assert not [each for each in told if "will shake" in str(each.message)]
 
 
 def test_masses_are_those_of_the_density() -> None:

@@ -48,8 +48,9 @@ def nodal_strains(body: TissueBody, worlds: IntArray) -> NodalStrains:
     """
     blocks = body.blocks
     find_deformations(blocks)
-    flat = body.read(blocks.stresses, worlds)
-    f = [[flat[:, :, 3 * i + j] for j in range(3)] for i in range(3)]
+    # Component by component, so that what follows goes through memory in order.
+    flat = np.ascontiguousarray(np.moveaxis(body.read(blocks.stresses, worlds), 2, 0))
+    f = [[flat[3 * i + j] for j in range(3)] for i in range(3)]
     right = {(i, j): f[0][i] * f[0][j] + f[1][i] * f[1][j] + f[2][i] * f[2][j] for i, j in SYMMETRIC}
     strains = 0.5 * (greatest_eigenvalue(right) - 1.0)
     stresses, relaxed = np.empty_like(strains), body.read(blocks.overstresses, worlds)
