@@ -67,7 +67,7 @@ class Job:
 def run_job(job: Job) -> Outcome:
     """Run one case; errors say which."""
     try:
-        return plunges.run(plunges.draw(job.seed, job.number), job.contact, engine=job.engine)
+        return plunges.run(plunges.draw(job.seed, job.number), job.contact, None, job.engine)
     except Exception as error:
         raise RuntimeError(f"case {job.number} of seed {job.seed} with contact {job.contact!r}: {error}") from error
 
