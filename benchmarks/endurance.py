@@ -34,10 +34,10 @@ from benchmarks.recordings import Recorder
 from spatula_env import TASKS
 from spatula_env.policies import load_pretrained
 
-WORLDS = {"batch": 32, "bullet": 2}
+WORLDS = {"batch": 32, "tissue": 32, "bullet": 2}
 """How many are stepped together."""
 
-STEPS = {"batch": 200_000, "bullet": 20_000}
+STEPS = {"batch": 200_000, "tissue": 200_000, "bullet": 20_000}
 """Control steps in all worlds together."""
 
 LARGEST_GROWTH = 8.0
@@ -419,7 +419,7 @@ def main() -> None:
     options.add_argument("--engines", nargs="+", choices=tuple(STEPS), default=list(STEPS))
     options.add_argument("--actions", nargs="+", choices=ACTIONS, default=list(ACTIONS))
     options.add_argument("--policy", action="store_true", help="trained policies that explore, instead of --actions")
-    options.add_argument("--steps", type=int, default=None, help="instead of 200,000 (batch) and 20,000 (bullet)")
+    options.add_argument("--steps", type=int, default=None, help="instead of 200,000, and 20,000 with bullet")
     options.add_argument("--episodes", type=int, default=EPISODES, help="with --policy (default: %(default)s)")
     options.add_argument("--seed", type=int, default=0, help="of the only run of each kind (default: %(default)s)")
     options.add_argument("--seeds", type=int, nargs="+", help="of one run of each kind after the other")

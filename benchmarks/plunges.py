@@ -233,6 +233,7 @@ def run(
     plunge: Plunge,
     contact: ContactName = "flags",
     watch: Callable[[int, Simulation, Report, Inspection], None] | None = None,
+    engine: str | None = None,
 ) -> Outcome:
     """Drive the tool into the organ, hold it there, and inspect every step.
 
@@ -244,6 +245,7 @@ def run(
         plunge: What to do.
         contact: The contact model.
         watch: Called after each step with its index, the simulation, its report and the inspection.
+        engine: What integrates the organ; None: the default.
 
     Returns:
         What happened.
@@ -253,7 +255,7 @@ def run(
     with warnings.catch_warnings():
         # At other time steps than the seed's its sphere rolls on, which changes nothing here.
         warnings.simplefilter("ignore", SceneWarning)
-        simulation = Simulation(scene, contact=contact, precision="double")
+        simulation = Simulation(scene, engine=engine, contact=contact, precision="double")
     inspector = Inspector(tool, simulation.triangles)
     tally = Tally(tool.opposite)
     direction, orientation = np.array(plunge.direction), np.array(plunge.orientation)

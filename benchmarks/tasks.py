@@ -1,9 +1,9 @@
 """Can the tasks be solved, and not by chance, by haste or by evasion?
 
-For each task, in both engines: how often the scripted expert, the same in haste and a random policy succeed, how often
+For each task and engine: how often the scripted expert, the same in haste and a random policy succeed, how often
 within the budget of cost, with which forces and pressures, what it costs, and how many control steps a second are made.
 An episode ends with success or after 200 steps. Figures of an episode are medians and maxima over the episodes; speed
-is that of stepping alone, where Bullet's episodes run one after the other in each process and the batch engine's all at
+is that of stepping alone, where Bullet's episodes run one after the other in each process and the other engines' all at
 once. With `--cheaters`: what policies earn that evade the tasks, beside the expert; see `benchmarks.cheaters`.
 """
 
@@ -24,7 +24,7 @@ from benchmarks.parallel import available_cores, results
 from spatula_env import TASKS
 from spatula_env.learning import experts
 
-ENGINES = ("batch", "bullet")
+ENGINES = ("batch", "tissue", "bullet")
 POLICIES = ("expert", "hasty", "random")
 
 EXPERT_LIMIT, RANDOM_LIMIT = 0.95, 0.05
@@ -38,6 +38,9 @@ HASTE = 4.0
 
 CHUNK = 10
 """Episodes with Bullet that are one piece of work."""
+
+TOGETHER = ("batch", "tissue")
+"""Engines that step all worlds together, on all cores by themselves."""
 
 QUANTITIES = {
     "peak_force": ("episode_peak_force", "N"),
@@ -54,7 +57,7 @@ class Job:
 
     Attributes:
         task: Its name.
-        engine: "batch" or "bullet".
+        engine: "batch", "tissue" or "bullet".
         policy: "expert", "hasty" or "random".
         seeds: Of the episodes.
     """
@@ -161,13 +164,13 @@ def summarize(parts: Iterable[Episodes]) -> dict[str, Any]:
 
 
 def plan(tasks: Iterable[str], engines: Iterable[str], policies: Iterable[str], episodes: int, seed: int) -> list[Job]:
-    """The work: the batch engine takes all episodes of a task at once, Bullet's come in pieces."""
+    """The work: engines in `TOGETHER` take all episodes of a task at once, others' come in pieces."""
     jobs = []
     for task in tasks:
         for engine in engines:
             for policy in policies:
                 seeds = tuple(range(seed, seed + episodes))
-                size = episodes if engine == "batch" else CHUNK
+                size = episodes if engine in TOGETHER else CHUNK
                 jobs += [Job(task, engine, policy, seeds[first : first + size]) for first in range(0, episodes, size)]
     return jobs
 
@@ -175,10 +178,9 @@ def plan(tasks: Iterable[str], engines: Iterable[str], policies: Iterable[str], 
 def measure(jobs: list[Job], workers: int) -> dict[str, dict[str, dict[str, Any]]]:
     """Run all jobs: task -> engine -> policy -> figures."""
     found: dict[tuple[str, str, str], list[Episodes]] = {}
-    batch = [job for job in jobs if job.engine == "batch"]
-    others = [job for job in jobs if job.engine != "batch"]
-    # The batch engine uses all cores by itself.
-    for chosen, processes in ((batch, 1), (others, workers)):
+    together = [job for job in jobs if job.engine in TOGETHER]
+    others = [job for job in jobs if job.engine not in TOGETHER]
+    for chosen, processes in ((together, 1), (others, workers)):
         if not chosen:
             continue
         with closing(results(run_job, chosen, processes, "episodes")) as stream:

@@ -33,9 +33,10 @@ import numpy as np
 
 from benchmarks import plunges
 from benchmarks.inspection import Inspection
-from benchmarks.measure import finish, parser, without_bullet
+from benchmarks.measure import finish, parser
 from benchmarks.parallel import WorkerDied, available_cores, results
 from benchmarks.plunges import Outcome
+from spatula_env.engines import DEFAULT, ENGINES, choose_engine, load_engine
 from spatula_env.sim import Report, Simulation
 from spatula_env.sim.simulation import ContactName
 
@@ -54,17 +55,19 @@ class Job:
         seed: Of the benchmark.
         number: Of the case.
         contact: The contact model.
+        engine: What integrates the organ; None: the default.
     """
 
     seed: int
     number: int
     contact: ContactName
+    engine: str | None = None
 
 
 def run_job(job: Job) -> Outcome:
     """Run one case; errors say which."""
     try:
-        return plunges.run(plunges.draw(job.seed, job.number), job.contact)
+        return plunges.run(plunges.draw(job.seed, job.number), job.contact, None, job.engine)
     except Exception as error:
         raise RuntimeError(f"case {job.number} of seed {job.seed} with contact {job.contact!r}: {error}") from error
 
@@ -173,7 +176,7 @@ def show_case(job: Job) -> Outcome:
         " step     node   corner     edge  surface centre columns passages turned pairs queries    force  fastest flags"
     )
     watch = partial(_print_step, moving_steps=plunge.moving_steps)
-    outcome = plunges.run(plunge, job.contact, watch)
+    outcome = plunges.run(plunge, job.contact, watch, job.engine)
     for key, value in outcome.as_dict().items():
         if key != "plunge":
             print(f"{key:15} {value}")
@@ -193,7 +196,11 @@ def _print_step(step: int, simulation: Simulation, report: Report, seen: Inspect
 
 
 def plan(
-    seed: int, numbers: Sequence[int], subset: int, contacts: Sequence[ContactName] = get_args(ContactName)
+    seed: int,
+    numbers: Sequence[int],
+    subset: int,
+    contacts: Sequence[ContactName] = get_args(ContactName),
+    engine: str | None = None,
 ) -> list[Job]:
     """Which cases to run with which contact model.
 
@@ -202,12 +209,13 @@ def plan(
         numbers: Of the cases.
         subset: How many of them all contact models run; the rest is for the flags method.
         contacts: The contact models.
+        engine: What integrates the organ; None: the default.
 
     Returns:
         The jobs, one case after the other, so that an interrupted run has something of each contact model.
     """
     return [
-        Job(seed, number, contact)
+        Job(seed, number, contact, engine)
         for index, number in enumerate(numbers)
         for contact in contacts
         if contact == "flags" or index < subset
@@ -236,6 +244,7 @@ def main() -> None:
     options.add_argument("--subset", type=int, default=200, help="how many of them the other contact models make")
     options.add_argument("--seed", type=int, default=SEED, help="other seeds give other cases")
     options.add_argument("--workers", type=int, default=available_cores(), help="processes")
+    options.add_argument("--engine", choices=tuple(ENGINES), help=f"what integrates the organ (default: {DEFAULT})")
     options.add_argument("--picture", type=Path, help="draw failures over speed and thickness into this file")
     options.add_argument("--case", type=int, help="run only the case of this number, and print every step")
     options.add_argument("--contact", choices=get_args(ContactName), default="flags", help="contact model of --case")
@@ -247,7 +256,7 @@ def main() -> None:
         if getattr(arguments, name) < 0:
             options.error(f"--{name} must not be negative, got {getattr(arguments, name)}")
     if arguments.case is not None:
-        outcome = show_case(Job(arguments.seed, arguments.case, arguments.contact))
+        outcome = show_case(Job(arguments.seed, arguments.case, arguments.contact, arguments.engine))
         finish({"benchmark": "tunnelling", **outcome.as_dict()})
         return
     if arguments.picture is not None:
@@ -262,12 +271,15 @@ def _run_all(arguments: argparse.Namespace) -> None:
     numbers = range(arguments.first, arguments.first + arguments.cases)
     outcomes: dict[str, list[Outcome]] = {}
     stopped: str | None = None
-    contacts: list[ContactName] = without_bullet(get_args(ContactName)) if arguments.subset else ["flags"]
+    had = load_engine(choose_engine(arguments.engine)).abilities.contacts
+    contacts: list[ContactName] = [each for each in had if arguments.subset or each == "flags"]
     start = time.perf_counter()
     # So that `timeout` ends a run with what there is.
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        measure(plan(arguments.seed, numbers, arguments.subset, contacts), arguments.workers, outcomes)
+        measure(
+            plan(arguments.seed, numbers, arguments.subset, contacts, arguments.engine), arguments.workers, outcomes
+        )
     except KeyboardInterrupt:
         stopped = "interrupted"
     except (WorkerDied, RuntimeError) as error:
@@ -289,6 +301,7 @@ def _run_all(arguments: argparse.Namespace) -> None:
     finish(
         {
             "benchmark": "tunnelling",
+            "engine": choose_engine(arguments.engine),
             "seed": arguments.seed,
             "first": arguments.first,
             "complete": stopped is None,

@@ -17,6 +17,7 @@ import gymnasium as gym
 import numpy as np
 
 import spatula_env
+from spatula_env.engines import ENGINES
 from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, PRESSURE_LIMITS
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Draw what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("docs/images/tasks.png"), help="file to write")
-    parser.add_argument("--engine", choices=("batch", "bullet"), default="batch")
+    parser.add_argument("--engine", choices=tuple(ENGINES), default="batch")
     options = parser.parse_args(arguments)
     pictures = {task: solve(task, options.engine, seed) for task, seed in SEEDS.items()}
     data = encode(tile(pictures))
@@ -63,7 +64,7 @@ def solve(task: str, engine: str, seed: int) -> NDArray[np.uint8]:
 
     Args:
         task: Such as "Press".
-        engine: "batch" or "bullet".
+        engine: "batch", "tissue" or "bullet".
         seed: Of the episode.
     """
     expert_type = getattr(import_module(f"spatula_env.learning.experts.{task.lower()}"), f"{task}Expert")

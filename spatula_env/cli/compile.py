@@ -134,6 +134,7 @@ def _tissue() -> None:
         for material in materials:
             worlds = Worlds(scenes.seed(material=material), 1, engine="tissue", precision=precision)
             worlds.advance(np.zeros((1, 1, 3)))
+            worlds.strains()
             worlds.close()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -105,6 +105,8 @@ class EpisodesEnv:
     def spec(self, value: EnvSpec | None) -> None:
         if value is not None:
             kwargs = {**as_recorded(value.kwargs), "engine": self.settings.engine}
+            if self.settings.material is not None:
+                kwargs["material"] = as_recorded(asdict(self.settings.material))
             if "episode_time" in kwargs:
                 # None where a number of steps was told.
                 kwargs["episode_time"] = self.settings.episode_time

@@ -22,8 +22,10 @@ from spatula_env.envs.settings import Definition, EnvSettings
 from spatula_env.envs.snapshots import EpisodesState, joined, save_physics
 from spatula_env.envs.start_options import check_free, chosen_starts
 from spatula_env.envs.steering import Steering, mean_of_track
+from spatula_env.envs.strains import StrainCount
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.envs.workspace_frames import Frames
+from spatula_env.scenes import with_material
 from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.situation import Situation, Start
@@ -99,7 +101,10 @@ class Episodes:
         Raises:
             ValueError: If an option is not one of those allowed, or a number is out of its range.
         """
-        self.scene = scene = definition.scene()
+        scene = definition.scene()
+        if settings.material is not None:
+            scene = with_material(scene, settings.material)
+        self.scene = scene
         if len(scene.organs) != 1:
             raise ValueError(f"scene must have one organ, got {len(scene.organs)}")
         self.settings = settings
@@ -159,6 +164,7 @@ class Episodes:
         self._held: NDArray[np.int64] = np.zeros(count, dtype=np.int64)
         self._succeeded: BoolArray = np.zeros(count, dtype=np.bool_)
         self._safely: BoolArray = np.zeros(count, dtype=np.bool_)
+        self._strains = StrainCount(self.worlds)
         self._safety = Safety(count, len(scene.tools), self.task.loading_limit)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
         longest = round(settings.randomization.get("action_delay", (0.0, 0.0))[1] / self.period)
@@ -305,6 +311,7 @@ class Episodes:
         self._succeeded[worlds], self._safely[worlds] = False, False
         self._asked[worlds] = 0.0
         self._safety.begin(worlds)
+        self._strains.begin(worlds, self.frames)
         for pressures in self._node_pressures:
             pressures[worlds] = 0.0
         self.task.begin_memory(self._memory, worlds, start, settings)
@@ -370,6 +377,7 @@ class Episodes:
             self._info["diverged"][lost] = True
         needed = self.task.pressure_limit(self.goals)
         self._safety.count(situation, motion, loads, frames, self.period, needed, going)
+        self._strains.count(going, frames, self.period)
         reward = np.zeros(self.count)
         if len(going) == self.count:
             reward[:] = self._judge(situation, going)
@@ -391,7 +399,7 @@ class Episodes:
         return physics, EpisodesState(
             counters={name: values[worlds] for name, values in self._counters().items()},
             memory={name: values[worlds] for name, values in self._memory.items()},
-            safety=self._safety.save(worlds),
+            safety={**self._safety.save(worlds), **self._strains.save(worlds)},
             node_pressures=tuple(pressures[worlds] for pressures in self._node_pressures),
             drawn=dict(drawn),
             generators=generators,
@@ -419,6 +427,7 @@ class Episodes:
         for pressures, values in zip(self._node_pressures, state.node_pressures, strict=True):
             pressures[worlds] = values
         self._safety.restore(state.safety, worlds)
+        self._strains.restore(state.safety, worlds)
         self._frames.restore(state.frames, worlds, self.count)
         self._keep(state.situation.rows(np.arange(len(worlds))), worlds, every=every)
 
@@ -555,6 +564,7 @@ class Episodes:
             "peak_pressure": situation.peak_pressure,
             "mean_pressure": situation.mean_pressure,
             **self._safety.info(worlds, self.settings.damage_limit),
+            **self._strains.info(worlds),
             **evaluation.measures,
             **{f"reward/{name}": values for name, values in evaluation.terms.items()},
             **{f"randomization/{name}": self._variation.drawn[name][worlds] for name in self.settings.randomization},

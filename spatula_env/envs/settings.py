@@ -13,6 +13,7 @@ from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.observed_ranges import ALL_PARTS, PART_CHOICES, ObservedRanges, check_parts
 from spatula_env.envs.randomization import DEFAULT_RANGES, LONGEST_DELAY, Ranges, read_ranges
 from spatula_env.geometry.checks import check_boolean, check_count, check_not_negative, check_positive, is_number
+from spatula_env.scenes.material import as_material
 from spatula_env.tasks.configuration import config_from_mapping
 from spatula_env.tasks.plain import make_fields_plain
 
@@ -94,8 +95,10 @@ class EnvSettings:
     """The options that all environments have.
 
     Attributes:
-        engine: What integrates the organ: "bullet" or "batch". None: the default, "bullet" where PyBullet is installed,
-            else "batch"; many environments at once have "batch".
+        engine: What integrates the organ: "bullet", "batch" or "tissue". None: the default, "bullet" where PyBullet is
+            installed, else "batch"; many environments at once have "batch".
+        material: What the organ is made of, with the engine "tissue": a `scenes.Material`, a mapping of its fields, or
+            the name of a region that `Material.brain` knows. None: `Material()`.
         contact: What resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
         control: "velocity": what the task needs. "velocity_6d": six degrees of freedom.
@@ -120,6 +123,7 @@ class EnvSettings:
     """
 
     engine: str | None = None
+    material: Any = None
     contact: ContactName = "flags"
     obs_mode: str = "state"
     control: str = "velocity"
@@ -160,6 +164,8 @@ class EnvSettings:
         check_boolean(self.terminate_on_tangle, "terminate_on_tangle")
         for name in ("width", "height"):
             check_count(getattr(self, name), name, 1, LARGEST_PICTURE)
+        if self.material is not None:
+            object.__setattr__(self, "material", as_material(self.material))
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")
         object.__setattr__(self, "observation", observation)
         check_parts(observation.parts, self.obs_mode)
@@ -233,10 +239,13 @@ class Definition:
             values["engine"] = {**defaults, **self.defaults}.get("engine")
         settings = EnvSettings(**values)
         check_choice(settings.control, "control", tuple(self.controls))
+        engine = choose_engine(settings.engine, settings.contact)
+        if settings.material is not None and engine != "tissue":
+            raise ValueError(f"material must be None but with the engine 'tissue', got it with engine {engine!r}")
         return EnvSettings(
             **{
                 **vars(settings),
-                "engine": choose_engine(settings.engine, settings.contact),
+                "engine": engine,
                 "task": config_from_mapping(self.config, settings.task, "task"),
                 "randomization": read_ranges(settings.randomization, self.randomization),
             }

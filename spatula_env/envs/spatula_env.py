@@ -203,13 +203,27 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `reward/<name>`          | each reward term before weighting                                                   |
     | `randomization/<name>`   | what was drawn, of all that is drawn                                                |
 
+    with the engine `"tissue"` also
+
+    | Key                   | At the end of the step                                                                 |
+    | --------------------- | -------------------------------------------------------------------------------------- |
+    | `peak_strain`         | greatest principal strain in the organ (Green and Lagrange's)                          |
+    | `high_strain`         | what 95 % of its volume do not exceed                                                  |
+    | `peak_stress`         | greatest principal (Cauchy) stress, tension positive [Pa]                              |
+    | `high_stress`         | what 95 % of its volume do not exceed [Pa]                                             |
+    | `strained_share`      | share of its volume with a strain beyond 0.21                                          |
+    | `strain_dose`         | that times the length of the step [s]                                                  |
+    | `episode_peak_strain` | greatest in the episode                                                                |
+    | `episode_strain_dose` | sum over the episode [s]                                                               |
+
     and what the task measures. Numbers are `numpy.float64`, which is a Python `float` too; truth values are `bool`.
 
     ## Arguments
 
     | Parameter              | Type               | Default      | Description                                         |
     | ---------------------- | ------------------ | ------------ | --------------------------------------------------- |
-    | `engine`               | **str \| None**    | `None`       | What integrates the organ: `"bullet"`, `"batch"`    |
+    | `engine`               | **str \| None**    | `None`       | Of the organ: `"bullet"`, `"batch"` or `"tissue"`   |
+    | `material`             | **Material**       | `None`       | With `"tissue"`: what the organ is made of          |
     | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"` or, in Bullet, `"bullet"`|
     | `obs_mode`             | **str**            | `"state"`    | See above                                           |
     | `control`              | **str**            | `"velocity"` | `"velocity"` or `"velocity_6d"`                     |
@@ -231,7 +245,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `height`               | **int**            | `480`        | Of pictures, 1 to 8192 [pixels]                     |
 
     With `engine=None` it is `"bullet"` where PyBullet is installed, else `"batch"`, and a warning says so once;
-    `env.spec` has the one that is used.
+    `env.spec` has the one that is used. `material` is a `scenes.Material`, a mapping of its fields, or the name of a
+    region of the brain, as `"cortex"`; None is `Material()`, and all that the engines of springs take.
 
     Attributes:
         definition: Scene and task; subclasses have one.

@@ -121,7 +121,7 @@ class EnvironmentConfig(Checked):
         id: Of the environment.
         kwargs: What it is made with, beside the engine; "max_episode_steps" among them is the length of an episode
             while it learns, not while it is evaluated.
-        engine: What integrates organs while it learns: "batch" or "bullet".
+        engine: What integrates organs while it learns: "batch", "tissue" or "bullet".
         parts: The parts of the observation that the agent gets, by name; None: all of them.
         num_envs: How many worlds are stepped together.
     """
@@ -182,7 +182,7 @@ class EvaluationConfig(Checked):
     Attributes:
         every: Environment steps between evaluations.
         episodes: In each.
-        engine: "batch" or "bullet".
+        engine: "batch", "tissue" or "bullet".
         seed: Of the first episode; the next one has the next seed.
         from_success: Nothing is evaluated while the success rate of the last 100 episodes of training is lower;
             the last evaluation always is done.

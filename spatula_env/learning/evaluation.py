@@ -49,8 +49,9 @@ MEASURES = (
 [s] and of doses [Pa s], whether any step had a violation, the greatest force [N] and pressure [Pa], when it succeeded
 [s] (NaN: never), the way of the tool [m], control steps, and whether physics broke down."""
 
-WORLDS_PER_PROCESS = {"batch": 64, "bullet": 1}
-"""How many worlds are stepped together at most: in Bullet each for itself, so that none waits for another."""
+WORLDS_PER_PROCESS = {"batch": 64, "tissue": 64, "bullet": 1}
+"""How many worlds are stepped together at most: in Bullet, and in engines of others, each for itself, so that none
+waits for another."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Plan:
     Attributes:
         env_id: Of the environment, with or without its module, which has been imported.
         kwargs: What it is made with.
-        engine: "batch" or "bullet".
+        engine: "batch", "tissue" or "bullet".
         episodes: How many.
         seed: Of the first episode's environment; the next one has the next seed.
     """
@@ -184,8 +185,8 @@ def evaluate(
     Args:
         source: Of the policy.
         plan: What is evaluated.
-        processes: How many at once; None: one, which shares its worlds out among threads, in the batch engine, and one
-            for each core in Bullet.
+        processes: How many at once; None: one, which shares its worlds out among threads, in the engines "batch" and
+            "tissue", and one for each core in others.
         end_at_success: See `run_episodes`.
 
     Returns:
@@ -193,7 +194,7 @@ def evaluate(
     """
     seeds = [plan.seed + k for k in range(plan.episodes)]
     if processes is None:
-        processes = 1 if plan.engine == "batch" else available_cores()
+        processes = available_cores() if WORLDS_PER_PROCESS.get(plan.engine, 1) == 1 else 1
     processes = max(1, min(processes, len(seeds)))
     if processes == 1:
         episodes, seconds = _evaluate_some(source, plan, seeds, end_at_success)
@@ -218,7 +219,7 @@ def _evaluate_some(
     source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool = True
 ) -> tuple[Episodes, float]:
     """Some of the episodes of a plan, in this process, and how long they took without setting up [s]."""
-    worlds = min(WORLDS_PER_PROCESS[plan.engine], len(seeds))
+    worlds = min(WORLDS_PER_PROCESS.get(plan.engine, 1), len(seeds))
     # As many rounds, with as few worlds to spare.
     worlds = math.ceil(len(seeds) / math.ceil(len(seeds) / worlds))
     env = plan.make(worlds)

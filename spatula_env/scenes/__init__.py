@@ -14,10 +14,11 @@ from spatula_env.scenes.base import (
     Scale,
     ScaleName,
     Scene,
+    with_material,
 )
 from spatula_env.scenes.clamp import JAW_CLEARANCE, clamp
 from spatula_env.scenes.fissure import FISSURE_CLEARANCE, ON_EDGE, fissure
-from spatula_env.scenes.material import BrainRegion, Material, ModelName
+from spatula_env.scenes.material import BrainRegion, Material, ModelName, as_material
 from spatula_env.scenes.palpate import palpate
 from spatula_env.scenes.retract import BLADE_CLEARANCE, QUARTER_TURN, UPRIGHT, retract
 from spatula_env.scenes.seed import RESTING_SPHERE, seed
@@ -41,9 +42,11 @@ __all__ = [
     "Scale",
     "ScaleName",
     "Scene",
+    "as_material",
     "clamp",
     "fissure",
     "palpate",
     "retract",
     "seed",
+    "with_material",
 ]

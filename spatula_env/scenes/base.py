@@ -8,7 +8,7 @@ another process. One scene unit of length is written u; scene masses are written
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -219,6 +219,23 @@ def choose_scale(
         return Scale(length=UNIT_LENGTH, mass=density * organ.volume * UNIT_LENGTH**3 / mass)
     modulus = stiffness * mass / (organ.area * dt**2)
     return Scale(length=UNIT_LENGTH, mass=TISSUE_MODULUS * UNIT_LENGTH / modulus)
+
+
+def with_material(scene: Scene, material: Material) -> Scene:
+    """A scene whose organs are of a material, for the engine "tissue".
+
+    Args:
+        scene: Any.
+        material: What all its organs are made of.
+
+    Returns:
+        The scene. Its scale has the same length, and a mass with which the organs together have the material's density,
+        as presets have that are given the material.
+    """
+    organs = tuple(replace(placed, material=material) for placed in scene.organs)
+    volume, mass = sum(placed.organ.volume for placed in organs), sum(placed.mass for placed in organs)
+    length = scene.scale.length
+    return replace(scene, organs=organs, scale=Scale(length=length, mass=material.density * volume * length**3 / mass))
 
 
 def _set_pose(placed: PlacedOrgan | PlacedTool) -> None:

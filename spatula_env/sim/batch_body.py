@@ -35,6 +35,7 @@ from numba.extending import intrinsic
 
 from spatula_env._kernels import array_kernel, inline_kernel, kernel
 from spatula_env.geometry.checks import check_positive
+from spatula_env.sim.lanes import tell_finite
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.soft_body import SWEEPS
 from spatula_env.sim.threads import share_out
@@ -255,10 +256,8 @@ def sweep_block(
 
 
 @array_kernel
-def finish_block(
-    positions: np.ndarray, velocities: np.ndarray, predicted: np.ndarray, inverse_dt: float, finite: np.ndarray
-) -> None:
-    """Add to a block's velocities what links have moved the nodes, and tell which worlds are finite.
+def finish_block(positions: np.ndarray, velocities: np.ndarray, predicted: np.ndarray, inverse_dt: float) -> None:
+    """Add to a block's velocities what links have moved the nodes.
 
     Bullet divides the whole way of a node by the time step, which comes to the same but for rounding. A step's gain of
     velocity by gravity moves a node by a few hundred units in the last place of single precision only: the velocity
@@ -269,13 +268,6 @@ def finish_block(
     x, v, p = positions.reshape(size), velocities.reshape(size), predicted.reshape(size)
     for k in range(size):
         v[k] += (x[k] - p[k]) * inverse_dt
-    for k in range(lanes):
-        finite[k] = 0.0
-    for i in range(nodes):
-        for axis in range(3):
-            for k in range(lanes):
-                # Stays zero as long as all is finite, and is NaN from then on otherwise.
-                finite[k] += velocities[i, axis, k] - velocities[i, axis, k]
 
 
 @inline_kernel
@@ -289,7 +281,8 @@ def advance_block(blocks: Blocks, b: int) -> None:
     positions, velocities, predicted = blocks.positions[b], blocks.velocities[b], blocks.predicted[b]
     predict_block(positions, velocities, predicted, blocks.movable, blocks.gravity[b], blocks.dt)
     sweep_block(positions, blocks.links, blocks.factors, blocks.stiffness[b], SWEEPS)
-    finish_block(positions, velocities, predicted, blocks.inverse_dt, blocks.finite[b])
+    finish_block(positions, velocities, predicted, blocks.inverse_dt)
+    tell_finite(velocities, blocks.finite[b])
 
 
 @array_kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -53,6 +53,7 @@ class Abilities:
         restores_exactly: Whether a state goes on, when it is restored, as it would have gone on without. Where not, an
             environment that is saved is put to its own state, so that both go on alike.
         varies: Whether worlds can differ in gravity, stiffness and mass; it is then a `VaryingEngine`.
+        strains: Whether it tells how tissue is strained; it is then a `StrainedEngine`.
         sweeps: Over what holds an organ together, in a step. A pull gets as many edges far, and a warning says so of
             organs that have more across; None: there is no such limit.
     """
@@ -60,6 +61,7 @@ class Abilities:
     contacts: tuple[ContactName, ...] = ("flags", "second_step")
     restores_exactly: bool = True
     varies: bool = False
+    strains: bool = False
     sweeps: int | None = None
 
 
@@ -149,6 +151,38 @@ class VaryingEngine(Engine, Protocol):
         worlds: IntArray,
     ) -> None:
         """Change parameters of some worlds; see `Worlds.set_parameters`."""
+
+
+class Strains(NamedTuple):
+    """How the O organs of n worlds are strained and stressed, in scene units.
+
+    Peaks are of single nodes of a mesh; what is high is exceeded by a twentieth of an organ's volume.
+
+    Attributes:
+        peak_strains: (n, O) greatest principal Green-Lagrange strain, half of the squared stretch less one.
+        high_strains: (n, O) likewise.
+        peak_stresses: (n, O) greatest principal Cauchy stress, tension positive [kg/(u s2)].
+        high_stresses: (n, O) likewise.
+        strained_shares: (n, O) share of the volume that is strained beyond a threshold.
+    """
+
+    peak_strains: FloatArray
+    high_strains: FloatArray
+    peak_stresses: FloatArray
+    high_stresses: FloatArray
+    strained_shares: FloatArray
+
+
+class StrainedEngine(Engine, Protocol):
+    """An engine that tells how tissue is strained."""
+
+    def strains(self, worlds: IntArray, threshold: float) -> Strains:
+        """How organs are strained now.
+
+        Args:
+            worlds: (n,) which worlds.
+            threshold: Of strain, for `Strains.strained_shares`.
+        """
 
 
 class CollidingEngine(Engine, Protocol):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray
     from spatula_env.contact.flags import FirstStep
     from spatula_env.scenes import PlacedTool, Scene
-    from spatula_env.sim.engine import Precision
+    from spatula_env.sim.engine import Precision, Strains
 
 __all__ = ["ContactName", "Simulation", "SimulationDiverged", "SimulationState"]
 
@@ -213,6 +213,15 @@ class Simulation:
             face, areas = placed.tool.face, placed.tool.areas
             faces.append(np.bincount(face, values * areas) / np.bincount(face, areas))
         return Pressures(float(max(map(np.max, pressures))), np.concatenate(faces), tuple(pressures))
+
+    def strains(self) -> Strains:
+        """How organs are strained and stressed now, (1, O) each; see `Worlds.strains`.
+
+        Raises:
+            RuntimeError: If the engine does not tell.
+        """
+        self._check_open()
+        return self.worlds.strains()
 
     def save(self) -> SimulationState:
         """Everything needed to go on from here later, as arrays of its own."""

@@ -19,10 +19,11 @@ from spatula_env.contact.world import Workspace, World, scene_skin
 from spatula_env.engines import choose_engine, load_engine
 from spatula_env.geometry.checks import check_count
 from spatula_env.geometry.transforms import as_quaternion
+from spatula_env.scenes.material import INJURY_STRAIN
 from spatula_env.sim import step
 from spatula_env.sim.clock import later
 from spatula_env.sim.collisions import Collisions
-from spatula_env.sim.engine import PRECISIONS, BlockEngine, ContactName, Engine, EngineOptions
+from spatula_env.sim.engine import PRECISIONS, BlockEngine, ContactName, Engine, EngineOptions, Strains
 from spatula_env.sim.report import LONGEST_CROSSED
 from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
 from spatula_env.sim.selection import one_each, refuse, rows_of, world_indices
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from spatula_env.contact.flags import FirstStep
     from spatula_env.geometry import Tool
     from spatula_env.scenes import PlacedTool, Scene
-    from spatula_env.sim.engine import CollidingEngine, Precision, VaryingEngine
+    from spatula_env.sim.engine import CollidingEngine, Precision, StrainedEngine, VaryingEngine
 
 Steer: TypeAlias = Callable[[int, int], tuple[FloatArray, FloatArray]]
 """Tells for a world and a physics step of a control step how its tools are to move: linear (N, 3) [u/s] and angular
@@ -338,6 +339,27 @@ class Worlds:
         """(W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)]."""
         pressures = self._sums.node_pressures * ~self.state.diverged[:, None, None]
         return tuple(pressures[:, k, : len(placed.tool.nodes)] for k, placed in enumerate(self._scene.tools))
+
+    def strains(self, worlds: ArrayLike | None = None, *, threshold: float = INJURY_STRAIN) -> Strains:
+        """How organs are strained and stressed now, with an engine that tells: "tissue".
+
+        Args:
+            worlds: (n,) which, or (W,) a mask; all by default.
+            threshold: Of strain, for the share of the volume beyond it.
+
+        Returns:
+            (n, O) of each organ; zero in worlds that have diverged.
+
+        Raises:
+            ValueError: If there is no such world.
+            RuntimeError: If the engine does not tell.
+        """
+        indices = world_indices(worlds, self.count)
+        if not self.engine.abilities.strains:
+            raise RuntimeError("strains are of organs that are a material: use engine='tissue'")
+        found = cast("StrainedEngine", self.engine).strains(indices, threshold)
+        going = ~self.state.diverged[indices, None]
+        return Strains(*(np.where(going, values, 0.0) for values in found))
 
     @property
     def has_stepped(self) -> BoolArray:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 
 from spatula_env import scenes
 from spatula_env.scenes import Material, Scene
+from spatula_env.sim import SceneWarning
 from spatula_env.sim.tissue.body import STABILISER, TissueBody
 from spatula_env.sim.tissue.hyperelastic import Hyperelastic
 from spatula_env.sim.tissue.kernels import advance_blocks
@@ -153,6 +156,22 @@ def test_a_step_is_divided_as_modulus_mass_and_viscosity_need() -> None:
     lengths = body.blocks.steps[0, 0, :, 0, :3]
     np.testing.assert_allclose(lengths.sum(axis=0), 1.0 / 60.0, rtol=1e-6)
     assert np.count_nonzero(lengths, axis=0)[1] > usual > np.count_nonzero(lengths, axis=0)[2]
+
+
+@pytest.mark.parametrize(
+    ("dt", "material"), [(1.0 / 100.0, Material()), (1.0 / 240.0, Material(young_modulus=10_000.0))]
+)
+def test_steps_too_long_for_contact_are_told(dt: float, material: Material) -> None:
+    with pytest.warns(SceneWarning, match=r"organ 'sphere' is so stiff.*Take dt of 0\.00\d+ s or less"):
+        Worlds(scenes.palpate(material=material, dt=dt), 1, engine="tissue").close()
+
+
+@pytest.mark.parametrize("scene", [scenes.seed, scenes.palpate, scenes.fissure, scenes.clamp, scenes.retract])
+def test_the_presets_steps_are_short_enough(scene: Callable[..., Scene]) -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        Worlds(scene(material=Material()), 1, engine="tissue").close()
+    assert not [each for each in told if "will shake" in str(each.message)]
 
 
 def test_masses_are_those_of_the_density() -> None:

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from spatula_env.arrays import FloatArray
 from spatula_env.learning.experts.base import Expert
 
+if TYPE_CHECKING:
+    import gymnasium
+
 WIDTH = 0.016
 """Of the ridge [m]."""
 
 SQUEEZE = 0.75
 """Free width between the jaws that is held, as a part of the ridge's width."""
+
+SQUEEZE_OF_TISSUE = 0.85
+"""The same with the engine "tissue", whose ridge resists more."""
 
 TIGHTER, SLIPPING, SLIPPED = 0.1, 0.0007, 0.0012
 """By how much narrower that is if the ridge slips, and slips from where that begins to where it ends [m]."""
@@ -55,7 +61,13 @@ class ClampExpert(Expert):
     """
 
     task = "clamp"
-    squeeze: float | FloatArray = SQUEEZE
+    squeeze: float | FloatArray
+
+    def __init__(self, env: gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
+        """See `Expert`; how far it closes the jaws depends on the engine."""
+        super().__init__(env)
+        made: Any = env.unwrapped
+        self.squeeze = SQUEEZE_OF_TISSUE if made.settings.engine == "tissue" else SQUEEZE
 
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
         """See `Expert`."""

@@ -14,7 +14,7 @@ from spatula_env.learning.results.statistics import Estimate, Reached, estimate
 
 NONE = "–"
 
-ENGINE_NAMES = {"batch": "the batch engine", "bullet": "Bullet"}
+ENGINE_NAMES = {"batch": "the batch engine", "bullet": "Bullet", "tissue": "the engine of tissue"}
 
 INTRODUCTION = """# Results
 

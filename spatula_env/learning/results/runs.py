@@ -142,7 +142,7 @@ def evaluate_agent(run: Run, scoring: ScoringPlan, engine: str, *, again: bool =
     Args:
         run: A finished one.
         scoring: In which episodes.
-        engine: "batch" or "bullet".
+        engine: "batch", "tissue" or "bullet".
         again: Whether to do it even so.
 
     Returns:

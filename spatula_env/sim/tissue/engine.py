@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from spatula_env._kernels import kernel
-from spatula_env.sim.engine import PRECISIONS, Abilities
+from spatula_env._warnings import warn
+from spatula_env.sim.engine import PRECISIONS, Abilities, Strains
 from spatula_env.sim.step import couple_worlds
-from spatula_env.sim.tissue.body import TissueBody
+from spatula_env.sim.tissue.body import LONGEST_PASSAGE, TissueBody
 from spatula_env.sim.tissue.kernels import Blocks, advance_block, advance_blocks, read_block, write_block
+from spatula_env.sim.tissue.signals import organ_strains
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -86,7 +88,7 @@ class TissueEngine:
         lanes: Worlds in a block.
     """
 
-    abilities = Abilities(varies=True)
+    abilities = Abilities(varies=True, strains=True)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`.
@@ -94,9 +96,21 @@ class TissueEngine:
         Raises:
             ImportError: If an organ is none of the presets' and Netgen is not installed; says what to install.
             ValueError: If an organ cannot be filled.
+
+        Warns:
+            SceneWarning: If steps are too long for contact with it.
         """
         self.lanes: int = 1 if worlds == 1 else WIDE if worlds >= WIDE * options.threads else NARROW
         self.body = TissueBody(scene, worlds, lanes=self.lanes, dtype=PRECISIONS[options.precision])
+        for lump in self.body.lumps:
+            passage = lump.passage(scene.dt)
+            if passage > LONGEST_PASSAGE:
+                warn(
+                    f"organ {lump.placed.organ.name!r} is so stiff, and its surface so fine, that forces of contact "
+                    f"will shake with steps of {scene.dt:.5f} s: a shear wave gets {passage:.2f} edges far in one. "
+                    f"Take dt of {scene.dt * LONGEST_PASSAGE / passage:.5f} s or less, a softer material or a coarser "
+                    "surface"
+                )
 
     @property
     def inverse_masses(self) -> FloatArray:
@@ -146,6 +160,10 @@ class TissueEngine:
         jumps = self.body.read(blocks.free_velocities, worlds) - self.body.read(blocks.velocities, worlds)
         self.body.write(blocks.free_velocities, worlds, jumps)
         self.body.write(blocks.velocities, worlds, 0.0)
+
+    def strains(self, worlds: IntArray, threshold: float) -> Strains:
+        """See `engine.StrainedEngine`."""
+        return organ_strains(self.body, worlds, threshold)
 
     def save(self, worlds: IntArray) -> tuple[Inner, ...]:
         """See `engine.Engine`."""

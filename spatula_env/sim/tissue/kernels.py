@@ -7,16 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from spatula_env._kernels import array_kernel, inline_kernel, kernel
-from spatula_env.sim.tissue.nodal import (
-    find_neo_hookean,
-    find_stress,
-    give_free,
-    lead_node,
-    move_inner,
-    move_surface,
-    relax_node,
-    take_contact,
-)
+from spatula_env.sim.lanes import tell_finite
+from spatula_env.sim.tissue.held import give_free, take_contact
+from spatula_env.sim.tissue.motion import lead_node, move_inner, move_surface
+from spatula_env.sim.tissue.stress import find_deformation, find_neo_hookean, find_stress, relax_node
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -214,18 +208,6 @@ def relax_nodes(
         )
 
 
-@array_kernel
-def tell_finite(velocities: np.ndarray, finite: np.ndarray) -> None:
-    """Tell which worlds of a block are finite."""
-    for k in range(finite.shape[0]):
-        finite[k] = 0.0
-    for i in range(velocities.shape[0]):
-        for axis in range(3):
-            for k in range(finite.shape[0]):
-                # Stays zero as long as all is finite, and is NaN from then on otherwise.
-                finite[k] += velocities[i, axis, k] - velocities[i, axis, k]
-
-
 @inline_kernel
 def advance_block(blocks: Blocks, b: int) -> None:
     """Advance all worlds of a block by one step.
@@ -289,7 +271,30 @@ def write_block(block: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> Non
                 block[nodes[i], axis, lane] = values[lane, i, axis]
 
 
+@array_kernel
+def find_block_deformations(
+    lanes: tuple[int, ...],
+    positions: np.ndarray,
+    deformations: np.ndarray,
+    starts: np.ndarray,
+    neighbours: np.ndarray,
+    pairs: np.ndarray,
+) -> None:
+    """Write the deformation gradients (N, 9, lanes) at the nodes of a block."""
+    for i in range(positions.shape[0]):
+        find_deformation(lanes, positions, deformations, starts, neighbours, pairs, i)
+
+
 # Compiled when first called, which for the two precisions and the numbers of lanes is rarely all of them.
+@kernel(nogil=True)
+def find_deformations(blocks: Blocks) -> None:
+    """Write the deformation gradients at all nodes into the workspace `Blocks.stresses`, row after row of each."""
+    for b in range(blocks.positions.shape[0]):
+        find_block_deformations(
+            blocks.lanes, blocks.positions[b], blocks.stresses[b], blocks.starts, blocks.neighbours, blocks.pairs
+        )
+
+
 @kernel(nogil=True)
 def advance_blocks(first_block: int, end_block: int, blocks: Blocks) -> None:
     """Advance some blocks by one step."""

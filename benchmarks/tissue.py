@@ -1,0 +1,476 @@
+"""Is tissue the material that it is said to be? Figures of the engine "tissue" beside limits.
+
+kernels        Forces of the compiled kernels beside those of NumPy, in double precision, of an organ that is bent.
+patch          An affine displacement of the seed's mesh: forces on inner nodes, by the greatest.
+bar            A block pulled and pressed by up to 20 %, its sides free: nominal stress beside the slope of the
+               documented energy, for neo-Hookean tissue and brain.
+shear          A block in simple shear of 0.1 and 0.2: likewise.
+block          A block pressed by 10 % between plates that it is glued to: force beside felupe, another code.
+plates         A sphere of 60 mm radius pressed between two plates without friction: force beside felupe.
+hertz          The same, by 0.6 mm a side: felupe beside Hertz, which is what both are to come to at small strain.
+refinement     The same with the second finest mesh beside the finest.
+time_step      The same with half the time step.
+modulus        Twice the modulus: twice the force. Twice the density: the same.
+volume         What a sphere loses of its volume, pressed by 20 mm between the plates, at Poisson's ratio 0.49.
+relaxation     A sheared organ's force over 2.5 s beside its Prony series.
+momentum       What a free organ that swings gains in momentum, by the greatest of its nodes', in single precision.
+energy         What an elastic organ that swings gains or loses in energy in half a second.
+steadiness     The seed's organ, held, under its plate 10 mm deep: how much the force varies in half a second.
+
+"block", "plates" and "hertz" need felupe (`pip install felupe`), and "plates", "refinement", "time_step", "modulus" and
+"volume" Netgen (the extra `tissue`); "bar", "shear" and "block" need SciPy. What cannot be made is told, and then not
+all has passed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks import elements, solids
+from benchmarks.fidelity import Check
+from benchmarks.measure import finish, parser
+from spatula_env import scenes
+from spatula_env.geometry import Organ, Tool
+from spatula_env.scenes import Material, PlacedOrgan, PlacedTool, Scale, Scene
+from spatula_env.sim.tissue.body import STABILISER, TissueBody
+from spatula_env.sim.tissue.hyperelastic import Hyperelastic
+from spatula_env.sim.tissue.kernels import advance_blocks
+from spatula_env.sim.worlds import Worlds
+
+if TYPE_CHECKING:
+    from spatula_env.arrays import FloatArray
+
+MATERIALS = {
+    "neo_hookean 0.45": Material(),
+    "neo_hookean 0.49": Material(poisson_ratio=0.49),
+    "cortex": Material.brain("cortex"),
+}
+"""What blocks are made of."""
+
+STRETCHES, SHEARS = (0.8, 0.9, 1.1, 1.2), (0.1, 0.2)
+CELLS = 4
+"""Along each edge of a block that is to be strained alike everywhere."""
+
+GLUED_CELLS = (4, 6, 8)
+"""Along each edge of a block whose strain varies; the last is judged."""
+
+RADIUS = 3.0
+"""Of the sphere [u], which is 60 mm."""
+
+LENGTH = 0.02
+"""Metres in a unit."""
+
+SQUEEZES = (0.03, 0.1, 0.2, 0.3)
+"""By how much a side of the sphere is pressed in, each in a world of its own [u]."""
+
+MESHES = {"162 nodes": (2, 0.0), "642": (3, 0.0), "642 graded": (3, 0.3), "2,562": (4, 0.0)}
+"""Subdivisions and grading of spheres, the finest last; see `solids.graded_sphere`."""
+
+USUAL = "642"
+"""Of these, the one that time step, modulus and density are compared with."""
+
+APPROACH, SETTLE, MEASURE = 1.0, 0.5, 0.4
+"""How long a press takes, how long it then waits, and over how long the force is averaged [s]."""
+
+CALMING = 2.0
+"""Viscosity of the tissue between plates, so that it comes to rest [Pa s]. It changes no force at rest."""
+
+PRONY = ((0.3, 0.05), (0.2, 0.4))
+"""Shares, and times [s]."""
+
+
+@dataclass(frozen=True)
+class Squeeze:
+    """A sphere between two plates, at rest.
+
+    Attributes:
+        forces: (n,) on a plate, at each of `SQUEEZES` [N].
+        ripple: (n,) standard deviations of these over the time that they are averaged over [N].
+        volumes: (n,) by that at rest.
+    """
+
+    forces: FloatArray
+    ripple: FloatArray
+    volumes: FloatArray
+
+
+def squeeze(organ: Organ, material: Material, dt: float, squeezes: tuple[float, ...] = SQUEEZES) -> Squeeze:
+    """Press a sphere between two plates without friction that move alike, so that it does not bounce between them.
+
+    Args:
+        organ: The sphere.
+        material: What it is made of.
+        dt: Length of a physics step [s].
+        squeezes: By how much each side is pressed in [u].
+
+    Raises:
+        ImportError: If Netgen is not installed; says what to install.
+    """
+    plate = Tool.box((8.0, 8.0, 0.5), 6)
+    scene = Scene(
+        organs=(PlacedOrgan(organ, position=(0.0, 0.0, RADIUS), material=material),),
+        tools=tuple(
+            PlacedTool(plate, position=(0.0, 0.0, height), friction=0.0) for height in (-1.0, 2.0 * RADIUS + 1.0)
+        ),
+        ground=None,
+        gravity=0.0,
+        dt=dt,
+        scale=Scale(length=LENGTH, mass=0.1),
+    )
+    count = len(squeezes)
+    worlds = Worlds(scene, count, engine="tissue", parallel=False)
+    # Where the organ ends: its poles need not be nodes.
+    heights = worlds.nodes[0, :, 2]
+    touching = np.array([[0.0, 0.0, heights.min() - 0.25], [0.0, 0.0, heights.max() + 0.25]])
+    worlds.place_tools(np.tile(touching, (count, 1, 1)))
+    steps = round(APPROACH / dt)
+    ways = np.array(squeezes)[:, None, None] * [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]
+    for step in range(steps):
+        # Gently: the speed rises from zero and falls to zero again.
+        part = (1.0 - math.cos(2.0 * math.pi * (step + 0.5) / steps)) / (steps * dt)
+        worlds.advance(ways * part)
+    still = np.zeros((count, 2, 3))
+    worlds.advance(still, steps=round(SETTLE / dt))
+    forces = [worlds.advance(still).forces[:, 1, 2] * scene.scale.force for _ in range(round(MEASURE / dt))]
+    found = Squeeze(np.mean(forces, axis=0), np.std(forces, axis=0), worlds.volumes[:, 0] / organ.volume)
+    worlds.close()
+    return found
+
+
+def difference(found: FloatArray, expected: FloatArray) -> float:
+    """The greatest difference, by what is expected."""
+    return float(np.abs(np.asarray(found) / expected - 1.0).max())
+
+
+def of_seed(material: Material, dt: float = 1e-4, dtype: type = np.float64) -> TissueBody:
+    """The seed's organ in one world, free and without weight."""
+    return TissueBody(replace(scenes.seed(material=material, dt=dt), gravity=0.0), 1, lanes=1, dtype=dtype)
+
+
+def read(body: TissueBody, name: str) -> FloatArray:
+    """An array of the body's only world, nodes first."""
+    found: FloatArray = body.read(getattr(body.blocks, name), np.array([0]))[0]
+    return found
+
+
+def put(body: TissueBody, nodes: FloatArray) -> None:
+    """Put the nodes (N, 3) of the body's only world somewhere, at rest."""
+    body.write(body.blocks.positions, np.array([0]), nodes[None])
+    body.write(body.blocks.velocities, np.array([0]), 0.0)
+
+
+def kernel_forces(body: TissueBody, nodes: FloatArray) -> FloatArray:
+    """(N, 3) what the kernels' step from rest gives the nodes, by its length, which must not be divided."""
+    put(body, nodes)
+    advance_blocks(0, 1, body.blocks)
+    return np.asarray(read(body, "velocities") * body.lumps[0].masses[:, None] / body.dt)
+
+
+def bent(body: TissueBody, amount: float) -> FloatArray:
+    """(N, 3) the body's nodes at rest, bent."""
+    x, y, z = body.rest.T
+    return np.asarray(body.rest + amount * np.column_stack([y * z, np.sin(x) + z, x * y - 0.3 * z**2]))
+
+
+def check_kernels() -> Check:
+    """Kernels beside NumPy."""
+    details = {}
+    for name, material in MATERIALS.items():
+        body = of_seed(replace(material, viscosity=0.0))
+        lump, nodes = body.lumps[0], bent(body, 0.02)
+        expected = lump.solid.forces(
+            lump.law.stress(lump.solid.deformations(nodes)), nodes, STABILISER * lump.law.shear
+        )
+        details[name] = float(np.abs(kernel_forces(body, nodes) - expected).max() / np.abs(expected).max())
+    return Check(max(details.values()), 1e-9, details=details)
+
+
+def check_patch() -> Check:
+    """An affine displacement."""
+    f, details = np.array([[1.1, 0.05, 0.0], [-0.04, 0.95, 0.1], [0.02, 0.0, 0.97]]), {}
+    for name, material in MATERIALS.items():
+        body = of_seed(replace(material, viscosity=0.0))
+        forces = kernel_forces(body, body.rest @ f.T)
+        inner = np.setdiff1d(np.arange(len(forces)), body.lumps[0].surface)
+        details[name] = float(np.abs(forces[inner]).max() / np.abs(forces).max())
+    return Check(max(details.values()), 1e-9, details=details)
+
+
+def check_bar() -> Check:
+    """A block whose ends slide on plates, beside the slope of the least energy."""
+    solid, details = solids.block(np.ones(3), (CELLS,) * 3), {}
+    x, y, z = solid.nodes.T
+    free = np.column_stack([x > 0.0, y > 0.0, (z > 0.0) & (z < 1.0)])
+    for name, material in MATERIALS.items():
+        law = Hyperelastic.of(material)
+        for stretch in STRETCHES:
+            _, forces = solids.equilibrium(solid, law, solid.nodes * [1.0, 1.0, stretch], free)
+            found = float(-forces[z == 1.0, 2].sum())
+            details[f"{name}, {stretch:g}"] = abs(found / solids.uniaxial_stress(material, stretch) - 1.0)
+    return Check(max(details.values()), 0.01, details=details)
+
+
+def check_shear() -> Check:
+    """A block whose whole surface is moved as in simple shear, beside the slope of the energy."""
+    solid, details = solids.block(np.ones(3), (CELLS,) * 3), {}
+    inner = np.asarray(((solid.nodes > 0.0) & (solid.nodes < 1.0)).all(axis=1))
+    for name, material in MATERIALS.items():
+        law = Hyperelastic.of(material)
+        for amount in SHEARS:
+            start = solid.nodes + amount * solid.nodes[:, [2]] * [1.0, 0.0, 0.0]
+            nodes, forces = solids.equilibrium(solid, law, start, np.repeat(inner[:, None], 3, axis=1))
+            # The mean stress is the moment of what holds the surface; the volume is one.
+            found = float(-(forces[:, 0] * solid.nodes[:, 2]).sum())
+            apart = float(np.abs(nodes - start).max())
+            expected = solids.shear_stress(material, amount)
+            details[f"{name}, {amount:g}"] = max(abs(found / expected - 1.0), apart)
+    return Check(max(details.values()), 0.01, details=details)
+
+
+def check_block() -> Check:
+    """A glued block beside felupe's elements of second order on the same mesh, and the coarser ones' own."""
+    details: dict[str, Any] = {}
+    worst = 0.0
+    for ratio in (0.45, 0.49):
+        material = Material(young_modulus=1.0, poisson_ratio=ratio)
+        law = Hyperelastic.of(material)
+        found = {}
+        for cells in GLUED_CELLS:
+            solid = solids.block(np.ones(3), (cells,) * 3)
+            z = solid.nodes[:, 2]
+            free = np.repeat(((z > 0.0) & (z < 1.0))[:, None], 3, axis=1)
+            _, forces = solids.equilibrium(solid, law, solid.nodes * [1.0, 1.0, 0.9], free)
+            found[cells] = float(forces[z == 1.0, 2].sum())
+        given = {(node, axis): 0.0 for node in np.flatnonzero((z == 0.0) | (z == 1.0)).tolist() for axis in range(3)}
+        given |= {(node, 2): -0.1 for node in np.flatnonzero(z == 1.0).tolist()}
+        _, total = elements.solve_tetrahedra(solid.nodes, solid.tetrahedra, law.shear, law.lame, given, 1)
+        expected = float(-total[2])
+        details[f"{ratio:g}"] = {
+            "felupe": expected,
+            **{f"{cells} cells": force / expected - 1.0 for cells, force in found.items()},
+        }
+        worst = max(worst, abs(found[GLUED_CELLS[-1]] / expected - 1.0))
+    return Check(worst, 0.03, details=details)
+
+
+def reference_forces(material: Material) -> FloatArray:
+    """(n,) of the sphere between plates by felupe [N]."""
+    law = Hyperelastic.of(material)
+    return elements.press_sphere(law.shear, law.lame, [depth / RADIUS for depth in SQUEEZES]) * (RADIUS * LENGTH) ** 2
+
+
+def hertz_forces(material: Material) -> FloatArray:
+    """(n,) of the sphere between plates by Hertz, for small strain [N]."""
+    plane = material.young_modulus / (1.0 - material.poisson_ratio**2)
+    depths = np.array(SQUEEZES) * LENGTH
+    return np.asarray(4.0 / 3.0 * plane * np.sqrt(RADIUS * LENGTH) * depths**1.5)
+
+
+def check_hertz() -> Check:
+    """The other code beside the formula, at the smallest depth; the greater ones for information."""
+    ratios = reference_forces(MATERIALS["neo_hookean 0.45"]) / hertz_forces(MATERIALS["neo_hookean 0.45"])
+    told = {f"{depth:g} u": float(ratio - 1.0) for depth, ratio in zip(SQUEEZES, ratios, strict=True)}
+    return Check(abs(float(ratios[0]) - 1.0), 0.05, details=told)
+
+
+class Spheres:
+    """The presses of spheres that several checks look at, each made once."""
+
+    def __init__(self) -> None:
+        """Nothing has been made yet."""
+        self._made: dict[tuple[str, Material, float], Squeeze] = {}
+
+    def __call__(self, mesh: str, dt: float = 1.0 / 240.0, **changes: Any) -> Squeeze:
+        """The press of one of `MESHES`, of a material with some changes."""
+        material = replace(Material(viscosity=CALMING), **changes)
+        key = mesh, material, dt
+        if key not in self._made:
+            self._made[key] = squeeze(solids.graded_sphere(RADIUS, *MESHES[mesh]), material, dt)
+        return self._made[key]
+
+
+def check_plates(spheres: Spheres) -> Check:
+    """All meshes beside felupe, the finest judged where its facets are small beside what touches the plate."""
+    expected = reference_forces(MATERIALS["neo_hookean 0.45"])
+    details: dict[str, Any] = {"felupe_newtons": expected.tolist()}
+    for mesh in MESHES:
+        made = spheres(mesh)
+        details[mesh] = {"difference": (made.forces / expected - 1.0).tolist(), "ripple": made.ripple.tolist()}
+    return Check(difference(spheres(list(MESHES)[-1]).forces[2:], expected[2:]), 0.05, details=details)
+
+
+def check_refinement(spheres: Spheres) -> Check:
+    """The second finest even mesh beside the finest, at the greatest depth."""
+    finest = spheres(list(MESHES)[-1]).forces[-1]
+    told = {mesh: float(spheres(mesh).forces[-1] / finest - 1.0) for mesh in MESHES}
+    return Check(abs(told[USUAL]), 0.05, details=told)
+
+
+def check_time_step(spheres: Spheres) -> Check:
+    """Half the time step."""
+    usual, halved = (spheres(USUAL, dt).forces[1:] for dt in (1.0 / 240.0, 1.0 / 480.0))
+    return Check(difference(usual, halved), 0.02, details={"newtons": usual.tolist(), "halved": halved.tolist()})
+
+
+def check_modulus(spheres: Spheres) -> Check:
+    """Twice the modulus, and twice the density."""
+    usual = spheres(USUAL).forces[1:]
+    twice = spheres(USUAL, young_modulus=2.0 * Material().young_modulus, viscosity=2.0 * CALMING).forces[1:]
+    heavy = spheres(USUAL, density=2.0 * Material().density).forces[1:]
+    told = {"modulus": difference(twice, 2.0 * usual), "density": difference(heavy, usual)}
+    return Check(max(told.values()), 0.01, details=told)
+
+
+def check_volume() -> Check:
+    """A deep press of nearly incompressible tissue."""
+    material = Material(poisson_ratio=0.49, viscosity=CALMING)
+    organ = solids.graded_sphere(RADIUS, *MESHES[USUAL])
+    lost = 1.0 - squeeze(organ, material, 1.0 / 240.0, (0.5,)).volumes
+    return Check(float(np.abs(lost).max()), 0.02)
+
+
+def check_relaxation() -> Check:
+    """Held in shear: what is left of the force that holds it, beside the series."""
+    body = of_seed(Material(viscosity=0.0, relaxation=PRONY), 1.0 / 240.0)
+    nodes, lump = body.rest + [0.05, 0.0, 0.0] * body.rest[:, [2]], body.lumps[0]
+    top = body.rest[:, 2] > body.rest[:, 2].mean()
+    short = of_seed(Material(viscosity=0.0, relaxation=PRONY))
+    whole = kernel_forces(short, nodes)[top, 0].sum()
+    worst, told = 0.0, {}
+    for step in range(1, 601):
+        put(body, nodes)
+        advance_blocks(0, 1, body.blocks)
+        if step not in (12, 60, 240, 600):
+            continue
+        # The stress that has relaxed is kept by its components in the frame at rest; forces are of the rest.
+        relaxed = read(body, "overstresses")
+        symmetric = relaxed[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
+        deformations = lump.solid.deformations(nodes)
+        stress = lump.law.stress(deformations) - deformations @ symmetric
+        left = lump.solid.forces(stress, nodes, STABILISER * lump.law.shear)[top, 0].sum() / whole
+        time = step * body.dt
+        expected = 1.0 - sum(share * (1.0 - math.exp(-time / tau)) for share, tau in PRONY)
+        told[f"{time:g} s"] = {"left": float(left), "series": expected}
+        worst = max(worst, abs(float(left) / expected - 1.0))
+    return Check(worst, 0.03, details=told)
+
+
+def _swing(viscosity: float, dtype: type) -> tuple[FloatArray, FloatArray]:
+    """Momenta (s, 3) by the greatest of all nodes' sizes together, and energies (s,), of a free organ that swings."""
+    body = of_seed(Material(viscosity=viscosity), 1.0 / 240.0, dtype)
+    lump = body.lumps[0]
+    put(body, bent(body, 0.005))
+    nothing = np.zeros((len(lump.masses), 3, 3))
+    momenta, sizes, energies = [], [], []
+    for _ in range(120):
+        before = read(body, "velocities")
+        nodes = read(body, "positions")
+        advance_blocks(0, 1, body.blocks)
+        # Velocities are those of half a substep earlier and later than positions.
+        velocities = 0.5 * (before + read(body, "velocities"))
+        stored = (lump.solid.shares * lump.law.energy(lump.solid.deformations(nodes))).sum()
+        stored -= 0.5 * (lump.solid.forces(nothing, nodes, STABILISER * lump.law.shear) * nodes).sum()
+        energies.append(stored + 0.5 * (lump.masses[:, None] * velocities**2).sum())
+        momenta.append(lump.masses @ velocities)
+        sizes.append(lump.masses @ np.linalg.norm(velocities, axis=1))
+    return np.array(momenta) / max(sizes), np.array(energies)
+
+
+def check_momentum() -> Check:
+    """In the precision in which the engine works by default."""
+    momenta, _ = _swing(0.0, np.float32)
+    return Check(float(np.abs(momenta).max()), 1e-4)
+
+
+def check_energy() -> Check:
+    """Without viscosity: the mean of the last sixth beside that of the first; with it: only less."""
+    _, energies = _swing(0.0, np.float64)
+    _, viscous = _swing(0.5, np.float64)
+    kept = float(energies[-20:].mean() / energies[:20].mean())
+    told = {"kept": kept, "viscous": float(viscous[-20:].mean() / viscous[:20].mean())}
+    return Check(abs(kept - 1.0), 0.05, details=told)
+
+
+def check_steadiness() -> Check:
+    """A plate that has been pressed 10 mm deep and stands still."""
+    told: dict[str, Any] = {}
+    for name in MATERIALS:
+        scene = scenes.palpate(material=MATERIALS[name])
+        worlds = Worlds(scene, 1, engine="tissue", parallel=False)
+        top = float(worlds.nodes[0, :, 2].max()) + 0.0625
+        worlds.place_tools(np.array([[[0.0, 0.0, top]]]))
+        steps = round(1.0 / worlds.dt)
+        worlds.advance(np.array([[[0.0, 0.0, -0.5]]]), steps=steps)
+        still = np.zeros((1, 1, 3))
+        worlds.advance(still, steps=steps)
+        forces = [worlds.advance(still).forces[0, 0, 2] * scene.scale.force for _ in range(steps // 2)]
+        told[name] = {"newtons": float(np.mean(forces)), "varies": float(np.std(forces) / np.mean(forces))}
+        worlds.close()
+    return Check(max(each["varies"] for each in told.values()), 0.03, details=told)
+
+
+def checks() -> dict[str, Callable[[], Check]]:
+    """All checks, by name."""
+    spheres = Spheres()
+    return {
+        "kernels": check_kernels,
+        "patch": check_patch,
+        "bar": check_bar,
+        "shear": check_shear,
+        "block": check_block,
+        "hertz": check_hertz,
+        "plates": partial(check_plates, spheres),
+        "refinement": partial(check_refinement, spheres),
+        "time_step": partial(check_time_step, spheres),
+        "modulus": partial(check_modulus, spheres),
+        "volume": check_volume,
+        "relaxation": check_relaxation,
+        "momentum": check_momentum,
+        "energy": check_energy,
+        "steadiness": check_steadiness,
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    available = checks()
+    options = parser(__doc__ or "")
+    options.formatter_class = argparse.RawDescriptionHelpFormatter
+    options.add_argument("--checks", nargs="+", choices=tuple(available), default=list(available))
+    arguments = options.parse_args()
+    made: dict[str, Check] = {}
+    missing: dict[str, str] = {}
+    for name in arguments.checks:
+        try:
+            made[name] = available[name]()
+        except ImportError as error:
+            missing[name] = str(error)
+            print(f"{name} is left out: {error}", file=sys.stderr)
+            continue
+        if not arguments.json:
+            check = made[name]
+            verdict = "ok" if check.passed else "FAILS"
+            print(
+                f"{name:12} {check.value:10.3g} at most {check.threshold:g}   {verdict}   {check.details}", flush=True
+            )
+    finish(
+        {
+            "benchmark": "tissue",
+            "passed": not missing and all(check.passed for check in made.values()),
+            "felupe": elements.felupe_version(),
+            "checks": {name: check.as_dict() for name, check in made.items()},
+            "left_out": missing,
+        }
+    )
+
+
+if __name__ == "__main__":
+    main()
