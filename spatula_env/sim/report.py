@@ -58,11 +58,12 @@ class Report:
         table: (C, 8) all points where something pushed; see `contact.pressure`. None with `contact="bullet"`.
         penetration: Greatest depth of a contact node before correction [u].
         residual: Greatest depth that is left after correction: of any point of an organ's surface in a tool, and of a
-            tool's corners in an organ; see `contact.depth` [u].
+            tool's corners and edges in an organ; see `contact.depth` and `contact.edge_depth` [u].
         queries: How many times each detector was asked: more than once where something moved too far at once.
         reach: How far a push is spread over contact nodes [u].
         crossings: In how many places organs cross themselves or each other: pairs of an edge and a triangle.
         crossed_for: For how long they have [s].
+        stopped: Whether the tools did not go, or went a part of the way alone, as an organ could not give way.
     """
 
     scene: Scene
@@ -78,6 +79,7 @@ class Report:
     reach: float
     crossings: int
     crossed_for: float
+    stopped: bool
 
     @property
     def tangled(self) -> bool:

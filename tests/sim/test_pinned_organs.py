@@ -97,8 +97,10 @@ def test_a_hand_that_was_stopped_goes_on_slowly_and_is_saved_so():
 
     def moved(up, angular=(0.0, 0.0, 0.0)):
         before = simulation.tool_position[2]
-        simulation.step((0.0, 0.0, 4.0 * up), angular)
-        return (simulation.tool_position[2] - before) / way
+        report = simulation.step((0.0, 0.0, 4.0 * up), angular)
+        moved = (simulation.tool_position[2] - before) / way
+        assert report.stopped == (abs(moved - up) > 1e-9)
+        return moved
 
     while moved(-1.0) != 0.0:
         pass
