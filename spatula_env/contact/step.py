@@ -95,13 +95,13 @@ GREATEST_DEPTH_KEPT = 2e-3
 """Contacts that left the surface deeper than this at the end of a step have not held it [u]."""
 
 STOPPING_DEPTH = 8e-3
-"""A step that would leave tools and organs deeper in each other than this, and than they were, stops the tools [u]."""
+"""A step that would leave tools and organs deeper in each other than this, where they were not, stops the tools [u]."""
 
 STOPPING_WAY = 0.5
 """That is, unless a point of a tool goes farther than this in the step, in mean edges of the organ."""
 
 SLOWING = 0.25
-"""Part of its pace that a stop leaves to the hand, and of their speed to organs,"""
+"""Part of its pace that a stop leaves to the hand,"""
 
 SPEEDING = 2.0
 """and factor by which it grows again in each step without one."""
@@ -433,7 +433,7 @@ def slow_tools(world: Any, motions: Any) -> None:
 
 @inline_kernel
 def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, crossings: float, depth: float) -> float:
-    """Have tools and organs stay where they were before the step, if they end it deeper in each other than they were.
+    """Have tools and organs stay where they were before the step, if it was not too deep there and is so now.
 
     Where an organ is pinned or wound up, there may be no place for it beside the tool. A hand that meets this stops, so
     that from step to step nothing gets deeper. Tools that go far in a step are left to their way alone.
@@ -443,7 +443,7 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
         plan: `QueryPlan` of the step's last query.
         tools: `QueryTools`; written.
         motions: `Motions`; their ends are their starts then, and their velocities zero.
-        organs: `OrganMotion`, of which vertices and velocities are written.
+        organs: `OrganMotion`, of which the vertices are written.
         crossings: In how many places organs crossed before the step.
         depth: How deep tools and organs are in each other [u].
 
@@ -453,13 +453,10 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
     pose_tools(motions, 0.0, tools, world.room.scratch.axes)
     before: float = measure_tools(world, plan, tools, organs.start, 1)
     before = depth_of_edges(world, tools.position, tools.rotation, organs.start, before)
-    if before >= depth:
+    # What a fast tool has got into already would not get rid of it by staying.
+    if before > STOPPING_DEPTH:
         return depth
     copy_points(organs.start, organs.vertices)
-    # Organs that kept their speed would be thrown into the same place again, and nothing would ever change.
-    for i in range(organs.velocities.shape[0]):
-        for axis in range(3):
-            organs.velocities[i, axis] *= SLOWING
     copy_points(motions.start_positions, motions.positions)
     for k in range(motions.positions.shape[0]):
         for entry in range(4):
