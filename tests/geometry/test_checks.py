@@ -85,13 +85,13 @@ def test_seeds_become_integers_of_python() -> None:
 def test_objects_of_another_class_are_named() -> None:
     check_kind(1.0, "length", float)
     check_kind(None, "length", float, or_none=True)
-    with pytest.raises(TypeError, match="^length must be a float, got None"):
+    with pytest.raises(TypeError, match=r"^length must be a float, got None"):
         check_kind(None, "length", float)
-    with pytest.raises(TypeError, match="^length must be an Exception or None, got 1"):
+    with pytest.raises(TypeError, match=r"^length must be an Exception or None, got 1"):
         check_kind(1, "length", Exception, or_none=True)
     assert as_tuple_of([1.0, 2.0], "lengths", float) == (1.0, 2.0)
     with pytest.raises(TypeError, match=r"^lengths\[1\] must be a float, got 2"):
         as_tuple_of([1.0, 2], "lengths", float)
     for value in (1.0, None, "12", {1.0}):
-        with pytest.raises(TypeError, match="^lengths must be a sequence of float, got"):
+        with pytest.raises(TypeError, match=r"^lengths must be a sequence of float, got"):
             as_tuple_of(value, "lengths", float)
