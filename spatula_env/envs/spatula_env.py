@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import operator
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -27,6 +26,7 @@ from spatula_env.envs.settings import RENDER_MODES
 from spatula_env.envs.snapshots import EnvState, check_fits
 from spatula_env.envs.start_options import START_OPTIONS, own_options
 from spatula_env.envs.time_limit import read_step_limit, steps_in, told_in_steps
+from spatula_env.geometry.checks import as_seed
 from spatula_env.sim.simulation import Simulation, SimulationDiverged
 
 if TYPE_CHECKING:
@@ -318,13 +318,13 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
             The first observation, and `info` with the same keys as after a step.
 
         Raises:
-            ValueError: If an option is misspelt, malformed or out of its range, or a tool would begin in the organ or
-                below the stop above the ground; nothing has then changed. Options that are not of this package are
-                ignored, with a warning.
+            ValueError: If the seed is no integer or negative, an option is misspelt, malformed or out of its range, or
+                a tool would begin in the organ or below the stop above the ground; nothing has then changed. Options
+                that are not of this package are ignored, with a warning.
         """
         self._check_open()
         chosen = self._episodes.choose(own_options(options, START_OPTIONS), np.zeros(1, dtype=np.int64))
-        whole = None if seed is None else operator.index(seed)
+        whole = as_seed(seed)
         if chosen:
             generator = self.np_random if whole is None else seeding.np_random(whole)[0]
             self._episodes.check_begin({0: generator}, chosen)

@@ -7,10 +7,14 @@ the argument's name, what is allowed and what came.
 from __future__ import annotations
 
 import math
-from typing import Any
+import operator
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+Kind = TypeVar("Kind")
 
 
 def is_number(value: Any) -> bool:
@@ -103,6 +107,61 @@ def check_boolean(value: Any, name: str) -> None:
     """
     if not isinstance(value, bool | np.bool_):
         raise ValueError(f"{name} must be True or False, got {value!r}")
+
+
+def check_kind(value: Any, name: str, kind: type, *, or_none: bool = False) -> None:
+    """Check that something is of a class of this package.
+
+    Args:
+        value: What came.
+        name: What to call it in the error message.
+        kind: The class.
+        or_none: Whether None is allowed too.
+
+    Raises:
+        TypeError: If it is not.
+    """
+    if not (isinstance(value, kind) or (value is None and or_none)):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise TypeError(f"{name} must be {article} {kind.__name__}{' or None' * or_none}, got {value!r}")
+
+
+def as_tuple_of(value: Any, name: str, kind: type[Kind]) -> tuple[Kind, ...]:
+    """A tuple of objects of a class of this package, from any sequence of them.
+
+    Args:
+        value: What came.
+        name: What to call it in the error message.
+        kind: The class.
+
+    Raises:
+        TypeError: If it is no sequence, or one of its elements is something else.
+    """
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes):
+        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {value!r}")
+    for index, one in enumerate(value):
+        check_kind(one, f"{name}[{index}]", kind)
+    return tuple(value)
+
+
+def as_seed(value: Any) -> int | None:
+    """A seed of random numbers, as Python's integer.
+
+    Args:
+        value: What came: anything that Python takes for an integer, or None.
+
+    Raises:
+        ValueError: If it is something else, or negative.
+    """
+    if value is None:
+        return None
+    try:
+        seed = operator.index(value)
+    except TypeError:
+        raise ValueError(f"seed must be an integer or None, got {value!r}") from None
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {value!r}")
+    return seed
 
 
 def as_pair(value: Any, name: str, wanted: str) -> tuple[float, float]:

@@ -32,7 +32,8 @@ def check_surface(
 
     Nothing is repaired. The surface may have several components. Each must be wound outwards, with a positive
     volume, unless it lies inside another one, where it bounds a cavity and must be wound inwards: the surface
-    then encloses every point of space once or not at all. Self-intersections are not looked for.
+    then encloses every point of space once or not at all. Whether it crosses itself is not looked at here, but when
+    a simulation is made of it; see :func:`~spatula_env.geometry.crossings.self_crossings`.
 
     Args:
         vertices: Positions, shape (V, 3) [u].

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from spatula_env.arrays import FloatArray
+from spatula_env.geometry.checks import as_floats
 
 UNIT_TOLERANCE = 1e-6
 """How far from 1 the length of a quaternion given by a user may be."""
@@ -289,8 +290,8 @@ def random_quaternion(generator: np.random.Generator) -> FloatArray:
 def _as_finite(value: ArrayLike, name: str, count: int) -> FloatArray:
     """Copy ``count`` finite numbers into an array, or raise ValueError."""
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = as_floats(value)
+    except ValueError as error:
         raise ValueError(f"{name} must be {count} numbers, got {value!r}") from error
     if array.shape != (count,):
         raise ValueError(f"{name} must have shape ({count},), got shape {array.shape}")

@@ -7,14 +7,13 @@ another process. One scene unit of length is written u; scene masses are written
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from spatula_env.geometry import Organ, Tool
-from spatula_env.geometry.checks import check_not_negative, check_positive
+from spatula_env.geometry.checks import as_tuple_of, check_finite, check_kind, check_not_negative, check_positive
 from spatula_env.geometry.transforms import as_quaternion, as_vector3, rotate
 from spatula_env.scenes.material import Material
 
@@ -87,8 +86,7 @@ class Ground:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if not math.isfinite(self.height):
-            raise ValueError(f"height must be finite, got {self.height!r}")
+        check_finite(self.height, "height")
         check_not_negative(self.friction, "friction")
 
 
@@ -115,6 +113,7 @@ class PlacedOrgan:
 
     def __post_init__(self) -> None:
         """Check the values."""
+        check_kind(self.organ, "organ", Organ)
         _set_pose(self)
         check_positive(self.mass, "mass")
         for node in self.fixed_nodes:
@@ -148,6 +147,7 @@ class PlacedTool:
 
     def __post_init__(self) -> None:
         """Check the values."""
+        check_kind(self.tool, "tool", Tool)
         _set_pose(self)
         check_not_negative(self.friction, "friction")
 
@@ -157,8 +157,8 @@ class Scene:
     """Everything a simulation needs to know to start.
 
     Attributes:
-        organs: At least one.
-        tools: Any number; the first is the one that `Simulation.tool_position` speaks of.
+        organs: At least one, from any sequence of them.
+        tools: At least one, from any sequence; the first is the one that `Simulation.tool_position` speaks of.
         ground: The plane under the organs, or None.
         gravity: Downward acceleration [u/s2].
         dt: Length of a physics step [s].
@@ -176,12 +176,15 @@ class Scene:
 
     def __post_init__(self) -> None:
         """Check the values."""
+        object.__setattr__(self, "organs", as_tuple_of(self.organs, "organs", PlacedOrgan))
+        object.__setattr__(self, "tools", as_tuple_of(self.tools, "tools", PlacedTool))
+        check_kind(self.ground, "ground", Ground, or_none=True)
+        check_kind(self.scale, "scale", Scale)
         if not self.organs:
             raise ValueError("organs must hold at least one organ, got none")
         if not self.tools:
             raise ValueError("tools must hold at least one tool, got none")
-        if not math.isfinite(self.gravity):
-            raise ValueError(f"gravity must be finite, got {self.gravity!r}")
+        check_finite(self.gravity, "gravity")
         check_positive(self.dt, "dt")
 
 

@@ -1,4 +1,4 @@
-"""What in a scene is likely not to be as it is meant: warnings, before its organs have come to rest and afterwards."""
+"""What in a scene is wrong or likely not to be as it is meant: errors, warnings, and likely causes of failures."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spatula_env._warnings import warn
+from spatula_env.geometry.crossings import self_crossings
+from spatula_env.geometry.overlap import overlaps
 from spatula_env.geometry.parts import describe_parts, organ_parts
+from spatula_env.geometry.transforms import rotate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from spatula_env.scenes import PlacedOrgan, Scene
+    from spatula_env.scenes import PlacedOrgan, PlacedTool, Scene
 
     FloatArray = NDArray[np.float64]
 
@@ -26,6 +29,82 @@ LEAST_VOLUME = 0.95
 
 GREATEST_DEFORMATION = 0.05
 """Nor does one whose nodes are farther, on average, from where they were in the organ, as a share of its extent."""
+
+
+BURIED = 0.01
+"""An organ is below the ground if a free node is deeper in it than this share of the organ's extent."""
+
+
+def check_surfaces(scene: Scene) -> None:
+    """Check that no organ's surface crosses itself. That organs cross each other is not looked for.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        ValueError: If one does; names the organ, and vertices where it does.
+    """
+    for placed in scene.organs:
+        organ = placed.organ
+        crossings = self_crossings(organ.vertices, organ.triangles)
+        if len(crossings):
+            first = crossings[0].tolist()
+            raise ValueError(
+                f"organs: the surface of organ {organ.name!r} must not cross or touch itself, got edges that go "
+                f"through triangles in {len(crossings)} places, first the edge between vertices {first[0]} and "
+                f"{first[1]} through the triangle of vertices {first[2]}, {first[3]} and {first[4]}"
+            )
+
+
+def organs_below_ground(scene: Scene) -> str:
+    """Which organs of a scene have free nodes in the ground, in words; empty if none has."""
+    if scene.ground is None:
+        return ""
+    height, told = scene.ground.height, []
+    for placed in scene.organs:
+        free = np.ones(len(placed.organ.vertices), dtype=np.bool_)
+        free[list(placed.fixed_nodes)] = False
+        vertices = placed.vertices
+        heights = vertices[free, 2]
+        buried = heights < height - BURIED * np.ptp(vertices, axis=0).max()
+        if buried.any():
+            told.append(
+                f"organ {placed.organ.name!r} starts with {buried.sum()} of {len(buried)} free nodes below the ground, "
+                f"which is at {height:g} u, down to {heights.min():.4g} u: place it higher, or lower the ground"
+            )
+    return "; ".join(told)
+
+
+def tools_in_organs(
+    organs: Sequence[PlacedOrgan],
+    nodes: FloatArray,
+    tools: Sequence[PlacedTool],
+    positions: FloatArray,
+    orientations: FloatArray,
+) -> str:
+    """Which tools reach into which organs, in words; empty if none does.
+
+    Args:
+        organs: The organs.
+        nodes: (V, 3) of all of them [u].
+        tools: (N,) the tools' shapes.
+        positions: (N, 3) of the tools [u]; one that is not a number is not looked at.
+        orientations: (N, 4) of the tools.
+    """
+    told, start = [], 0
+    for placed in organs:
+        own = nodes[start : start + len(placed.organ.vertices)]
+        start += len(own)
+        for index, tool in enumerate(tools):
+            if not np.isfinite(positions[index]).all():
+                continue
+            corners = rotate(orientations[index], tool.tool.vertices) + positions[index]
+            if overlaps(own, placed.organ.triangles, corners, tool.tool.triangles):
+                told.append(
+                    f"tool {index} was in organ {placed.organ.name!r} at the start, at {positions[index].tolist()} u: "
+                    "place it outside"
+                )
+    return "; ".join(told)
 
 
 def warn_of_scene(scene: Scene, sweeps: int | None = None) -> None:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from spatula_env.geometry.checks import as_floats
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
@@ -53,8 +55,8 @@ def one_each(value: ArrayLike, name: str, worlds: IntArray) -> FloatArray:
 def rows_of(value: ArrayLike, name: str, shape: tuple[int, ...], worlds: IntArray) -> FloatArray:
     """Finite numbers of a shape, a row for each of some worlds; an array of its own."""
     try:
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
+        array = np.ascontiguousarray(as_floats(value))
+    except ValueError as error:
         raise ValueError(f"{name} must be numbers of shape {shape}, got {value!r}") from error
     if array.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")

@@ -12,7 +12,9 @@ from spatula_env.contact import settings
 from spatula_env.contact.flags import Contacts
 from spatula_env.contact.motion import Motions
 from spatula_env.contact.pressure import contact_table
+from spatula_env.geometry.checks import as_floats, as_seed, as_tuple_of, check_kind
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
+from spatula_env.scenes import PlacedTool
 from spatula_env.sim.engine import ContactName
 from spatula_env.sim.report import Pressures, Report
 from spatula_env.sim.states import SimulationState
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from spatula_env.arrays import FloatArray
     from spatula_env.contact.flags import FirstStep
-    from spatula_env.scenes import PlacedTool, Scene
+    from spatula_env.scenes import Scene
     from spatula_env.sim.engine import Precision, Strains
 
 __all__ = ["ContactName", "Simulation", "SimulationDiverged", "SimulationState"]
@@ -73,7 +75,9 @@ class Simulation:
                 double, as is all contact.
 
         Raises:
-            ValueError: If an argument is not one of those, or the engine is asked for a contact that it does not have.
+            TypeError: If `scene` is no scene.
+            ValueError: If an argument is not one of those, or the engine is asked for a contact that it does not have,
+                or an organ's surface crosses itself.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
             SimulationDiverged: If an organ collapses under its own weight.
 
@@ -103,8 +107,12 @@ class Simulation:
         Args:
             seed: Accepted so that callers can pass theirs on. Nothing in a simulation is random: two resets, and
                 two simulations of one scene, go on identically to the last bit.
+
+        Raises:
+            ValueError: If the seed is neither None nor an integer that is not negative; nothing has then changed.
         """
         self._check_open()
+        as_seed(seed)
         self.worlds.reset()
 
     def place_tool(self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0) -> None:
@@ -113,10 +121,11 @@ class Simulation:
         Args:
             position: (3,) [u].
             orientation: (4,) unit quaternion xyzw.
-            index: Which tool.
+            index: Which tool, from 0 on.
 
         Raises:
-            ValueError: If an argument is malformed or not finite; the tool then stays where it was.
+            ValueError: If an argument is malformed or not finite, or there is no such tool; all tools then stay where
+                they were.
         """
         self._check_open()
         self.worlds.place_tool(index, as_vector3(position, "position"), as_quaternion(orientation, "orientation"))
@@ -128,12 +137,14 @@ class Simulation:
             tools: As many as there are; organs stay at rest as they were.
 
         Raises:
+            TypeError: If one of them is no `PlacedTool`.
             ValueError: If there is another number of tools.
         """
         self._check_open()
+        tools = as_tuple_of(tools, "tools", PlacedTool)
         if len(tools) != len(self.scene.tools):
             raise ValueError(f"tools must be {len(self.scene.tools)}, as in the scene, got {len(tools)}")
-        if tuple(tools) == self.scene.tools:
+        if tools == self.scene.tools:
             self.worlds.reset()
         else:
             self.worlds.exchange_tools(tools)
@@ -240,9 +251,11 @@ class Simulation:
             state: What `save` returned.
 
         Raises:
+            TypeError: If it is no state of a simulation.
             ValueError: If the state is of a scene with other nodes or tools, or not finite; nothing has then changed.
         """
         self._check_open()
+        check_kind(state, "state", SimulationState)
         self.worlds.restore(SimulationState.joined([state]))
 
     def close(self) -> None:
@@ -329,8 +342,8 @@ class Simulation:
 def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> FloatArray:
     """A velocity for each tool (N, 3), from one for all (3,) or one for each."""
     try:
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
+        array = np.ascontiguousarray(as_floats(value))
+    except ValueError as error:
         raise ValueError(f"{name} must be numbers, got {value!r}") from error
     if array.shape not in ((3,), shape):
         raise ValueError(f"{name} must have shape (3,) or {shape}, got {array.shape}")

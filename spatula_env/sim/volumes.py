@@ -98,12 +98,8 @@ class Volumes:
         return wrong
 
     def tell(self, volumes: FloatArray) -> str:
-        """What has become of the organs whose volumes (O,) are those of collapsed ones, and what can be done."""
-        told = _enumerate(self.organs, volumes / self.initial)
-        return (
-            f"{told}; gravity may be too strong for the springs at this time step, or the surface too fine for them: "
-            "a smaller dt, less gravity or a coarser surface helps"
-        )
+        """What has become of the organs whose volumes (O,) are those of collapsed ones."""
+        return _enumerate(self.organs, volumes / self.initial)
 
 
 def _enumerate(organs: Sequence[PlacedOrgan], shares: FloatArray) -> str:

@@ -17,15 +17,23 @@ from spatula_env.contact.flags import FIRST_STEP_CODES
 from spatula_env.contact.structures import Memory, OrganRoom, surface_list, tool_shape, world_list
 from spatula_env.contact.world import Workspace, World, scene_skin
 from spatula_env.engines import choose_engine, load_engine
-from spatula_env.geometry.checks import check_count
+from spatula_env.geometry import Tool
+from spatula_env.geometry.checks import as_tuple_of, check_count, check_kind
 from spatula_env.geometry.transforms import as_quaternion
+from spatula_env.scenes import Scene
 from spatula_env.scenes.material import INJURY_STRAIN
 from spatula_env.sim import step
 from spatula_env.sim.clock import later
 from spatula_env.sim.collisions import Collisions
 from spatula_env.sim.engine import PRECISIONS, BlockEngine, ContactName, Engine, EngineOptions, Strains
 from spatula_env.sim.report import LONGEST_CROSSED
-from spatula_env.sim.scene_checks import warn_of_rest, warn_of_scene
+from spatula_env.sim.scene_checks import (
+    check_surfaces,
+    organs_below_ground,
+    tools_in_organs,
+    warn_of_rest,
+    warn_of_scene,
+)
 from spatula_env.sim.selection import one_each, refuse, rows_of, world_indices
 from spatula_env.sim.states import WorldMemory, WorldsState
 from spatula_env.sim.threads import share_out
@@ -35,8 +43,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from spatula_env.contact.flags import FirstStep
-    from spatula_env.geometry import Tool
-    from spatula_env.scenes import PlacedTool, Scene
+    from spatula_env.scenes import PlacedTool
     from spatula_env.sim.engine import CollidingEngine, Precision, StrainedEngine, VaryingEngine
 
 Steer: TypeAlias = Callable[[int, int], tuple[FloatArray, FloatArray]]
@@ -45,6 +52,12 @@ Steer: TypeAlias = Callable[[int, int], tuple[FloatArray, FloatArray]]
 
 SETTLED_SPEED = 1e-3
 """An organ none of whose nodes is faster is at rest [u/s]."""
+
+TOO_WEAK = (
+    "gravity may be too strong for the springs at this time step, or the surface too fine for them: a smaller dt, less "
+    "gravity or a coarser surface helps"
+)
+"""The likely cause if an organ has collapsed and nothing was wrong at the start."""
 
 LONGEST_SETTLING = 4.0
 """Settling ends after this time even if something still moves [s]."""
@@ -144,7 +157,9 @@ class Worlds:
                 `numba.set_num_threads` says how many are used.
 
         Raises:
-            ValueError: If an argument is not as it should be, or the engine does not have that contact.
+            TypeError: If `scene` is no scene.
+            ValueError: If an argument is not as it should be, the engine does not have that contact, or an organ's
+                surface crosses itself.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
             SimulationDiverged: If an organ collapses under its own weight.
 
@@ -159,12 +174,14 @@ class Worlds:
         ):
             if value not in allowed:
                 raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+        check_kind(scene, "scene", Scene)
         check_count(count, "worlds", 1)
         name = choose_engine(engine, contact)
         kind = load_engine(name)
         if contact not in kind.abilities.contacts:
             had = " or ".join(map(repr, kind.abilities.contacts))
             raise ValueError(f"contact must be {had} with engine {name!r}, got {contact!r}")
+        check_surfaces(scene)
         warn_of_scene(scene, kind.abilities.sweeps)
         self._scene, self.contact, self._first_step = scene, contact, first_step
         threads = numba.get_num_threads()
@@ -193,6 +210,8 @@ class Worlds:
         )
         self._times = np.zeros(count)
         self._has_stepped = np.zeros(count, dtype=np.bool_)
+        # Where tools were before the first step of organs at rest; not a number where that is not known.
+        self._start_positions, self._start_orientations = np.full(tools, np.nan), np.full((*tools[:2], 4), np.nan)
         self._skin = scene_skin(scene)
         self._equip(scene.tools)
         # Worlds of a scene are alike, so one settles for all; but an engine's own contact keeps traces of what was.
@@ -367,11 +386,17 @@ class Worlds:
         return self._has_stepped.copy()
 
     def why_diverged(self, world: int) -> str:
-        """What has become of a world that has diverged, in words."""
+        """What has become of a world that has diverged, and what is likely to be the cause, in words."""
+        poses = self._start_positions[world], self._start_orientations[world]
+        return self._why(world, tools_in_organs(self._scene.organs, self._rest[world], self._tools[world], *poses))
+
+    def _why(self, world: int, cause: str) -> str:
+        """The same, with the cause if it is known, or else an empty one."""
         nodes = self.state.nodes[world : world + 1]
         if np.isfinite(nodes).all() and self._volumes.collapsed(nodes).any():
-            return self._volumes.tell(self._volumes.measure(nodes)[0])
-        return f"positions are not finite after {self._times[world] + self.dt:.4f} s"
+            return f"{self._volumes.tell(self._volumes.measure(nodes)[0])}; {cause or TOO_WEAK}"
+        told = f"positions are not finite after {self._times[world] + self.dt:.4f} s"
+        return f"{told}; {cause}" if cause else told
 
     def nodes_of(self, worlds: ArrayLike) -> FloatArray:
         """(n, V, 3) positions of the organs' nodes in some worlds (n,), or where a mask (W,) is true (a copy) [u]."""
@@ -477,7 +502,8 @@ class Worlds:
         """Give settling up if something has gone wrong in some worlds."""
         if len(bad):
             told = where.format(worlds=bad.tolist(), world=bad[0])
-            raise SimulationDiverged(f"organs do not come to rest{told} {self.why_diverged(int(bad[0]))}")
+            why = self._why(int(bad[0]), organs_below_ground(self._scene))
+            raise SimulationDiverged(f"organs do not come to rest{told} {why}")
 
     def place_tools(
         self, positions: ArrayLike, orientations: ArrayLike | None = None, worlds: ArrayLike | None = None
@@ -506,10 +532,14 @@ class Worlds:
         """Put one tool somewhere in all worlds, as `place_tools` does with all of them.
 
         Args:
-            index: Which of the scene's tools.
+            index: Which of the scene's tools, from 0 on.
             position: (3,) [u].
             orientation: (4,) unit quaternion xyzw.
+
+        Raises:
+            ValueError: If there is no such tool; nothing has then changed.
         """
+        check_count(index, "index", 0, len(self._scene.tools) - 1)
         every, positions, orientations = np.arange(self.count), self.tool_positions, self.tool_orientations
         positions[:, index], orientations[:, index] = position, orientation
         self._put_tools(every, positions, orientations)
@@ -562,12 +592,15 @@ class Worlds:
         Args:
             tools: One for all of these worlds, or one each; with as many contact nodes as the scene's.
             worlds: (n,) which, or (W,) a mask; all by default.
-            index: Which of the scene's tools.
+            index: Which of the scene's tools, from 0 on.
 
         Raises:
-            ValueError: If a tool does not fit; nothing has then changed.
+            TypeError: If one of them is no `Tool`.
+            ValueError: If a tool does not fit, or there is none of that index; nothing has then changed.
         """
         indices = world_indices(worlds, self.count)
+        tools = as_tuple_of(tools, "tools", Tool)
+        check_count(index, "index", 0, len(self._scene.tools) - 1)
         if len(tools) not in (1, len(indices)):
             raise ValueError(f"tools must be 1 or {len(indices)}, one for each world; got {len(tools)}")
         wanted = len(self._scene.tools[index].tool.nodes)
@@ -680,6 +713,7 @@ class Worlds:
     ) -> None:
         """Do what `advance` does, without looking at arguments and without telling what the tools felt."""
         drive, state = self._drive, self.state
+        self._note_starts()
         drive.linear[:], drive.angular[:] = linear, angular
         drive.pressure_limits[:], drive.force_limits[:] = pressure_limits, force_limits
         for array in self._sums:
@@ -699,6 +733,14 @@ class Worlds:
                 break
             if after_step is not None:
                 after_step()
+
+    def _note_starts(self) -> None:
+        """Remember where the tools of worlds are that have not been stepped since a reset."""
+        fresh = ~(self._has_stepped | self.state.diverged)
+        if fresh.any():
+            at_rest = (fresh & (self._times == 0.0))[:, None, None]
+            self._start_positions[fresh] = np.where(at_rest, self.state.tool_positions, np.nan)[fresh]
+            self._start_orientations[fresh] = self.state.tool_orientations[fresh]
 
     def _advance(self, steps: int, share: float, *, with_tools: bool = True) -> None:
         """Take all worlds through physics steps, each a share of a control step, with their tools or without."""
@@ -793,9 +835,11 @@ class Worlds:
             worlds: (n,) which worlds get it, or (W,) a mask; all by default.
 
         Raises:
+            TypeError: If it is no state of worlds.
             ValueError: If the state is of another number of worlds, or does not fit the scene or is not finite, or a
                 world is named twice; nothing has then changed.
         """
+        check_kind(state, "state", WorldsState)
         indices, mine = world_indices(worlds, self.count, once=True), self.state
         for name, array in (
             ("nodes", mine.nodes),

@@ -158,6 +158,12 @@ def test_options_choose_goal_and_start_and_change_nothing_else(env: PressEnv) ->
     assert env.reset()[0].tolist() == following
 
 
+@pytest.mark.parametrize("seed", ["x", 1.5, (1, 2), -1])
+def test_a_seed_that_is_none_is_an_error(env: PressEnv, seed: Any) -> None:
+    with pytest.raises(ValueError, match=r"seed must .*, got "):
+        env.reset(seed=seed)
+
+
 # ----------------------------------------------------------------------------------------- the task
 
 

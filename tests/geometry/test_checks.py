@@ -9,9 +9,12 @@ import pytest
 from spatula_env.geometry.checks import (
     as_floats,
     as_pair,
+    as_seed,
+    as_tuple_of,
     check_boolean,
     check_count,
     check_finite,
+    check_kind,
     check_not_negative,
     check_positive,
 )
@@ -65,3 +68,30 @@ def test_what_is_no_pair_is_named(value: Any) -> None:
 def test_arrays_of_other_kinds_are_no_numbers(value: Any) -> None:
     with pytest.raises(ValueError, match="must be real numbers"):
         as_floats(value)
+
+
+@pytest.mark.parametrize("value", ["x", 1.5, (1,), np.ones(2), -1])
+def test_what_is_no_seed_is_named(value: Any) -> None:
+    with pytest.raises(ValueError, match=r"^seed must .*, got "):
+        as_seed(value)
+
+
+def test_seeds_become_integers_of_python() -> None:
+    assert as_seed(None) is None
+    for value in (3, np.int8(3), np.array(3)):
+        assert type(as_seed(value)) is int and as_seed(value) == 3
+
+
+def test_objects_of_another_class_are_named() -> None:
+    check_kind(1.0, "length", float)
+    check_kind(None, "length", float, or_none=True)
+    with pytest.raises(TypeError, match=r"^length must be a float, got None"):
+        check_kind(None, "length", float)
+    with pytest.raises(TypeError, match=r"^length must be an Exception or None, got 1"):
+        check_kind(1, "length", Exception, or_none=True)
+    assert as_tuple_of([1.0, 2.0], "lengths", float) == (1.0, 2.0)
+    with pytest.raises(TypeError, match=r"^lengths\[1\] must be a float, got 2"):
+        as_tuple_of([1.0, 2], "lengths", float)
+    for value in (1.0, None, "12", {1.0}):
+        with pytest.raises(TypeError, match=r"^lengths must be a sequence of float, got"):
+            as_tuple_of(value, "lengths", float)

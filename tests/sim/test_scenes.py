@@ -229,7 +229,8 @@ def test_scale_from_units_to_si():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("height", np.nan), ("height", np.inf), ("friction", -1.0), ("friction", np.nan)]
+    ("name", "value"),
+    [("height", np.nan), ("height", "0"), ("height", np.inf), ("friction", -1.0), ("friction", np.nan)],
 )
 def test_ground_refuses(name, value):
     check_refused(name, scenes.Ground, value)
@@ -270,12 +271,46 @@ def test_a_placed_tool_refuses(name, value):
         ("tools", ()),
         ("gravity", np.nan),
         ("gravity", np.inf),
+        ("gravity", "10"),
         *[("dt", value) for value in NOT_POSITIVE],
     ],
 )
 def test_a_scene_refuses(name, value):
     good = {"organs": (PLACED_ORGAN,), "tools": (PLACED_TOOL,)}
     check_refused(name, lambda **given: scenes.Scene(**(good | given)), value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("organs", (PLACED_TOOL,), r"organs\[0\] must be a PlacedOrgan, got PlacedTool"),
+        ("organs", (PLACED_ORGAN, ORGAN), r"organs\[1\] must be a PlacedOrgan"),
+        ("organs", PLACED_ORGAN, "organs must be a sequence of PlacedOrgan"),
+        ("organs", None, "organs must be a sequence of PlacedOrgan"),
+        ("tools", (PLACED_ORGAN,), r"tools\[0\] must be a PlacedTool"),
+        ("tools", PLACED_TOOL, "tools must be a sequence of PlacedTool"),
+        ("tools", "spatula", "tools must be a sequence of PlacedTool, got 'spatula'"),
+        ("ground", 0.0, r"ground must be a Ground or None, got 0\.0"),
+        ("scale", 0.02, r"scale must be a Scale, got 0\.02"),
+    ],
+)
+def test_a_scene_refuses_what_is_of_another_kind(name, value, allowed):
+    good = {"organs": (PLACED_ORGAN,), "tools": (PLACED_TOOL,)}
+    with pytest.raises(TypeError, match=allowed):
+        scenes.Scene(**(good | {name: value}))
+
+
+def test_organs_and_tools_that_are_none_are_refused():
+    with pytest.raises(TypeError, match="organ must be an Organ, got"):
+        scenes.PlacedOrgan(TOOL)
+    with pytest.raises(TypeError, match="tool must be a Tool, got"):
+        scenes.PlacedTool(ORGAN, (0.0, 0.0, 3.0))
+
+
+def test_lists_of_organs_and_tools_become_tuples():
+    scene = scenes.Scene([PLACED_ORGAN], [PLACED_TOOL])
+    assert scene == scenes.Scene((PLACED_ORGAN,), (PLACED_TOOL,))
+    assert hash(scene) == hash(scenes.Scene((PLACED_ORGAN,), (PLACED_TOOL,)))
 
 
 def test_errors_tell_what_came():

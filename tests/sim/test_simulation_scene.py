@@ -220,9 +220,47 @@ def test_place_tool_refuses_bad_poses(fresh, name, arguments):
 
 def test_place_tool_refuses_a_tool_that_is_not_there(fresh):
     before = everything(fresh)
-    for index in (1, -2):
-        with pytest.raises((ValueError, IndexError)):
+    for index in (1, -1, -2, 0.0, True, None, "0"):
+        with pytest.raises(ValueError, match=rf"index must be an integer of at least 0 and at most 0, got {index!r}"):
             fresh.place_tool((0.0, 0.0, 1.0), index=index)
+        with pytest.raises(ValueError, match="index must be an integer"):
+            fresh.worlds.set_tools([fresh.scene.tools[0].tool], index=index)
+    np.testing.assert_array_equal(everything(fresh), before)
+
+
+@pytest.mark.parametrize("velocity", [("1", "2", "3"), "123", (True, False, False), (0.0, 0.0, 1j), None])
+def test_a_step_refuses_what_are_no_numbers(fresh, velocity):
+    before = everything(fresh)
+    for name in ("linear_velocity", "angular_velocity"):
+        with pytest.raises(ValueError, match=name):
+            fresh.step(**{name: velocity})
+    with pytest.raises(ValueError, match="linear_velocities"):
+        fresh.worlds.advance([[velocity]])
+    np.testing.assert_array_equal(everything(fresh), before)
+
+
+@pytest.mark.parametrize("seed", ["x", 1.5, (1, 2), -1])
+def test_a_reset_refuses_what_is_no_seed(fresh, seed):
+    with pytest.raises(ValueError, match=r"seed must .*, got "):
+        fresh.reset(seed=seed)
+
+
+def test_what_is_no_scene_no_tool_and_no_state_is_named(fresh):
+    before = everything(fresh)
+    for value in (None, fresh.scene.organs, "seed"):
+        with pytest.raises(TypeError, match="scene must be a Scene, got"):
+            Simulation(value)
+    with pytest.raises(TypeError, match=r"tools\[0\] must be a PlacedTool, got Tool"):
+        fresh.set_tools([Tool.box()])
+    with pytest.raises(TypeError, match="tools must be a sequence of PlacedTool, got"):
+        fresh.set_tools(fresh.scene.tools[0])
+    with pytest.raises(TypeError, match=r"tools\[0\] must be a Tool, got PlacedTool"):
+        fresh.worlds.set_tools(fresh.scene.tools)
+    for value in (None, fresh.nodes, fresh.worlds.save()):
+        with pytest.raises(TypeError, match="state must be a SimulationState, got"):
+            fresh.restore(value)
+    with pytest.raises(TypeError, match="state must be a WorldsState, got"):
+        fresh.worlds.restore(fresh.save())
     np.testing.assert_array_equal(everything(fresh), before)
 
 
