@@ -225,7 +225,7 @@ def test_a_world_has_its_own_start_and_chance(script):
 def test_the_script_goes_to_the_goal_and_holds(script):
     observations = np.zeros((3, 71), dtype=np.float32)
     observations[:, script.error] = [[0.001, -0.002, 0.01], [0.0, 0.0, 0.0], [0.0, 0.0, 0.005]]
-    observations[1:, script.touch] = [0.5, 0.0]
+    observations[1:, script.touch] = 0.5
     actions = script.actions(observations)
     np.testing.assert_allclose(actions[0], [0.08, -0.16, -0.6], rtol=1e-5)
     np.testing.assert_array_equal(actions[1], 0.0)

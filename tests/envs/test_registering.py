@@ -21,7 +21,13 @@ class OwnTask(PressTask):
     """Press, in one's own words."""
 
 
-FIELDS = {"task": OwnTask, "config": PressConfig, "scene": scenes.seed, "workspace_height": 0.025}
+FIELDS = {
+    "task": OwnTask,
+    "config": PressConfig,
+    "scene": scenes.seed,
+    "workspace_height": 0.025,
+    "observed": PressEnv.definition.observed,
+}
 
 
 @pytest.fixture(autouse=True)

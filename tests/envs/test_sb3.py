@@ -232,7 +232,7 @@ def test_only_environments_of_this_package_in_the_right_mode_are_taken() -> None
 
 def test_ppo_learns_through_all_wrappers() -> None:
     env = VecNormalize(VecFrameStack(VecMonitor(make(seed=0)), 2))
-    assert env.observation_space.shape == (144,)
+    assert env.observation_space.shape == (142,)
     model = PPO("MlpPolicy", env, n_steps=6, batch_size=9, n_epochs=1, seed=0, device="cpu")
     model.learn(36)
     assert model.num_timesteps == 36

@@ -27,7 +27,7 @@ def test_sac_runs_and_tells_what_it_came_to(tmp_path: Path, capsys: pytest.Captu
     assert 0.0 <= result["success"] <= 1.0
     saved = torch.load(output, weights_only=True)
     assert all(torch.isfinite(values).all() for values in saved["actor"].values())
-    assert saved["mean"].shape == saved["variance"].shape == (24,)
+    assert saved["mean"].shape == saved["variance"].shape == (23,)
 
 
 def test_ppo_runs_and_tells_what_it_came_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -38,7 +38,7 @@ def test_ppo_runs_and_tells_what_it_came_to(tmp_path: Path, capsys: pytest.Captu
     assert result["steps"] == 64
     saved = torch.load(output, weights_only=True)
     assert all(torch.isfinite(values).all() for values in saved["agent"].values())
-    assert saved["mean"].shape == saved["variance"].shape == (24,)
+    assert saved["mean"].shape == saved["variance"].shape == (23,)
 
 
 def test_training_ends_when_enough_episodes_have_succeeded() -> None:
