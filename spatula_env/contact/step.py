@@ -469,7 +469,7 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
 
 
 @inline_kernel
-def _end_ways(
+def _measure_and_stop(
     world: Any, plan: Any, tools: Any, motions: Any, organs: Any, progress: Any, crossings: float, way: float
 ) -> float:  # fmt: skip
     """Measure the tools' edges as well at the end of a step, and stop the tools if they are too deep; see `slow_tools`.
@@ -575,7 +575,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
         remember_poses(tools)
     if first_step == 0:
         progress.depth = measure_tools(world, plan, tools, vertices, 0)
-    numbers[STOPPED] = _end_ways(world, plan, tools, motions, organs, progress, crossings, fastest * dt)
+    numbers[STOPPED] = _measure_and_stop(world, plan, tools, motions, organs, progress, crossings, fastest * dt)
     numbers[RESIDUAL] = progress.depth
     _finish_step(world, plan, progress, count, islands, order, motions, organs, outcome, room)
     return 0
