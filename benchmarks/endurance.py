@@ -74,6 +74,9 @@ VERTICAL = 2
 """The component of an action that does."""
 
 
+RECORDED = ("deep", "crossed", "wrong_side")
+"""What worst stretches are recorded of."""
+
 PARTS = 10
 """How often a run says how far it is."""
 
@@ -185,6 +188,7 @@ class Watch:
 
     Attributes:
         depths: (W,) greatest in each world since the last `begin_control_step` [u].
+        wrong_sides: (W,) how often surface was on the far side of a tool in each world since then.
         crossed_for: (W,) for how many physics steps organs have crossed in each world without a break.
     """
 
@@ -195,6 +199,7 @@ class Watch:
         # Of the sum of time steps, as it is reported, the last digits are not known.
         self._patience = int(LONGEST_CROSSED / worlds.scene.dt + 1e-6)
         self._deep_for, self.crossed_for, self.depths = np.zeros(count, int), np.zeros(count, int), np.zeros(count)
+        self.wrong_sides = np.zeros(count, int)
         self.steps = self.touching = self.deep = self.deep_uncrossed = self.unreported = self.wrong_side = 0
         self.crossed = self.stretches = self.tangles = self.tangled = self.untold = 0
         self.most_crossings = self.longest_deep = self.longest_crossed = 0
@@ -207,8 +212,8 @@ class Watch:
         self._deep_for[worlds] = self.crossed_for[worlds] = 0
 
     def begin_control_step(self) -> None:
-        """Begin anew with `depths`."""
-        self.depths[:] = 0.0
+        """Begin anew with `depths` and `wrong_sides`."""
+        self.depths[:] = self.wrong_sides[:] = 0
 
     def _look(self, loads: Any) -> None:
         worlds, active = self._worlds, ~loads.diverged
@@ -226,6 +231,7 @@ class Watch:
         self.deep_uncrossed += int((deep & ~crossed).sum())
         self.unreported += int((deep & (loads.residuals <= ALLOWED)).sum())
         self.depth = max(self.depth, float(depths.max()))
+        self.wrong_sides += seen.wrong_side
         self.wrong_side += int(seen.wrong_side.sum())
         self.crossed += int(crossed.sum())
         self.stretches += int((active & (self.crossed_for == 1)).sum())
@@ -313,7 +319,7 @@ def run(job: Job, *, tell: bool = False) -> Endurance:
     recorders = []
     if job.folder:
         # Made first, so that they are asked for every single physics step.
-        recorders = [Recorder(worlds, Path(job.folder) / f"{job.name}-{kind}.npz") for kind in ("deep", "crossed")]
+        recorders = [Recorder(worlds, Path(job.folder) / f"{job.name}-{kind}.npz") for kind in RECORDED]
     watch = Watch(worlds)
     diverged, non_finite, peak_pressure = 0, 0, 0.0
     episodes, rounds, done = 0, 0, 0.0
@@ -331,7 +337,9 @@ def run(job: Job, *, tell: bool = False) -> Endurance:
         # They are reset in the next step, before physics goes on.
         over = np.flatnonzero(terminated | truncated).tolist()
         for recorder, badness in zip(
-            recorders, (np.where(watch.depths > ALLOWED, watch.depths, 0.0), watch.crossed_for), strict=False
+            recorders,
+            (np.where(watch.depths > ALLOWED, watch.depths, 0.0), watch.crossed_for, watch.wrong_sides),
+            strict=False,
         ):
             recorder.end_control_step(badness)
             recorder.forget(over)

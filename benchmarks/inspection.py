@@ -54,8 +54,9 @@ class Inspection:
             apart [u].
         surface_depth: Greatest depth of any point of the organ's surface inside the tool, exactly [u].
         centre_inside: Whether the tool's origin is inside the organ.
-        enclosed: How many of the tool's columns are inside the organ with both ends. A column runs from a contact node
-            to its opposite; those within `RIM` of another face do not count.
+        enclosed: How many of the tool's columns are inside the organ with both ends and the middle. A column runs from
+            a contact node to its opposite; those within `RIM` of another face do not count. A blade that two walls
+            squeeze may have both ends in these by a hair; its middle is outside, and how deep the ends are is told.
         passages: How many vertices of the organ have gone right through the tool since the inspection before, in by one
             face and out by the opposite one, the outside of the organ ahead. Their paths are straight in the tool's
             frame; those that cross one of the two faces within `RIM` of another face do not count.
@@ -276,7 +277,7 @@ def inspect_tool(
                 result.edge_depth = max(result.edge_depth, depths[i])
         result.centre_inside = inside[origin]
         for k in range(probe.columns.shape[0]):
-            if inside[probe.columns[k, 0]] and inside[probe.columns[k, 1]]:
+            if inside[probe.columns[k, 0]] and inside[probe.columns[k, 1]] and inside[probe.columns[k, 2]]:
                 result.enclosed += 1
 
 

@@ -55,9 +55,10 @@ class Probe(NamedTuple):
     """What of a tool is looked at, in its own frame [u], for kernels.
 
     Attributes:
-        points: Contact nodes, corners, points of edges, and the origin.
-        ends: (4,) where each of these groups ends.
-        columns: (c, 2) opposite contact nodes whose connection keeps `RIM` from all faces but theirs.
+        points: Contact nodes, corners, points of edges, middles of columns, and the origin.
+        ends: (5,) where each of these groups ends.
+        columns: (c, 3) points: opposite contact nodes whose connection keeps `RIM` from all faces but theirs, and the
+            middle between them.
         normals: (F, 3) outward unit normals of the faces, each plane once.
         offsets: (F,) of the planes.
         box: (6,) lower corner and upper corner.
@@ -93,12 +94,13 @@ def arrange_points(places: FloatArray) -> Points:
 def make_probe(tool: Tool) -> Probe:
     """A `Probe` of a tool."""
     normals, offsets = _distinct_planes(*tool.planes)
-    groups = (tool.nodes, tool.vertices, _edge_points(tool, normals, offsets), np.zeros((1, 3)))
-    places = np.concatenate(groups)
+    edges, opposite = _edge_points(tool, normals, offsets), _inner_columns(tool, normals, offsets)
+    groups = (tool.nodes, tool.vertices, edges, tool.nodes[opposite].mean(axis=1), np.zeros((1, 3)))
+    places, ends = np.concatenate(groups), np.cumsum([len(group) for group in groups])
     return Probe(
         points=arrange_points(places),
-        ends=np.cumsum([len(group) for group in groups]),
-        columns=_inner_columns(tool, normals, offsets),
+        ends=ends,
+        columns=np.column_stack([opposite, np.arange(ends[2], ends[3])]),
         normals=normals,
         offsets=offsets,
         box=np.concatenate([places.min(axis=0), places.max(axis=0)]),

@@ -305,7 +305,7 @@ class Inspector:
             edge_depth=float(edges),
             surface_depth=depth_of_surface(local, self._triangles, *self._planes),
             centre_inside=bool(inside[-1]),
-            enclosed=int((inside[self._columns[:, 0]] & inside[self._columns[:, 1]]).sum()),
+            enclosed=int(inside[self._columns].all(axis=1).sum()),
             passages=passages,
             turned=turned,
         )
