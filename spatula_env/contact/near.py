@@ -22,15 +22,20 @@ from spatula_env.contact.corners import closest_weights
 from spatula_env.contact.rigid_fit import fit_motion, move_back, move_points
 from spatula_env.contact.skin import (
     ASKED_FOR,
+    CALM_SPAN,
     CROSS_IS_KNOWN,
     CROSS_PAIRS,
     EDGE_PAIRS,
+    EDGE_SPAN,
+    FARTHEST,
+    HELD_IS_KNOWN,
     IS_KNOWN,
     NEAR,
     PATCH_PAIRS,
     SKIN,
     TOO_MANY,
     VERTEX_PAIRS,
+    VERTEX_SPAN,
 )
 
 MARGIN = 0.15
@@ -39,7 +44,7 @@ MARGIN = 0.15
 SOON = 0.3
 """When some vertices have got out of reach, those that have used more than this of theirs are looked at again too."""
 
-MOVING = 2.5
+MOVING = 1.5
 """So many times as far vertices reach that have got out of reach before: they go on, most of them. That costs little"""
 
 FEW_PAIRS = 2
@@ -116,21 +121,68 @@ def mark_beyond(near: Any, held: np.ndarray, points: np.ndarray, beyond: np.ndar
 
 
 @array_kernel
+def _fill_held(placed: np.ndarray, held: np.ndarray, squared: np.ndarray) -> None:
+    """Write how far vertices (V, 3) are from where they are placed (3, V), squared."""
+    along_x, along_y, along_z = placed[0], placed[1], placed[2]
+    for i in range(held.shape[0]):
+        x, y, z = held[i, 0] - along_x[i], held[i, 1] - along_y[i], held[i, 2] - along_z[i]
+        squared[i] = x * x + y * y + z * z
+
+
+@array_kernel
 def _fill_shifts(
     placed: np.ndarray, reach: np.ndarray, held: np.ndarray, points: np.ndarray, shift: np.ndarray
 ) -> bool:
-    """See `measure_shifts`."""
+    """See `measure_shifts`; of what is held (V,) the squared shifts."""
     # Plain, and with few arrays besides the one that is written: such a loop becomes vector instructions.
     along_x, along_y, along_z = placed[0], placed[1], placed[2]
     beyond = False
     for i in range(points.shape[0]):
-        u, v, w = along_x[i], along_y[i], along_z[i]
-        x, y, z = points[i, 0] - u, points[i, 1] - v, points[i, 2] - w
-        r, s, t = held[i, 0] - u, held[i, 1] - v, held[i, 2] - w
-        here, there, allowed = x * x + y * y + z * z, r * r + s * s + t * t, reach[i] * reach[i]
-        beyond |= (here > allowed) | (there > allowed)
-        shift[i] = np.sqrt(max(here, there))
+        x, y, z = points[i, 0] - along_x[i], points[i, 1] - along_y[i], points[i, 2] - along_z[i]
+        squared = max(x * x + y * y + z * z, held[i])
+        beyond |= squared > reach[i] * reach[i]
+        shift[i] = np.sqrt(squared)
     return not beyond
+
+
+@array_kernel
+def _greatest(values: np.ndarray) -> float:
+    """The greatest of some numbers (n,), none of them negative; 0 if there are none."""
+    # Four at a time, as each comparison waits for the one before.
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    even = values.shape[0] // 4 * 4
+    for i in range(0, even, 4):
+        a, b, c, d = max(a, values[i]), max(b, values[i + 1]), max(c, values[i + 2]), max(d, values[i + 3])
+    for i in range(even, values.shape[0]):
+        a = max(a, values[i])
+    return float(max(a, b, c, d))
+
+
+@array_kernel
+def _least(values: np.ndarray, count: int) -> float:
+    """The least of the first numbers of some (., ); infinite if there are none."""
+    least = np.inf
+    for i in range(count):
+        least = min(least, values[i])
+    return least
+
+
+@inline_kernel
+def note_spans(near: Any) -> None:
+    """Write how far apart pairs are at least, and what leaves all patches calm; nothing has shifted yet."""
+    spans, counts = near.spans, near.counts
+    spans[FARTHEST], spans[CALM_SPAN] = 0.0, _least(near.calm, near.calm.shape[0])
+    spans[VERTEX_SPAN] = _least(near.vertex_distances, counts[VERTEX_PAIRS])
+    spans[EDGE_SPAN] = _least(near.edge_distances, counts[EDGE_PAIRS])
+
+
+@inline_kernel
+def _measure_from_held(near: Any, points: np.ndarray) -> bool:
+    """See `measure_shifts`, where it is known how far vertices are that are held."""
+    shift = near.shift
+    within = _fill_shifts(near.placed, near.reach, near.held, points, shift)
+    near.spans[FARTHEST] = _greatest(shift)
+    return bool(within)
 
 
 @inline_kernel
@@ -145,7 +197,18 @@ def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> bool:
     Returns:
         Whether all of them are within reach, there and here.
     """
-    return bool(_fill_shifts(near.placed, near.reach, held, points, near.shift))
+    _fill_held(near.placed, held, near.held)
+    near.counts[HELD_IS_KNOWN] = 0
+    return bool(_measure_from_held(near, points))
+
+
+@inline_kernel
+def measure_shifts_again(near: Any, held: np.ndarray, points: np.ndarray, afresh: bool) -> bool:
+    """The same in pass after pass of a query, in which vertices come from where they did, unless it is afresh."""
+    if afresh or near.counts[HELD_IS_KNOWN] == 0:
+        _fill_held(near.placed, held, near.held)
+        near.counts[HELD_IS_KNOWN] = 1
+    return bool(_measure_from_held(near, points))
 
 
 @inline_kernel
@@ -350,6 +413,8 @@ def _first_turned(
 @inline_kernel
 def has_turned(skin: Any, near: Any, points: np.ndarray) -> bool:
     """Whether a triangle has turned so far that its patch may be folded, where vertices (V, 3) are, shifts measured."""
+    if near.spans[FARTHEST] <= near.spans[CALM_SPAN]:
+        return False
     calm, stirred, shift = near.calm, near.stirred, near.shift
     _mark_stirred(shift, skin.around_starts, skin.around, calm, stirred)
     patch = _first_turned(
@@ -708,8 +773,10 @@ def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndar
         if counts[VERTEX_PAIRS] + counts[EDGE_PAIRS] > MOST_PAIRS * near.reach.shape[0]:
             counts[:] = 0
             counts[IS_KNOWN] = TOO_MANY
+            note_spans(near)
             return
     near.patch_pairs, near.ends = patch_pairs, ends
+    note_spans(near)
     forget_gaps(near)
 
 

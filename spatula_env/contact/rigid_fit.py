@@ -12,6 +12,9 @@ ITERATIONS = 12
 CONVERGED = 1e-9
 """Greatest change in the last one."""
 
+FITTED = 64
+"""Where there are many points, about so many of them tell how all go."""
+
 DEGENERATE = 1e-6
 """Points with a smaller determinant than this, in their size, tell no rotation."""
 
@@ -53,11 +56,11 @@ def _polar(matrix: np.ndarray) -> bool:
 
 
 @array_kernel
-def _sum_points(before: np.ndarray, now: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """The sums of points (3, V) and of others (V, 3)."""
+def _sum_points(before: np.ndarray, now: np.ndarray, step: int) -> tuple[float, float, float, float, float, float]:
+    """The sums of points (3, V) and of others (V, 3), every so many."""
     # Sums are numbers: in arrays each would be written and read again for every point.
     x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(now.shape[0]):
+    for i in range(0, now.shape[0], step):
         x, y, z = x + before[0, i], y + before[1, i], z + before[2, i]
         u, v, w = u + now[i, 0], v + now[i, 1], w + now[i, 2]
     return x, y, z, u, v, w
@@ -65,14 +68,14 @@ def _sum_points(before: np.ndarray, now: np.ndarray) -> tuple[float, float, floa
 
 @array_kernel
 def _fill_products(
-    before: np.ndarray, now: np.ndarray, first: tuple[float, float, float], second: tuple[float, float, float],
-    sums: np.ndarray,
+    before: np.ndarray, now: np.ndarray, step: int, first: tuple[float, float, float],
+    second: tuple[float, float, float], sums: np.ndarray,
 ) -> None:  # fmt: skip
     """Write the sums of products (3, 3) of points (V, 3) from `second` and what they were (3, V) from `first`."""
     first_x, first_y, first_z = first
     second_x, second_y, second_z = second
     xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(now.shape[0]):
+    for i in range(0, now.shape[0], step):
         x, y, z = before[0, i] - first_x, before[1, i] - first_y, before[2, i] - first_z
         p, q, r = now[i, 0] - second_x, now[i, 1] - second_y, now[i, 2] - second_z
         xx, xy, xz = xx + p * x, xy + p * y, xz + p * z
@@ -93,10 +96,11 @@ def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift:
         rotation: (3, 3) written.
         shift: (3,) written: a point x has gone to rotation x + shift [u].
     """
-    count = now.shape[0]
-    x, y, z, u, v, w = _sum_points(before, now)
+    step = max(1, now.shape[0] // FITTED)
+    count = (now.shape[0] + step - 1) // step
+    x, y, z, u, v, w = _sum_points(before, now, step)
     first, second = (x / count, y / count, z / count), (u / count, v / count, w / count)
-    _fill_products(before, now, first, second, rotation)
+    _fill_products(before, now, step, first, second, rotation)
     if not _polar(rotation):
         rotation[:] = 0.0
         for axis in range(3):

@@ -30,9 +30,22 @@ from spatula_env.contact.near import (
     mark_beyond,
     mark_turned,
     measure_shifts,
+    measure_shifts_again,
 )
 from spatula_env.contact.rows import ON_EDGES, ON_TRIANGLE, constraint_name
-from spatula_env.contact.skin import CROSSINGS, EDGE_PAIRS, IS_KNOWN, NEAR, SKIN, TOO_MANY, VERTEX_PAIRS
+from spatula_env.contact.skin import (
+    CROSSINGS,
+    EDGE_PAIRS,
+    EDGE_SPAN,
+    FARTHEST,
+    HELD_IS_KNOWN,
+    IS_KNOWN,
+    NEAR,
+    SKIN,
+    TOO_MANY,
+    VERTEX_PAIRS,
+    VERTEX_SPAN,
+)
 from spatula_env.contact.structures import (
     CONSTRAINTS,
     DISPLACEMENT,
@@ -409,6 +422,10 @@ def _gather_pairs(
     room: np.ndarray,
 ) -> int:
     """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
+    # What was farther apart than anything has moved since does not touch.
+    nearest = near.spans[EDGE_SPAN if is_edges else VERTEX_SPAN] - TOUCHING * (SEPARATION * mean_edge)
+    if 2.0 * near.spans[FARTHEST] < nearest:
+        return count
     of = _Pairs(
         near.edge_pairs if is_edges else near.vertex_pairs,
         near.edge_distances if is_edges else near.vertex_distances,
@@ -463,7 +480,7 @@ def gather_organs(
     Returns:
         The new count.
     """
-    see_near(skin, near, held, vertices, thrown, mean_edge)
+    see_near(skin, near, held, vertices, thrown, mean_edge, afresh)
     if near.counts[IS_KNOWN] == TOO_MANY:
         # Nothing keeps it from crossing, so it is told that it does.
         near.crossing[CROSSINGS] = 1.0
@@ -510,13 +527,13 @@ def prepare_pairs(
 
 @inline_kernel
 def see_near(
-    skin: Any, near: Any, held: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
+    skin: Any, near: Any, held: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float, afresh: bool
 ) -> None:
     """See to it that what is near is known where vertices come from and where they are, and measure their shifts.
 
     Whether the surface has folded meanwhile is asked where a solve has ended: see `keep_uncrossed`.
     """
-    if measure_shifts(near, held, vertices):
+    if measure_shifts_again(near, held, vertices, afresh):
         return
     find_again(skin, near, held, vertices, thrown, mean_edge)
     measure_shifts(near, held, vertices)
@@ -573,7 +590,9 @@ def keep_uncrossed(
     Returns:
         Whether any has been held back.
     """
-    see_near(skin, near, held, vertices, vertices, mean_edge)
+    see_near(skin, near, held, vertices, vertices, mean_edge, True)
+    # Others come from somewhere else.
+    near.counts[HELD_IS_KNOWN] = 0
     if near.counts[IS_KNOWN] != 1 or has_turned(skin, near, vertices):
         find_again(skin, near, held, vertices, vertices, mean_edge)
         measure_shifts(near, held, vertices)

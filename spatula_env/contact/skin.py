@@ -69,13 +69,17 @@ class Near(structref.StructRefProxy):
         steep (P,): cosine of the angle to its cone's axis from which on a triangle of a patch has turned far.
         folded (P,): whether a patch is not flat with all of its neighbours, itself included.
         boxes (P, 6): around what each patch can reach: lower and upper corner [u].
-        counts (6,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known, or
-            `ASKED_FOR`; how many pairs of patches.
+        counts (7,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known, or
+            `ASKED_FOR`; how many pairs of patches; whether it is known how far vertices are that are held.
         found_at (3, V): where the vertices were when they were found [u].
         placed (3, V): the same, moved on as the organs have rolled and slid since as a whole [u].
         rotation (3, 3), motion (3,): that motion takes a point x to rotation x + motion [u].
         reach (V,): how far a vertex may get from where it is placed before they are to be found anew [u].
         shift (V,): how far it has got, as was last looked at [u].
+        held (V,): how far it was where it comes from, squared [u2].
+        spans (4,): the greatest of these shifts; the least distance of any vertex pair and of any edge pair; the least
+            that leaves a patch calm [u]. Most of the time they tell at once that nothing has come near and nothing has
+            turned.
         vertex_gaps, edge_gaps (.,): how far apart pairs were there [u]; -1 where nobody has asked.
         order (P,): patches by where they begin along x.
         crossing (2,): for how long organs have crossed themselves or each other [s]; in how many places.
@@ -123,6 +127,8 @@ NEAR_FIELDS = [
     ("motion", ARRAYS["f8"]),
     ("reach", ARRAYS["f8"]),
     ("shift", ARRAYS["f8"]),
+    ("held", ARRAYS["f8"]),
+    ("spans", ARRAYS["f8"]),
     ("vertex_gaps", ARRAYS["f8"]),
     ("edge_gaps", ARRAYS["f8"]),
     ("order", ARRAYS["i4"]),
@@ -135,7 +141,7 @@ structref.define_proxy(Near, NearType, [name for name, _ in NEAR_FIELDS])
 SKIN = SkinType(SKIN_FIELDS)
 NEAR = NearType(NEAR_FIELDS)
 
-VERTEX_PAIRS, EDGE_PAIRS, CROSS_PAIRS, IS_KNOWN, CROSS_IS_KNOWN, PATCH_PAIRS = 0, 1, 2, 3, 4, 5
+VERTEX_PAIRS, EDGE_PAIRS, CROSS_PAIRS, IS_KNOWN, CROSS_IS_KNOWN, PATCH_PAIRS, HELD_IS_KNOWN = 0, 1, 2, 3, 4, 5, 6
 """Places in `Near.counts`."""
 
 TOO_MANY = 2
@@ -146,6 +152,9 @@ ASKED_FOR = 2
 
 CROSSED_FOR, CROSSINGS = 0, 1
 """Places in `Near.crossing`."""
+
+FARTHEST, VERTEX_SPAN, EDGE_SPAN, CALM_SPAN = 0, 1, 2, 3
+"""Places in `Near.spans`."""
 
 
 @kernel(SKIN(*[kind for _, kind in SKIN_FIELDS]))
@@ -168,9 +177,10 @@ def make_near(skin: Any) -> Any:
         np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0),
         np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3), np.int64), np.zeros((patches, 4)), np.zeros(patches),
         np.zeros(patches, np.bool_), np.zeros(patches), np.zeros(patches, np.bool_), np.zeros((patches, 6)),
-        np.zeros(6, np.int64),
+        np.zeros(7, np.int64),
         np.zeros((3, vertices)), np.zeros((3, vertices)), np.eye(3), np.zeros(3), np.zeros(vertices),
-        np.zeros(vertices), np.zeros(0), np.zeros(0), np.arange(patches).astype(np.int32),
+        np.zeros(vertices), np.zeros(vertices), np.zeros(4), np.zeros(0), np.zeros(0),
+        np.arange(patches).astype(np.int32),
         np.zeros(2), np.zeros(vertices, np.bool_), np.zeros((10, 9)),
     )  # fmt: skip
 
