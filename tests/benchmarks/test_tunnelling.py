@@ -153,7 +153,7 @@ def test_a_tool_whose_one_end_is_swallowed_is_enclosed_there():
 
 def test_a_blade_that_two_walls_squeeze_is_deep_but_on_no_wrong_side():
     block, tool = box_surface((2.0, 2.0, 2.0)), Tool.box((1.0, 1.0, 0.1))
-    walls = np.concatenate([block.vertices + (0.0, 0.0, side) for side in (1.049, -1.049)])
+    walls = np.concatenate([block.vertices + np.array([0.0, 0.0, side]) for side in (1.049, -1.049)])
     triangles = np.concatenate([block.triangles, block.triangles + len(block.vertices)])
     seen = Inspector(tool, triangles).inspect((0.0, 0.0, 0.0), UPRIGHT, walls)
     assert seen.residual == pytest.approx(0.001)
