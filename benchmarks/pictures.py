@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.plunges import ALLOWED, SPEEDS, THICKNESSES
+from benchmarks.inspection import ALLOWED
+from benchmarks.plunges import SPEEDS, THICKNESSES
 from spatula_env import scenes
 from spatula_env.installing import install_hint
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.inspection import Inspection, Inspector
+from benchmarks.inspection import ALLOWED, Inspection, Inspector
 from spatula_env import Simulation, scenes
 from spatula_env.geometry.transforms import (
     quaternion_from_axis_angle,
@@ -51,9 +51,6 @@ HOLD = 0.25
 
 FEWEST_HELD = 8
 """Steps of holding at least."""
-
-ALLOWED = 0.03
-"""Residual that is no failure: one per cent of the organ's radius [u]."""
 
 BACKWARDS = 0.5
 """A face looks back where its normal and the way the tool moves have a cosine below minus this."""

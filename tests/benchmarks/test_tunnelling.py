@@ -356,14 +356,14 @@ FAILURES = [
     {"enclosed": 2},
     {"passages": 3},
     {"pairs": 4},
-    {"residual": 0.031},
+    {"residual": 0.011},
     {"non_finite": True, "shaking": math.nan},
 ]
 
 
 @pytest.mark.parametrize("changes", FAILURES)
 def test_each_failure_is_one(changes):
-    assert not outcome(turned=5, trailing=5, residual=0.03).failed
+    assert not outcome(turned=5, trailing=5, residual=0.01).failed
     assert outcome(**changes).failed
     assert outcome(**changes).wrong_side == ("enclosed" in changes or "passages" in changes)
 
@@ -377,7 +377,7 @@ def test_a_summary_counts_cases():
     for key in ("missed", "enclosed", "passages", "pairs", "residual_too_large", "non_finite"):
         assert summary[key] == 1
     assert (summary["wrong_side"], summary["pair_steps"], summary["steps"]) == (2, 4, 160)
-    assert summary["residual"]["max"] == 0.031
+    assert summary["residual"]["max"] == 0.011
     assert summary["failed_cases"] == list(range(10, 16))
     # The worst first: divergence, then missed contact; then the deepest of those that are good.
     numbers = [case["plunge"]["number"] for case in summary["worst"]]
