@@ -698,7 +698,7 @@ def _pair_crossings(
 def _fill_features(
     skin: Any, near: Any, p: int, filled: np.ndarray, edge_boxes: np.ndarray, triangle_boxes: np.ndarray
 ) -> None:
-    """Write the boxes of the edges and triangles of patch `p`, see `_fill_feature_boxes`, and mark it as filled (P,)."""
+    """Write the boxes of a patch's edges and triangles, see `_fill_feature_boxes`, and mark it as filled (P,)."""
     filled[p] = True
     _fill_feature_boxes(
         near.found_at, near.reach, skin.edges, skin.edge_order, skin.edge_starts[p], skin.edge_starts[p + 1],
