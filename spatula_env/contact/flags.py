@@ -90,7 +90,7 @@ class Contacts:
 
 @array_kernel
 def fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) -> None:
-    """Write the rotation matrix (9,), row by row, of a quaternion (xyzw) that becomes a unit one if scaled by `scale`."""
+    """Write the rotation matrix (9,), row by row, of a quaternion (xyzw); `scale` brings it to unit length."""
     x, y, z, w = scale * quaternion[0], scale * quaternion[1], scale * quaternion[2], scale * quaternion[3]
     rotation[0], rotation[1], rotation[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
     rotation[3], rotation[4], rotation[5] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
