@@ -30,7 +30,7 @@ def depth_of_tools(
     known: float,
     is_placed: bool,
 ) -> float:
-    """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
+    """Measure how deep tools and organs are in each other [u]; see `depth.pair_depth`.
 
     Args:
         world: `WorldContacts`; its memories' `local` is written.

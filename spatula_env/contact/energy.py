@@ -137,7 +137,7 @@ def passive_share(
             jx += nodal_impulses[i, 0]
             jy += nodal_impulses[i, 1]
             jz += nodal_impulses[i, 2]
-    # Taking away a share x of the impulses leaves an excess of excess + squares x^2 / 2 - slope x.
+    # Taking away a share x of the impulses leaves `excess + squares x^2 / 2 - slope x` of excess energy.
     squares = (jx * jx + jy * jy + jz * jz) / mass
     slope = (px * jx + py * jy + pz * jz) / mass - step_work
     excess = 0.5 * (px * px + py * py + pz * pz) / mass - allowed

@@ -45,11 +45,11 @@ _UNIT_TOLERANCE = 1.0000001e-6
 
 
 class Contacts:
-    """What a detector found in one query. Arrays are copies; they do not change with the next query.
+    """Contacts that a detector found in one query. Arrays are copies, which do not change with the next query.
 
     Attributes:
-        flags: (n,) bool, the node is in feasible contact.
-        unfeasible: (n,) bool, the first step refused the node.
+        flags: (n,) bool, whether the node is in feasible contact.
+        unfeasible: (n,) bool, whether the first step refused the node.
         triangle: (n,) int32, the organ's triangle that the node's inward ray leaves through; -1 where not flagged.
         barycentric: (n, 3) weights of the triangle's corners at that point; zero where not flagged.
         depth: (n,) distance from the node to that point [u]; zero where not flagged.

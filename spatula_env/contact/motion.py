@@ -1,4 +1,4 @@
-"""How organs and tools move in a step, and how far."""
+"""Motions of organs and tools in a step, their extent, and helpers for points and orientations."""
 
 from __future__ import annotations
 

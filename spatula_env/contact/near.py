@@ -833,7 +833,7 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
         margin = MOVING * margin
     if whole:
         near.rotation[:], near.motion[:] = np.eye(3), 0.0
-    # Undo the rigid motion of the organs since the pairs were last found as a whole.
+    # Undo the rigid motion of the organs since all pairs were last found.
     unmoved, ahead = np.empty_like(start), np.empty_like(start)
     move_back(start, near.rotation, near.motion, unmoved)
     move_back(thrown, near.rotation, near.motion, ahead)

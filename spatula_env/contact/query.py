@@ -101,7 +101,7 @@ class QueryTools(NamedTuple):
 
 
 class QueryPoints(NamedTuple):
-    """Where the V vertices of all organs are in a query; (V, 3) each [u].
+    """Positions of the V vertices of all organs in a query; (V, 3) each [u].
 
     Attributes:
         vertices: Their present positions, as solves have moved them; written.
@@ -473,7 +473,7 @@ def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any,
     """
     near, tool_count, crossings = world.near, tools.position.shape[0], world.near.crossing[skin.CROSSINGS]
     begins_to_cross = crossings > 0.0 and progress.crossed == 0.0
-    # Where a tool moves far in a step, an organ is not made to keep its place beside it.
+    # Beside a tool that moves far in a step, the paths alone decide where the organ is: it is not held in its place.
     if plan.is_divided or tool_count == 0 or not (progress.depth > SUNK_DEPTH or begins_to_cross):
         return False
     for stage in range(1 if begins_to_cross else 0, 2):

@@ -127,7 +127,7 @@ EXPECTED_PART = 0.9
 
 
 class Division(NamedTuple):
-    """How a step is divided into queries.
+    """Division of a step into queries.
 
     Attributes:
         by_tools: Number of parts into which the tools' paths are divided.

@@ -285,7 +285,7 @@ def _check_less(value: float, name: str, limit: float, what: str) -> None:
 
 
 def _indices(members: BoolArray) -> Int32Array:
-    """Where an array is true, as indices that cannot be written to."""
+    """Indices at which an array is true, as a read-only array."""
     indices = np.flatnonzero(members).astype(np.int32)
     indices.setflags(write=False)
     return indices
