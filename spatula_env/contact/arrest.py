@@ -1,9 +1,9 @@
-"""What is done where contact cannot be resolved: the organ keeps its place beside the tool.
+"""Last resort where contact cannot be resolved: the organ keeps its place relative to the tool.
 
 Where an organ is pinned, folded over a blade and stretched at once, the constraints of a query may contradict each
-other, and what a solve leaves is anywhere. At the last query the organ was outside of the tool and did not cross
-itself. What is near the tool then moves with it, as if it were a part of it, until it is free again: the rigid impact
-zones of Provot (Graphics Interface 1997), with the tool in them.
+other, and the result of a solve is arbitrary. At the last query, however, the organ was outside of the tool and did not
+cross itself. So the part of the organ near the tool moves with it, as if it belonged to the tool, until it is free
+again. These are the rigid impact zones of Provot (Graphics Interface 1997), with the tool included.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ def depth_of_tools(
     known: float,
     is_placed: bool,
 ) -> float:
-    """How deep tools and organs are in each other [u]; see `depth.pair_depth`.
+    """Measure how deep tools and organs are in each other [u]; see `depth.pair_depth`.
 
     Args:
         world: `WorldContacts`; its memories' `local` is written.
-        tool_count: How many tools count.
-        looked_at: (N O,) which pairs of a tool (outer) and an organ (inner).
+        tool_count: Number of tools N.
+        looked_at: (N O,) which pairs of a tool (outer) and an organ (inner) are measured.
         position: (N, 3) of the tools [u].
-        rotation: (N, 9).
+        rotation: (N, 9) their rotation matrices, row by row.
         vertices: (V, 3) of the organs [u].
-        known: What is returned where no depth is greater [u].
-        is_placed: Whether the memories' `local` and `Scratch.listed` are of these vertices already.
+        known: Depth to return if none is greater [u].
+        is_placed: Whether the memories' `local` and `Scratch.listed` hold these vertices already.
     """
     depth, organ_count, scratch = known, len(world.surfaces), world.room.scratch
     if not is_placed:
@@ -67,17 +67,17 @@ def arrest(
     whole: bool,
     vertices: np.ndarray,
 ) -> None:
-    """Have what is near the tools keep its place beside them since the last query.
+    """Put the vertices near the tools where they were at the last query, relative to the tools.
 
     Args:
-        world: `WorldContacts`; its memories have the organs in the tools' frames at the last query.
-        tool_count: How many tools count.
-        looked_at: (N O,) which pairs of a tool (outer) and an organ (inner).
+        world: `WorldContacts`; its memories hold the organs in the tools' frames at the last query.
+        tool_count: Number of tools N.
+        looked_at: (N O,) which pairs of a tool (outer) and an organ (inner) are treated.
         position: (N, 3) of the tools [u].
-        rotation: (N, 9).
-        reference: (V, 3) where the vertices were at the last query [u].
-        whole: Whether the rest of the organs stays where it was, too.
-        vertices: (V, 3) where they are [u]; changed.
+        rotation: (N, 9) their rotation matrices, row by row.
+        reference: (V, 3) positions of the vertices at the last query [u].
+        whole: Whether the other vertices are put back to these positions.
+        vertices: (V, 3) present positions of the vertices; changed [u].
     """
     organ_count, inverse_mass = len(world.surfaces), world.inverse_mass
     near = np.zeros(vertices.shape[0], np.bool_)

@@ -90,7 +90,7 @@ def _distinct_directions(face_normals: NDArray[np.float64]) -> list[NDArray[np.f
     directions: list[NDArray[np.float64]] = []
     for normal in face_normals:
         if all(np.linalg.norm(np.cross(normal, known)) >= PARALLEL_TOLERANCE for known in directions):
-            # The sign is chosen so that a box's frames are its axes, without rounding.
+            # The sign is chosen so that the frames of a box are along its axes, without rounding.
             largest = int(np.argmax(np.abs(normal)))
             directions.append(normal if normal[largest] > 0 else -normal)
     return directions

@@ -1,7 +1,7 @@
-"""Where corners of a tool have come through an organ's surface.
+"""Contacts of a tool's corners with an organ's surface.
 
-A corner is a point, and the surface a net of triangles that move. Which of them it has come through is told by its way
-since the last query, and where that does not tell, by where it is.
+A corner is a point, and the surface a mesh of moving triangles. The triangle that a corner has come through is found
+from its path relative to the surface since the last query, or, where that shows none, from its present position.
 """
 
 from __future__ import annotations
@@ -16,22 +16,23 @@ from spatula_env.contact.path import MARGIN, RESIDUAL_TOLERANCE, SLACK
 from spatula_env.contact.rows import ON_CORNER, append_constraint, constraint_name
 
 OUTSIDE_TRIANGLE = 0.02
-"""How far outside of a triangle, in its size, a corner may be and still be kept from going through it: the triangle
-has moved since they met."""
+"""How far outside of a triangle, relative to its size, a corner may be and still be kept from going through it, as the
+triangle has moved since they met."""
 
 MEETING_STEPS = 4
 """Most steps of false position to find when a corner and a triangle met."""
 
 SUNK = 0.5
-"""A corner that was no deeper in the organ than this part of the tool's thickness comes out where it is nearest."""
+"""A corner that was no deeper in the organ than this part of the tool's thickness is pushed out to the nearest point of
+the surface."""
 
 TIE = 1.0 + 1e-9
-"""Squared distances with a smaller ratio are the same."""
+"""Squared distances whose ratio is smaller than this count as equal."""
 
 
 @array_kernel
 def best_plane(plane_normals: np.ndarray, nx: float, ny: float, nz: float) -> int:
-    """The face of the tool whose normal is nearest to a direction."""
+    """Index of the tool's face whose normal is nearest to a direction."""
     best, largest = 0, -np.inf
     for p in range(plane_normals.shape[0]):
         along = plane_normals[p, 0] * nx + plane_normals[p, 1] * ny + plane_normals[p, 2] * nz
@@ -62,21 +63,21 @@ def meeting_weights(
         a: First corner.
         b: Second corner.
         c: Third corner.
-        x: The point.
-        y: The point.
-        z: The point.
-        last_height: Of the point over the plane before [u].
-        height: Now, not greater than `MARGIN` [u].
+        x: The point [u].
+        y: The point [u].
+        z: The point [u].
+        last_height: Height of the point over the plane before [u].
+        height: Its height now, not greater than `MARGIN` [u].
         moving: (3, 3) workspace.
 
     Returns:
-        Weights of the corners, as the triangle was then.
+        Weights of the triangle's corners at the time of the meeting.
     """
     low, high = 0.0, 1.0
     at_low, at_high = max(last_height, 0.0), min(height, 0.0)
     wa, wb, wc = 0.0, 0.0, 0.0
     for _ in range(MEETING_STEPS):
-        # The height is a cubic of time; false position closes in on its root.
+        # The height is, up to the length of the normal, a cubic in time; its root is found by false position.
         time = low + (high - low) * at_low / (at_low - at_high) if at_low > at_high else high
         for axis in range(3):
             moving[axis, 0] = last[axis, a] + time * (local[axis, a] - last[axis, a])
@@ -119,13 +120,13 @@ def gather_corners(
     slid: bool,
     scratch: Any,
 ) -> int:
-    """Append one constraint for each corner of the tool that came through a triangle or touches it.
+    """Append one constraint for each corner of the tool and each triangle that it came through or touches.
 
-    It pushes the point of the triangle that the corner met. If they may have `slid` on each other since, another pushes
-    where the corner is now.
+    The constraint pushes the point of the triangle that the corner met. If they may have `slid` on each other since, a
+    second constraint pushes the triangle where the corner is now.
 
-    Writes into `scratch` the least height of each corner over such a triangle's plane, infinite where there is none
-    [u]; and whether a corner is behind any triangle near its way.
+    Writes into `scratch` the least height of each corner over the planes of these triangles, infinite where there is
+    none [u]; and whether the corner is behind any triangle near its path.
     """
     local, last, corners, candidates = organ.local, organ.last_local, tool.corners, organ.candidates
     plane_normals, first_vertex = tool.plane_normals, placement.first_vertex
@@ -159,7 +160,7 @@ def gather_corners(
                 + last_normal[2] * (z - last[2, a])
             )
             behind[corner] |= height < -MARGIN
-            # So that a triangle without area, whose heights are no numbers, is left out, too.
+            # Negated so that a triangle without area, whose heights are NaN, is skipped, too.
             if not (height <= MARGIN and last_height >= -SLACK) or count == room:
                 continue
             wa, wb, wc = meeting_weights(last, local, a, b, c, x, y, z, last_height, height, moving)
@@ -173,7 +174,8 @@ def gather_corners(
             )  # fmt: skip
             if not slid or height >= -RESIDUAL_TOLERANCE or count == room:
                 continue
-            # Where they met has moved on: to push there turns the triangle, and hardly moves it where the corner is.
+            # The point that the corner met has moved away from it: to push there turns the triangle, and hardly moves
+            # it where the corner is.
             wa, wb, wc = triangle_weights(local, a, b, c, x, y, z)
             if min(wa, wb, wc) >= 0.0:
                 count = append_constraint(
@@ -190,8 +192,8 @@ def closest_weights(
 ) -> tuple[float, float, float]:
     """Weights of the point of a triangle, vertices in local (3, V), that is closest to a point.
 
-    C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5: in which of the regions around the triangle the
-    point lies.
+    Follows C. Ericson, Real-Time Collision Detection, 2005, section 5.1.5, which distinguishes the regions around the
+    triangle in which the point may lie.
     """
     ux, uy, uz = local[0, b] - local[0, a], local[1, b] - local[1, a], local[2, b] - local[2, a]
     vx, vy, vz = local[0, c] - local[0, a], local[1, c] - local[1, a], local[2, c] - local[2, a]
@@ -229,18 +231,18 @@ def closest_weights(
 def list_near(
     extent: np.ndarray, local: np.ndarray, triangles: np.ndarray, reach: float, near: np.ndarray, codes: np.ndarray
 ) -> int:
-    """List the triangles whose boxes are no farther than `reach` from a tool's box.
+    """List the triangles whose boxes are no farther than `reach` from a tool's box along any axis.
 
     Args:
-        extent: (8,) of the tool.
-        local: (3, V) [u].
+        extent: (8,) of the tool, see `ToolGeometry`.
+        local: (3, V) vertices in the tool's frame [u].
         triangles: (T, 3).
-        reach: [u].
-        near: (T,) written.
+        reach: The distance [u].
+        near: (T,) written: indices of the triangles.
         codes: (V,) workspace.
 
     Returns:
-        How many there are.
+        The number of triangles.
     """
     low_x, low_y, low_z = extent[0] - reach, extent[1] - reach, extent[2] - reach
     high_x, high_y, high_z = extent[3] + reach, extent[4] + reach, extent[5] + reach
@@ -282,8 +284,8 @@ def fill_boxes(local: np.ndarray, triangles: np.ndarray, near: np.ndarray, found
     Args:
         local: (3, V) [u].
         triangles: (T, 3).
-        near: Which of them.
-        found: How many those are; all triangles if it is negative.
+        near: Indices of the triangles.
+        found: Number of these; all triangles if it is negative.
         boxes: Written, in the order of `near`.
     """
     for k in range(found if found >= 0 else triangles.shape[0]):
@@ -296,9 +298,9 @@ def fill_boxes(local: np.ndarray, triangles: np.ndarray, near: np.ndarray, found
 
 @array_kernel
 def _fill_away(boxes: np.ndarray, count: int, x: float, y: float, z: float, away: np.ndarray) -> None:
-    """Write how far a point is from boxes (6, T), squared, into away (T,) [u2]."""
+    """Write the squared distances of a point from boxes (6, T) into away (T,) [u2]."""
     low_x, low_y, low_z, high_x, high_y, high_z = boxes[0], boxes[1], boxes[2], boxes[3], boxes[4], boxes[5]
-    # Without a branch, for vector instructions.
+    # Without a branch, so that the loop is vectorised.
     for k in range(count):
         along_x = max(low_x[k] - x, x - high_x[k], 0.0)
         along_y = max(low_y[k] - y, y - high_y[k], 0.0)
@@ -320,24 +322,24 @@ def find_nearest(
     away: np.ndarray,
     nearest: np.ndarray,
 ) -> int:
-    """The triangle of an organ that is nearest to a point.
+    """Find the triangle of an organ that is nearest to a point.
 
     Args:
         local: (3, V) [u].
         triangles: (T, 3).
-        near: Which of them to look at.
-        found: How many those are; all triangles if it is negative.
-        x: The point.
-        y: The point.
-        z: The point.
-        reach: How far away it may be [u].
-        boxes: (6, T) around those to look at, see `fill_boxes`.
+        near: Indices of the triangles to search.
+        found: Number of these; all triangles if it is negative.
+        x: The point [u].
+        y: The point [u].
+        z: The point [u].
+        reach: Greatest distance of the triangle from the point [u].
+        boxes: (6, T) around the triangles to search, see `fill_boxes` [u].
         away: (T,) workspace.
-        nearest: (4,) written: its distance, positive outside of the organ and negative inside [u]; weights of the
-            closest point.
+        nearest: (4,) written: distance of the point, positive outside of the organ and negative inside [u]; weights of
+            the closest point of the triangle.
 
     Returns:
-        It; -1 if there is none.
+        Index of the triangle; -1 if there is none.
     """
     best, least, steepest = -1, reach * reach, 0.0
     count = found if found >= 0 else triangles.shape[0]
@@ -358,8 +360,8 @@ def find_nearest(
         vx, vy, vz = local[0, c] - local[0, a], local[1, c] - local[1, a], local[2, c] - local[2, a]
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         height = (nx * dx + ny * dy + nz * dz) / np.sqrt(nx * nx + ny * ny + nz * nz)
-        # Where the closest point is on an edge or a vertex, the triangle that looks at the point the most tells its
-        # side.
+        # Where the closest point is on an edge or a vertex, the side is taken from the triangle that faces the point or
+        # turns away from it most directly.
         if squared < least / TIE or best < 0 or abs(height) > steepest:
             best, steepest = t, abs(height)
             least = min(least, squared)
@@ -370,22 +372,22 @@ def find_nearest(
 
 @array_kernel
 def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: float, turned: np.ndarray) -> bool:
-    """Whether a point is inside an organ: whether a line from it leaves the surface more often than it enters.
+    """Whether a point is inside an organ: whether a ray from it leaves the surface more often than it enters it.
 
-    An organ that was flattened or turned inside out has a nearest point that says otherwise.
+    In an organ that was flattened or turned inside out, the orientation of the nearest triangle may be misleading.
 
     Args:
         local: (3, V) [u].
         triangles: (T, 3), counter-clockwise from outside.
-        x: The point.
-        y: The point.
-        z: The point.
+        x: The point [u].
+        y: The point [u].
+        z: The point [u].
         turned: (3, V) workspace.
 
     Returns:
-        Whether it is.
+        Whether the point is inside.
     """
-    # Along (0.36, 0.48, 0.8), which nothing that lies along the tool's axes meets at a corner or an edge.
+    # The ray is along (0.36, 0.48, 0.8), so that it meets surfaces along the tool's axes at no corner or edge.
     count = local.shape[1]
     u, v, w = turned[0], turned[1], turned[2]
     for i in range(count):
@@ -408,12 +410,12 @@ def encloses(local: np.ndarray, triangles: np.ndarray, x: float, y: float, z: fl
 
 @array_kernel
 def drop_outside(points: np.ndarray, flags: np.ndarray, local: np.ndarray, triangles: np.ndarray, scratch: Any) -> None:
-    """Clear the flags of contact nodes that are not in the organ: whose rays met a part of it that is inside out.
+    """Clear the flags of contact nodes that are not in the organ, as their rays met a part of it that is inside out.
 
     Args:
         points: (n, 3) the nodes [u].
         flags: (n,) changed.
-        local: (3, V) where the organ was when rays were cast [u].
+        local: (3, V) vertices of the organ when the rays were cast [u].
         triangles: (T, 3).
         scratch: `Scratch`.
     """
@@ -426,9 +428,9 @@ def drop_outside(points: np.ndarray, flags: np.ndarray, local: np.ndarray, trian
 def _find_slid(
     organ: Any, triangles: np.ndarray, swept: int, x: float, y: float, z: float, reach: float, scratch: Any
 ) -> int:
-    """The triangle that a corner has gone behind, of those around where it was at the last query; -1 if it is in none.
+    """The triangle that a corner has gone behind, among those around the one nearest to it at the last query.
 
-    The nearest point is in `scratch.nearest`; see `find_nearest`.
+    Returns its index, -1 if there is none, and writes the nearest point into `scratch.nearest`; see `find_nearest`.
     """
     local, last, nearest, around = organ.local, organ.last_local, scratch.nearest, scratch.around
     boxes, away = scratch.other_boxes, scratch.away
@@ -456,13 +458,13 @@ def gather_sunk_corners(
     settled: bool,
     scratch: Any,
 ) -> int:
-    """Append a constraint for each corner of the tool that is in the organ and that nothing found so far pushes out.
+    """Append a constraint for each corner of the tool that is in the organ and that no constraint so far pushes out.
 
     A corner that slides over an edge of the organ's mesh may pass the plane of the triangle that it comes to while it
-    is still over the one that it leaves: its way goes through neither. Where it is then tells.
+    is still over the one that it leaves: its path then goes through neither. Its present position decides instead.
 
-    Writes into `scratch` which triangles are near the tool, their boxes, how many there are (`listed`), and how far
-    corners are from them, where that is asked for.
+    Writes into `scratch` the triangles near the tool, their boxes, their number (`listed`), and the distances of the
+    corners from them as far as these are computed.
     """
     local, last, corners, names = organ.local, organ.last_local, tool.corners, table.names
     reach = SUNK * tool.extent[7]
@@ -483,8 +485,8 @@ def gather_sunk_corners(
         if t >= 0:
             distances[corner] = nearest[0]
         if t < 0:
-            # Nothing is near, or it is in so far, where the organ has been put already, that the nearest way out may be
-            # the wrong one. It slid no farther than to the triangles around the one where it was.
+            # Nothing is near; or, where a solve has put the organ, the corner is so deep in it that the nearest way out
+            # may be the wrong one. It slid no farther than to the triangles around the one where it was.
             if not (settled and behind[corner]):
                 continue
             has_last = False
@@ -493,8 +495,8 @@ def gather_sunk_corners(
                 continue
             depth = -nearest[0]
         else:
-            # Rows that its way has made, and that are all but kept, push no more, however deep a triangle beside says
-            # that it is.
+            # A constraint from the corner's path that is violated by less than the tolerance pushes no more, however
+            # deep the corner is behind a triangle beside. It does not count as holding the corner.
             least = -MARGIN if heights[corner] >= -MARGIN else RESIDUAL_TOLERANCE
             if depth < least or (depth > MARGIN and not encloses(local, triangles, x, y, z, turned)):
                 continue
@@ -505,7 +507,7 @@ def gather_sunk_corners(
             known = known or names[row] == name
         if known:
             continue
-        # What was deep in it before may have another way out.
+        # A corner that was deep in the organ before may have another way out.
         if not has_last:
             fill_boxes(last, triangles, near, found, others)
             has_last = True
@@ -516,12 +518,12 @@ def gather_sunk_corners(
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         fill_local_normal(local, triangles[t], normal)
         if depth > MARGIN:
-            # Straight to where it comes out, which may be an edge or a vertex.
+            # Straight towards the nearest point, which may be on an edge or a vertex.
             normal[0] = (wa * local[0, a] + wb * local[0, b] + wc * local[0, c] - x) / depth
             normal[1] = (wa * local[1, a] + wb * local[1, b] + wc * local[1, c] - y) / depth
             normal[2] = (wa * local[2, a] + wb * local[2, b] + wc * local[2, c] - z) / depth
         if not np.isfinite(normal[0] + normal[1] + normal[2]):
-            # A triangle without area, beside which others tell the way.
+            # A triangle without area: its neighbours determine the direction.
             continue
         count = append_constraint(
             table, count, (a, b, c), (wa, wb, wc), (-normal[0], -normal[1], -normal[2]), (x, y, z), last, placement,

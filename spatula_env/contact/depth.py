@@ -1,6 +1,7 @@
-"""How deep tools and organs are in each other after a step, wherever that is.
+"""Penetration depth of tools and organs after a step, measured over whole surfaces.
 
-Contacts keep certain points of a surface apart; this looks at all of it. What no contact was found for is seen as well.
+Contacts act on certain points of a surface. The depth is measured everywhere, so it also reveals penetration for which
+no contact was found.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from spatula_env.contact.corners import SUNK, encloses, fill_boxes, find_nearest
 from spatula_env.contact.structures import NO_PAIR
 
 PRECISION = 1e-5
-"""To which a depth is found [u]."""
+"""Precision to which a depth is found [u]."""
 
 
 @array_kernel
@@ -31,11 +32,11 @@ def fill_under(
         a: First corner.
         b: Second corner.
         c: Third corner.
-        enough: Where no corner is deeper than this under a face, those that follow are left out [u].
+        enough: If no corner is deeper than this under a face, the faces that follow are left out [u].
         under: (P, 3) written [u].
 
     Returns:
-        No point of the triangle is deeper in the tool than this [u].
+        Upper bound on the depth in the tool of any point of the triangle [u].
     """
     most = np.inf
     for p in range(plane_offsets.shape[0]):
@@ -51,16 +52,16 @@ def fill_under(
 
 @array_kernel
 def clip_triangle(under: np.ndarray, depth: float, first: np.ndarray, second: np.ndarray) -> tuple[int, bool]:
-    """The part of a triangle that is this deep, or deeper, under all faces of a tool: a convex polygon.
+    """Clip a triangle to the part that is at least `depth` under all faces of a tool: a convex polygon.
 
     Args:
-        under: (P, 3) how deep its corners are under each face [u].
-        depth: [u].
-        first: (P + 4, 3) written: the weights of that part's corners,
-        second: (P + 4, 3) or here.
+        under: (P, 3) how deep the triangle's corners are under each face [u].
+        depth: The depth [u].
+        first: (P + 4, 3) written, as is the next: one of the two receives the weights of the polygon's corners.
+        second: (P + 4, 3).
 
     Returns:
-        How many corners that part has, and whether their weights are in the second array.
+        The number of the polygon's corners, and whether their weights are in `second`.
     """
     weights, clipped, is_second = first, second, False
     count = 3
@@ -95,17 +96,17 @@ def clip_triangle(under: np.ndarray, depth: float, first: np.ndarray, second: np
 
 @array_kernel
 def _reaches(under: np.ndarray, depth: float, first: np.ndarray, second: np.ndarray) -> float:
-    """Whether a part of a triangle is this deep under all faces of a tool, and how deep it is at most.
+    """Bound the depth of the part of a triangle that is at least `depth` under all faces of a tool.
 
     Args:
-        under: (P, 3) how deep its corners are under each face [u].
-        depth: [u].
+        under: (P, 3) how deep the triangle's corners are under each face [u].
+        depth: The depth [u].
         first: (P + 4, 3) workspace.
         second: (P + 4, 3) workspace.
 
     Returns:
-        A bound on the depth of that part, from its corners: no point of it is deeper under the face that it is least
-        deep under [u]; 0 if there is none.
+        Upper bound on the depth of that part in the tool, from the depths of its corners under each face [u]; 0 if no
+        part is that deep.
     """
     count, is_second = clip_triangle(under, depth, first, second)
     if count == 0:
@@ -123,18 +124,18 @@ def _reaches(under: np.ndarray, depth: float, first: np.ndarray, second: np.ndar
 
 @array_kernel
 def surface_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, found: int, known: float, scratch: Any) -> float:
-    """Greatest depth of an organ's surface in a tool: of any point of it from the nearest of the tool's faces.
+    """Greatest depth of an organ's surface in a tool: the distance of any of its points from the tool's nearest face.
 
     Args:
         tool: `ToolGeometry`.
         local: (3, V) the organ's vertices in the tool's frame [u].
         triangles: (T, 3).
-        found: How many of them come near the tool.
-        known: A depth that there is elsewhere [u].
-        scratch: `Scratch`; in `near` are those that come near.
+        found: Number of triangles that come near the tool.
+        known: A depth that has been found elsewhere [u].
+        scratch: `Scratch`; its `near` holds the indices of these triangles.
 
     Returns:
-        It, to `PRECISION`, or `known` if that is more.
+        The depth, to `PRECISION`, or `known` if that is more [u].
     """
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
     under, near = scratch.under[: plane_offsets.shape[0]], scratch.near
@@ -153,7 +154,7 @@ def surface_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, found: in
         if most <= greatest + PRECISION:
             continue
         low, high = greatest, _reaches(under, greatest + PRECISION, first, second)
-        # Often one face is the nearest for all of that part. Then the bound is its depth.
+        # Often one face is the nearest one for all of that part; then the bound is the depth itself.
         middle = high - PRECISION
         while high - low > PRECISION:
             bound = _reaches(under, middle, first, second)
@@ -170,19 +171,19 @@ def surface_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, found: in
 def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, pair: int, known: float, scratch: Any) -> float:
     """Greatest depth of an organ's surface in a tool and of the tool's corners in the organ.
 
-    A corner that the organ encloses is as deep as it is far from the organ's surface.
+    The depth of a corner that the organ encloses is its distance from the organ's surface.
 
     Args:
         tool: `ToolGeometry`.
         local: (3, V) the organ's vertices in the tool's frame [u].
         triangles: (T, 3).
-        pair: Index of the tool and the organ among all pairs. If `scratch.listed` is of this pair, what comes near the
-            tool, and how near its corners, is known.
-        known: A depth that there is elsewhere [u].
+        pair: Index of the tool and the organ among all pairs. If `scratch.listed` names this pair, the triangles near
+            the tool and the distances of its corners are taken from `scratch`.
+        known: A depth that has been found elsewhere [u].
         scratch: `Scratch`.
 
     Returns:
-        It, to `PRECISION`, or `known` if that is more.
+        The depth, to `PRECISION`, or `known` if that is more [u].
     """
     corners, extent, turned = tool.corners, tool.extent, scratch.turned
     greatest, reach = known, SUNK * extent[7]
@@ -203,7 +204,7 @@ def pair_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, pair: int, k
             t = find_nearest(local, triangles, near, found, x, y, z, np.inf, boxes, away, nearest)
             distance = nearest[0] if t >= 0 else -np.inf
         if distance < -greatest and encloses(local, triangles, x, y, z, turned):
-            # Beyond `reach` another triangle than those near the tool may be the nearest.
+            # Beyond `reach`, a triangle that is not in the list of those near the tool may be nearer.
             if distance < -reach:
                 fill_boxes(local, triangles, near, -1, scratch.other_boxes)
                 find_nearest(local, triangles, near, -1, x, y, z, np.inf, scratch.other_boxes, away, nearest)

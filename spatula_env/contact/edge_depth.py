@@ -1,7 +1,7 @@
-"""How deep the edges of a tool are in an organ, between its corners.
+"""Depth of a tool's edges in an organ, between the tool's corners.
 
-An edge that cuts into a surface is deeper in the organ than any point of the surface is in the tool: where two faces
-meet at a right angle by up to the square root of two, and by more where they are sharper.
+An edge that cuts into a surface is deeper in the organ than any point of the surface is in the tool: by a factor of up
+to the square root of two where two faces meet at a right angle, and by more where the edge is sharper.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from spatula_env.contact.corners import SUNK, encloses, fill_boxes, find_nearest
 from spatula_env.contact.flags import fill_local
 
 EDGES_COUNT_FROM = 1e-3
-"""Edges are looked at where the surface is deeper than this in the tool, or a corner in the organ: deeper than contact
-leaves it where it has settled. Looked at in every step they would take an eighth of a step's time [u]."""
+"""Edges are measured only if the surface is deeper than this in the tool, or a corner in the organ: deeper than contact
+leaves it once it has settled. To measure them in every step would take an eighth of a step's time [u]."""
 
 SAMPLES = 8
-"""In so many parts a stretch of an edge is looked at, before the deepest place is closed in on."""
+"""Number of parts into which a stretch of an edge is divided for samples, before the search around the deepest one."""
 
 CLOSING = 0.6180339887498949
-"""Part of a bracket that one step of golden section search leaves."""
+"""Part of a bracket that one step of golden-section search leaves."""
 
 PRECISION = 1e-5
-"""Length of the bracket at which the search ends: the depth changes by no more than the way along the edge [u]."""
+"""Length of the bracket at which the search ends: the depth changes by no more than the distance along the edge [u]."""
 
 
 @array_kernel
@@ -33,19 +33,19 @@ def next_crossing(
     local: np.ndarray, triangles: np.ndarray, near: np.ndarray, found: int, start: np.ndarray, end: np.ndarray,
     after: float,
 ) -> float:  # fmt: skip
-    """Where a segment next goes through a surface.
+    """Find the next place at which a segment goes through a surface.
 
     Args:
-        local: (3, V) [u].
+        local: (3, V) vertices [u].
         triangles: (T, 3).
-        near: Which of them to look at.
-        found: How many those are.
-        start: (3,) of the segment [u].
-        end: (3,) [u].
-        after: Only places beyond this one count, in parts of the segment.
+        near: Indices of the triangles to test.
+        found: Number of these.
+        start: (3,) start of the segment [u].
+        end: (3,) end of the segment [u].
+        after: Only places beyond this one count, as a fraction of the segment.
 
     Returns:
-        The place in parts of the segment; infinity if it goes through nothing any more.
+        The place as a fraction of the segment; infinity if there is none.
     """
     dx, dy, dz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     least = np.inf
@@ -74,16 +74,16 @@ def signed_distance(
     local: np.ndarray, triangles: np.ndarray, found: int, start: np.ndarray, end: np.ndarray, place: float,
     reach: float, scratch: Any,
 ) -> float:  # fmt: skip
-    """How far a point of a segment is from a surface; negative if its nearest triangle has it inside [u].
+    """Distance of a point of a segment from a surface; negative if it is behind the nearest triangle [u].
 
     Args:
-        local: (3, V) [u].
+        local: (3, V) vertices [u].
         triangles: (T, 3).
-        found: How many triangles are in the list `near` of the workspace, with their boxes.
-        start: (3,) of the segment [u].
-        end: (3,) [u].
-        place: Of the point, in parts of the segment.
-        reach: Beyond this other triangles than those may be the nearest [u].
+        found: Number of triangles in the list `near` of the workspace, with their boxes.
+        start: (3,) start of the segment [u].
+        end: (3,) end of the segment [u].
+        place: Place of the point, as a fraction of the segment.
+        reach: If no triangle in the list is within this distance, all triangles are searched [u].
         scratch: `Scratch`.
     """
     nearest, away = scratch.nearest, scratch.away
@@ -106,18 +106,19 @@ def stretch_depth(
     """Greatest distance of a stretch of a segment from a surface [u].
 
     Args:
-        local: (3, V) [u].
+        local: (3, V) vertices [u].
         triangles: (T, 3).
-        found: How many triangles are in the list `near` of the workspace, with their boxes.
-        start: (3,) of the segment [u].
-        end: (3,) [u].
-        first: Where the stretch begins, in parts of the segment.
-        last: Where it ends.
-        reach: Beyond this other triangles than those may be the nearest [u].
+        found: Number of triangles in the list `near` of the workspace, with their boxes.
+        start: (3,) start of the segment [u].
+        end: (3,) end of the segment [u].
+        first: Start of the stretch, as a fraction of the segment.
+        last: End of the stretch, as a fraction of the segment.
+        reach: If no triangle in the list is within this distance of a point, all triangles are searched [u].
         scratch: `Scratch`.
 
     Returns:
-        It: of samples, and of the surroundings of the farthest of them by golden section search.
+        The greatest distance of any sample, and of the points found around the farthest sample by golden-section
+        search.
     """
     step, best, deepest = (last - first) / SAMPLES, 1, -1.0
     for i in range(1, SAMPLES):
@@ -143,18 +144,18 @@ def stretch_depth(
 
 @array_kernel
 def edge_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float, scratch: Any) -> float:
-    """Greatest depth of a tool's edges in an organ: of any point of them inside it from its surface.
+    """Greatest depth of a tool's edges in an organ: the distance from its surface of any of their points inside it.
 
     Args:
         tool: `ToolGeometry`.
         local: (3, V) the organ's vertices in the tool's frame [u].
         triangles: (T, 3).
-        known: A depth that there is elsewhere [u].
+        known: A depth that has been found elsewhere [u].
         scratch: `Scratch`.
 
     Returns:
-        It, to `PRECISION` where a stretch between two places at which an edge goes through the surface is farthest
-        from it near the deepest of `SAMPLES`; or `known` if that is more.
+        The depth, or `known` if that is more [u]. It is exact to `PRECISION` if on each stretch of an edge between two
+        crossings of the surface the deepest point is near the deepest of the samples (see `SAMPLES`).
     """
     corners, ridges, near, greatest = tool.corners, tool.ridges, scratch.near, known
     listed = SUNK * tool.extent[7]
@@ -172,11 +173,11 @@ def edge_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float
             while first < 1.0:
                 crossing = next_crossing(local, triangles, near, found, start, end, first)
                 stop = min(crossing, 1.0)
-                # No point is farther from the surface than from those ends of its stretch that are on it.
+                # No point is farther from the surface than from those ends of its stretch that lie on the surface.
                 reach = (stop - first) * length * (0.5 if first > 0.0 and crossing < np.inf else 1.0)
                 middle = 0.5 * (first + stop)
                 if stop - first == 1.0:
-                    # It goes through no surface, and is outside as nearly all of them are.
+                    # The edge goes through no surface; in most cases it is outside.
                     if signed_distance(local, triangles, found, start, end, middle, listed, scratch) >= 0.0:
                         break
                     reach = np.inf
@@ -193,17 +194,18 @@ def edge_depth(tool: Any, local: np.ndarray, triangles: np.ndarray, known: float
 
 @inline_kernel
 def depth_of_edges(world: Any, position: np.ndarray, rotation: np.ndarray, vertices: np.ndarray, known: float) -> float:
-    """How deep the tools' edges are in the organs [u]; see `edge_depth`.
+    """Greatest depth of the tools' edges in the organs; see `edge_depth`.
 
     Args:
         world: `WorldContacts`; its memories' `local` is written.
         position: (N, 3) of the tools [u].
-        rotation: (N, 9).
+        rotation: (N, 9) their rotation matrices, row by row.
         vertices: (V, 3) of the organs [u].
-        known: How deep tools and organs are in each other elsewhere [u].
+        known: Greatest depth that has been found elsewhere [u].
 
     Returns:
-        The greatest depth, `known` if that is more or no more than `EDGES_COUNT_FROM`.
+        The greatest depth [u]; `known` if that is more. If `known` is no more than `EDGES_COUNT_FROM`, edges are not
+        measured, and it is returned.
     """
     depth, organ_count = known, len(world.surfaces)
     if known <= EDGES_COUNT_FROM:

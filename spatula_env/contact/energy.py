@@ -1,8 +1,8 @@
-"""How much energy tools may leave in organs: no more than the work that they did.
+"""Passivity of contact: tools leave no more energy in an organ than the work that they do on it.
 
-Sweeps end before they have converged, and planes turn: both may throw an organ off with energy that came from nowhere.
-Each organ has a ledger of what was put in; what it has more is taken away again, first from its motion as a whole and
-then from that of its nodes relative to each other.
+Sweeps end before they have converged, and contact planes turn: both may throw an organ off with energy that nothing has
+supplied. Each organ has a ledger of the energy that was put in. Any excess over it is taken away again, first from the
+organ's motion as a whole and then from the motion of its nodes relative to each other.
 """
 
 from __future__ import annotations
@@ -29,30 +29,31 @@ F8_2 = ARRAYS["f8_2"]
 
 WORK, GREATEST_WORK, REST_HEIGHT, STAGE, ENERGY = 0, 1, 2, 3, 4
 LEDGER_LENGTH = 5
-"""Columns of an organ's ledger: what it had when a tool first touched it and the tools' work on it since, and the
-greatest that was [kg u2/s2]; the sum of mass times height where counting began [kg u]; how far it has got, by the next
-names; and its energy of motion and height at the end of the last step [kg u2/s2]."""
+"""Columns of an organ's ledger: the energy that it had when a tool first touched it plus the tools' work on it since
+[kg u2/s2]; the greatest value of that so far [kg u2/s2]; the sum of mass times height when counting began [kg u]; the
+stage, by the names below; and its kinetic and potential energy at the end of the last step [kg u2/s2]."""
 
 UNKNOWN, FREE, TOUCHED = 0.0, 1.0, 2.0
-"""Stages of a ledger: nothing is known of the organ, no tool has touched it yet, or one has."""
+"""Stages of a ledger: counting has not begun, no tool has touched the organ yet, or one has."""
 
 ENERGY_TOLERANCE = 0.002
-"""Part of the greatest work so far that an organ may have more than was put in: rounding and friction of a solve."""
+"""Energy that an organ may have in excess of what was put in, as a part of the greatest work so far: it allows for
+rounding and for the friction of a solve."""
 
 ROUNDING = 1e-12
-"""Energies that differ by less, in their size, are the same."""
+"""Energies whose relative difference is less than this count as equal."""
 
 
 class MotionSums(NamedTuple):
     """Sums over an organ's free nodes.
 
     Attributes:
-        mass: [kg].
-        height: Of mass times height over what it was where counting began [kg u].
-        x: Of momentum [kg u/s], as the next two.
-        y: See there.
-        z: See there.
-        squares: Of mass times squared velocity [kg u2/s2].
+        mass: Sum of the masses [kg].
+        height: Sum of mass times height, less its value when counting began [kg u].
+        x: First component of the momentum [kg u/s].
+        y: Second component of the momentum [kg u/s].
+        z: Third component of the momentum [kg u/s].
+        squares: Sum of mass times squared velocity [kg u2/s2].
     """
 
     mass: float
@@ -67,7 +68,7 @@ class MotionSums(NamedTuple):
 def sum_motion(
     first: int, end: int, inverse_mass: np.ndarray, vertices: np.ndarray, velocities: np.ndarray, rest_height: float
 ) -> MotionSums:
-    """`MotionSums` of an organ; arguments as of `limit_energy`, and the ledger's `REST_HEIGHT`."""
+    """Compute the `MotionSums` of an organ; arguments as in `limit_energy`, and `REST_HEIGHT` of the ledger."""
     mass, height, squares = 0.0, -rest_height, 0.0
     px, py, pz = 0.0, 0.0, 0.0
     for i in range(first, end):
@@ -86,7 +87,7 @@ def sum_motion(
 
 @array_kernel
 def energy_of(sums: Any, gravity: float) -> float:
-    """An organ's energy of motion and height [kg u2/s2], from its `MotionSums` and gravity [u/s2]."""
+    """Kinetic and potential energy of an organ [kg u2/s2], from its `MotionSums` and gravity [u/s2]."""
     energy: float = 0.5 * sums.squares + gravity * sums.height
     return energy
 
@@ -103,10 +104,11 @@ def passive_share(
     mean_edge: float,
     ledger: np.ndarray,
 ) -> float:
-    """Which share of a step's impulses an organ's motion as a whole can have, for the work that they do.
+    """The share of a step's impulses that an organ's motion as a whole may have, given the work that they do.
 
-    A tool that turns by a radian in a step pushes along planes that it had on its way, and may throw the organ off
-    with more energy than it gives. What the nodes do relative to each other is left to `limit_energy`.
+    A tool that turns by as much as a radian in a step pushes along planes that its faces had on their way, and may
+    throw the organ off with more energy than the tool supplies. The motion of the nodes relative to each other is left
+    to `limit_energy`.
 
     Args:
         first: Index of the organ's first vertex.
@@ -114,13 +116,13 @@ def passive_share(
         inverse_mass: (V,) [1/kg]; fixed nodes have zero.
         sums: `MotionSums` of the organ, with all impulses.
         nodal_impulses: (V, 3) of the tools [kg u/s].
-        step_work: What they do [kg u2/s2]; it is in the ledger.
-        gravity: [u/s2].
-        mean_edge: Of the organ with the smallest [u].
-        ledger: (5,) the organ's, by the column names of this module.
+        step_work: Work of these impulses [kg u2/s2]; the ledger includes it already.
+        gravity: Gravity [u/s2].
+        mean_edge: Mean edge of the organ with the smallest mean edge [u].
+        ledger: (5,) the organ's, indexed by the column names of this module.
 
     Returns:
-        From 0 to 1; 1 unless energy would come from nothing.
+        The share from 0 to 1; 1 unless the motion would have more energy than was supplied.
     """
     mass, px, py, pz = sums.mass, sums.x, sums.y, sums.z
     if mass == 0.0:
@@ -135,7 +137,7 @@ def passive_share(
             jx += nodal_impulses[i, 0]
             jy += nodal_impulses[i, 1]
             jz += nodal_impulses[i, 2]
-    # Taking away the share x of the impulses leaves squares x^2 / 2 - x slope too much.
+    # Taking away a share x of the impulses leaves `excess + squares x^2 / 2 - slope x` of excess energy.
     squares = (jx * jx + jy * jy + jz * jz) / mass
     slope = (px * jx + py * jy + pz * jz) / mass - step_work
     excess = 0.5 * (px * px + py * py + pz * pz) / mass - allowed
@@ -148,7 +150,7 @@ def passive_share(
 
 @array_kernel
 def scale_impulses(count: int, rows: np.ndarray, features: np.ndarray, first: int, end: int, share: float) -> None:
-    """Leave a share of what the tools' constraints with one organ's vertices, from first to end, have given it."""
+    """Scale the impulses of the tools' constraints on one organ, with vertices from `first` to `end`, by a share."""
     for c in range(count):
         if features[c, OWNER] >= 0 and first <= features[c, 0] < end:
             for axis in range(3):
@@ -166,12 +168,13 @@ def limit_energy(
     mean_edge: float,
     ledger: np.ndarray,
 ) -> float:
-    """Take from an organ's motion what energy it cannot have.
+    """Dissipate the kinetic energy of an organ that exceeds the work put into it.
 
-    A tool too fast to hand on its speed moves the organ by displacements, which stretch it without the tool feeling
-    it; let go, the organ would give that back as motion. As a passivity controller does (Hannaford and Ryu, IEEE
-    Transactions on Robotics and Automation 18(1), 2002), what exceeds the work that was put in is dissipated: the
-    nodes' velocities relative to the organ's mean are scaled down, which leaves its momentum alone.
+    A tool that is too fast to pass on its speed moves the organ by displacements. These stretch the organ without a
+    force on the tool; once let go, the organ would return that energy as motion. As in a passivity controller
+    (Hannaford and Ryu, IEEE Transactions on Robotics and Automation 18(1), 2002), the excess over the work that was put
+    in is dissipated: the nodes' velocities relative to the organ's mean velocity are scaled down, which keeps its
+    momentum.
 
     Args:
         first: Index of the organ's first vertex.
@@ -179,12 +182,12 @@ def limit_energy(
         inverse_mass: (V,) [1/kg]; fixed nodes have zero.
         sums: `MotionSums` of the organ.
         velocities: (V, 3); changed [u/s].
-        gravity: [u/s2].
-        mean_edge: Of the organ with the smallest [u].
-        ledger: (5,) the organ's, by the column names of this module.
+        gravity: Gravity [u/s2].
+        mean_edge: Mean edge of the organ with the smallest mean edge [u].
+        ledger: (5,) the organ's, indexed by the column names of this module.
 
     Returns:
-        What was dissipated [kg u2/s2].
+        The energy that was dissipated [kg u2/s2].
     """
     mass = sums.mass
     if mass == 0.0:
@@ -228,10 +231,10 @@ def pass_on_work(
     velocities: np.ndarray,
     ledger: np.ndarray,
 ) -> None:
-    """Add to two organs' ledgers the work of a constraint between them: impulse times mean velocity, of each.
+    """Add the work of a constraint between two organs to their ledgers: impulse times mean velocity, for each node.
 
-    Over all impulses on a node that is the change of its energy of motion. Arguments as of `keep_ledger`, and one
-    constraint's features and row. Within one organ nothing is passed on.
+    Summed over all impulses on a node, this is the change of its kinetic energy. Arguments as in `keep_ledger`, with
+    the features and the row of one constraint. A constraint within one organ is not counted.
     """
     organs = first_vertices.shape[0]
     of_first, of_last = organs - 1, organs - 1
@@ -270,20 +273,20 @@ def keep_ledger(
     velocities: np.ndarray,
     ledger: np.ndarray,
 ) -> None:
-    """Add to each organ's ledger the work of a step's impulses, which must have been summed up.
+    """Add the work of a step's impulses to the organs' ledgers.
 
     Args:
-        count: How many constraints.
-        rows: See `structures.Constraints`.
-        features: See there.
+        count: Number of constraints.
+        rows: See `structures.ConstraintTable`; `response.sum_impulses` must have been called with them.
+        features: See `structures.ConstraintTable`.
         first_vertices: (O,) index of each organ's first vertex.
         inverse_mass: (V,) [1/kg].
         start: (V, 3) nodes at the start of the step [u].
         positions: (N, 3) of the tools at the end of the step [u].
-        linear_velocities: (N, 3) [u/s].
-        angular_velocities: (N, 3) [rad/s].
+        linear_velocities: (N, 3) of the tools [u/s].
+        angular_velocities: (N, 3) of the tools [rad/s].
         velocities_before: (V, 3) of the nodes without contact [u/s].
-        velocities: (V, 3) with it [u/s].
+        velocities: (V, 3) of the nodes with contact [u/s].
         ledger: (O, 5) written.
     """
     organs = first_vertices.shape[0]
@@ -316,11 +319,11 @@ def keep_ledger(
 
 @inline_kernel
 def keep_passive(world: Any, count: int, motions: Any, organs: Any, outcome: Any) -> None:
-    """Take from each organ what energy it has more than the tools have put in, from a step's impulses and its motion.
+    """Remove the energy that each organ has in excess of what tools have put in, from impulses and velocities.
 
     Args:
         world: `WorldContacts`; its ledger and constraints are written.
-        count: How many constraints there are.
+        count: Number of constraints.
         motions: `Motions` of the tools.
         organs: `OrganMotion`; velocities are changed.
         outcome: `StepOutcome`; impulses and wrenches are changed.
@@ -340,7 +343,7 @@ def keep_passive(world: Any, count: int, motions: Any, organs: Any, outcome: Any
         end = first_vertices[o + 1] if o + 1 < first_vertices.shape[0] else vertices.shape[0]
         sums = sum_motion(first, end, inverse_mass, vertices, velocities, ledger[o, REST_HEIGHT])
         if ledger[o, STAGE] != TOUCHED:
-            # What it does is its own.
+            # As long as no tool has touched it, the organ's energy counts as its own.
             ledger[o, ENERGY] = energy_of(sums, gravity)
             ledger[o, WORK] = max(ledger[o, WORK], ledger[o, ENERGY])
             ledger[o, GREATEST_WORK] = ledger[o, WORK]
@@ -365,12 +368,12 @@ def keep_passive(world: Any, count: int, motions: Any, organs: Any, outcome: Any
 
 @kernel(types.void(WORLD_CONTACTS, F8_2, F8_2))
 def admit_energy(world: Any, vertices: np.ndarray, velocities: np.ndarray) -> None:
-    """Enter into the ledgers what energy organs were given by hand, when they were put into a state.
+    """Enter into the ledgers the energy that organs were given by hand when they were put into a state.
 
     Args:
-        world: `WorldContacts`; its ledgers have what they had when the state was saved.
-        vertices: (V, 3) nodes in the state [u].
-        velocities: (V, 3) [u/s].
+        world: `WorldContacts`; its ledgers are those of the saved state.
+        vertices: (V, 3) nodes in the new state [u].
+        velocities: (V, 3) their velocities [u/s].
     """
     first_vertices, inverse_mass, ledger = world.first_vertices, world.inverse_mass, world.ledger
     gravity = world.settings[GRAVITY]
@@ -382,7 +385,7 @@ def admit_energy(world: Any, vertices: np.ndarray, velocities: np.ndarray) -> No
         sums = sum_motion(first, end, inverse_mass, vertices, velocities, ledger[o, REST_HEIGHT])
         energy = energy_of(sums, gravity)
         given = energy - ledger[o, ENERGY]
-        # An unchanged state has exactly the same.
+        # If the state is that which was saved, nothing was given.
         if given > ROUNDING * abs(energy):
             ledger[o, WORK] += given
             ledger[o, GREATEST_WORK] = max(ledger[o, GREATEST_WORK], ledger[o, WORK])

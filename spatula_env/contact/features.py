@@ -1,11 +1,11 @@
-"""Which points of an organ's surface a tool pushes, and where to: the constraints of one query.
+"""Contacts of a tool and an organ in one query, as constraints on points of the organ's surface.
 
-A convex tool and a triangle surface that are apart meet first at a vertex of the organ and a face of the tool, a corner
-of the tool and a triangle, or an edge of each. Constraints at all of these keep the surface out of the tool, however
-coarse both are. The flagged contact nodes add theirs, which is the published method; between nodes, at the tool's rim,
-and on faces that carry no nodes the other three do its work.
+A convex tool and a triangle surface that are apart meet first at a vertex of the organ and a face of the tool, at a
+corner of the tool and a triangle, or at an edge of each. Constraints at all of these keep the surface out of the tool,
+however coarse both are. The flagged contact nodes, the published method, add theirs; between nodes, at the tool's rim
+and on faces that carry no nodes the other three kinds take their place.
 
-Which face has met a point is told by `path.entry_plane`.
+The face that has met a point is found by `path.entry_plane`.
 """
 
 from __future__ import annotations
@@ -32,25 +32,27 @@ from spatula_env.contact.structures import (
 )
 
 EDGE_PART = 0.5
-"""An edge that moves farther than this part of the tool's thickness is looked at at times in between."""
+"""An edge of the organ that moves farther between two queries than this part of the tool's thickness is also checked at
+times in between, about one for each such part."""
 
 MOST_SAMPLES = 16
-"""Most such times."""
+"""Most times between two queries at which an edge is checked."""
 
 BISECTIONS = 8
 """Steps of bisection to find when an edge met the tool."""
 
 PASSES_UNDECIDED = 2
-"""After so many passes a vertex of the organ stays before the face of the tool that has pushed it."""
+"""After this many passes a vertex of the organ stays before the face of the tool that has pushed it."""
 
 PASSES_AS_MET = 6
-"""After so many passes corners of the tool push a triangle also where they are, and not only where they met it."""
+"""After this many passes corners of the tool push a triangle also where they are now, and not only where they met
+it."""
 
 ROUNDING = 1e-12
-"""Of a height between two others, at most, in the size of the greater."""
+"""Greatest rounding error of a height interpolated between two others, relative to the greater of them."""
 
 PARALLEL = 1e-6
-"""Edges whose directions have a smaller sine than this are parallel."""
+"""Edges are parallel if the sine of the angle between them is no more than this."""
 
 
 @array_kernel
@@ -85,7 +87,7 @@ def gather_ground(
 def gather_nodes(
     table: Any, count: int, tool: Any, nodes: Any, last: np.ndarray, triangles: np.ndarray, placement: Any
 ) -> int:
-    """Append one constraint for each flagged node: its contact point stays before the node's face."""
+    """Append one constraint for each flagged node, which keeps its contact point before the node's face."""
     flags, triangle, record = nodes.flags, nodes.triangle, nodes.record
     points, normals, face = tool.nodes, tool.normals, tool.face
     for i in range(points.shape[0]):
@@ -104,7 +106,7 @@ def gather_nodes(
 
 @array_kernel
 def find_candidates(extent: np.ndarray, organ: Any, triangles: np.ndarray) -> int:
-    """List the triangles whose way since the last query may have met the tool. Returns how many."""
+    """List the triangles that may have met the tool on their paths since the last query. Returns how many there are."""
     local, last, codes, candidates = organ.local, organ.last_local, organ.codes, organ.candidates
     low_x, low_y, low_z = extent[0] - MARGIN, extent[1] - MARGIN, extent[2] - MARGIN
     high_x, high_y, high_z = extent[3] + MARGIN, extent[4] + MARGIN, extent[5] + MARGIN
@@ -128,17 +130,17 @@ def find_candidates(extent: np.ndarray, organ: Any, triangles: np.ndarray) -> in
 
 @array_kernel
 def pushed_by(known: int, table: Any, owner: int, name: int, plane: int) -> int:
-    """By which face of a tool a contact pushed in the last pass; `plane` if it is not among those that did.
+    """The face of a tool by which a contact pushed in the last pass.
 
     Args:
-        known: How many contacts pushed.
+        known: Number of contacts that pushed.
         table: `ConstraintTable` of them.
-        owner: The tool.
-        name: Of the contact.
-        plane: A face.
+        owner: Index of the tool.
+        name: Name of the contact.
+        plane: The face to return if this contact did not push.
 
     Returns:
-        The face.
+        Index of the face.
     """
     names, features = table.names, table.features
     for e in range(known):
@@ -151,8 +153,9 @@ def pushed_by(known: int, table: Any, owner: int, name: int, plane: int) -> int:
 def gather_vertices(table: Any, count: int, tool: Any, organ: Any, placement: Any, tried: int, trial: Any) -> int:
     """Append one constraint for each vertex of the organ that came into the tool or touches it.
 
-    What its way is depends on where the last solve has put it. From one face it may be put onto another and back, pass
-    after pass: a vertex that `trial`, of which there are `tried`, has pushed stays before the face that did.
+    The path of a vertex depends on where the last solve has put it, so it might be put onto one face and then onto
+    another, pass after pass. Therefore a vertex that one of the `tried` constraints in `trial` has pushed stays before
+    the same face.
     """
     local, last, codes = organ.local, organ.last_local, organ.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets
@@ -186,23 +189,23 @@ def ridge_contact(
     b: int,
     result: np.ndarray,
 ) -> bool:
-    """Contact of an edge of the organ with the tool's edge between faces f and g.
+    """Find the contact of an edge of the organ with the tool's edge between faces f and g.
 
     Args:
         ridges: (P, P, 2) of the tool.
-        corners: (K, 3) of the tool.
+        corners: (K, 3) of the tool [u].
         plane_normals: (P, 3) of the tool.
-        f: A face.
-        g: Another.
-        local: (3, V).
+        f: Index of one face.
+        g: Index of the other face.
+        local: (3, V) vertices of the organ in the tool's frame [u].
         a: First vertex of the organ's edge.
         b: Second vertex.
-        result: (7,) written: the place on the organ's edge as a part of its length, the normal, and the point of the
-            tool's edge.
+        result: (7,) written: the place on the organ's edge as a fraction of its length, the normal, and the point on
+            the tool's edge.
 
     Returns:
-        Whether the faces share an edge that the organ's edge crosses: not so if they are parallel, or if the common
-        normal is not between those of the faces.
+        Whether there is such a contact: not if the faces share no edge, if the edges are parallel, or if their common
+        normal is not between the normals of the faces.
     """
     if ridges[f, g, 0] < 0:
         return False
@@ -220,7 +223,7 @@ def ridge_contact(
     sign = 1.0 if along_f + along_g > 0.0 else -1.0
     along_f, along_g = sign * along_f, sign * along_g
     cosine = nf[0] * ng[0] + nf[1] * ng[1] + nf[2] * ng[2]
-    # n = alpha nf + beta ng; both must push.
+    # n = alpha nf + beta ng; neither coefficient may be negative.
     if along_f - cosine * along_g < 0.0 or along_g - cosine * along_f < 0.0:
         return False
     scale = sign / length
@@ -248,21 +251,21 @@ def fill_heights(
     b: int,
     heights: np.ndarray,
 ) -> bool:
-    """Write how far the ends of an organ's edge are before the tool's faces; between two queries that changes linearly.
+    """Write the heights of the ends of an organ's edge over the tool's faces; they change linearly between two queries.
 
-    It ends at a face that keeps edge and tool apart all the time.
+    If a face separates edge and tool all the time, the function returns at once and leaves the other rows as they are.
 
     Args:
         plane_normals: (P, 3) of the tool.
         plane_offsets: (P,) of the tool [u].
-        last: (3, V) vertices at time 0 [u].
-        local: (3, V) vertices at time 1 [u].
+        last: (3, V) vertices at time 0, the last query [u].
+        local: (3, V) vertices at time 1, this query [u].
         a: First vertex of the edge.
         b: Second vertex.
         heights: (P, 4) written: of a and b at time 0, of a and b at time 1; negative behind a face [u].
 
     Returns:
-        Whether there is such a face.
+        Whether there is such a separating face.
     """
     for p in range(plane_offsets.shape[0]):
         nx, ny, nz, offset = plane_normals[p, 0], plane_normals[p, 1], plane_normals[p, 2], plane_offsets[p]
@@ -271,7 +274,7 @@ def fill_heights(
         a_now = nx * local[0, a] + ny * local[1, a] + nz * local[2, a] - offset
         b_now = nx * local[0, b] + ny * local[1, b] + nz * local[2, b] - offset
         heights[p, 0], heights[p, 1], heights[p, 2], heights[p, 3] = a_before, b_before, a_now, b_now
-        # Heights in between are within these, but for rounding.
+        # Heights at times in between are within these, except for rounding.
         least, greatest = min(a_before, b_before, a_now, b_now), max(a_before, b_before, a_now, b_now)
         if least - MARGIN > ROUNDING * greatest:
             return True
@@ -280,12 +283,12 @@ def fill_heights(
 
 @array_kernel
 def fill_clipping(heights: np.ndarray, clipping: np.ndarray) -> int:
-    """Write those rows of heights (P, 4), from `fill_heights`, whose faces may clip the edge, into clipping (P, 4).
+    """Write the rows of heights (P, 4), from `fill_heights`, whose faces may clip the edge, into clipping (P, 4).
 
-    The whole edge stays behind the others all the time.
+    The whole edge stays behind the other faces all the time.
 
     Returns:
-        How many there are.
+        The number of these rows.
     """
     count = 0
     for p in range(heights.shape[0]):
@@ -306,8 +309,8 @@ def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]
         time: From 0 to 1; vertices move on straight lines.
 
     Returns:
-        (first, end, plane_in, plane_out): where the edge comes in and goes out, as parts of its length, first > end
-        if it stays outside; and through which faces, -1 where it begins or ends inside.
+        (first, end, plane_in, plane_out): where the edge enters and leaves the tool, as fractions of its length, with
+        first > end if it stays outside; and the faces through which it does, -1 where it begins or ends inside.
     """
     first, end = 0.0, 1.0
     plane_in, plane_out = -1, -1
@@ -333,8 +336,9 @@ def clip_edge(heights: np.ndarray, time: float) -> tuple[float, float, int, int]
 def touched_plane(heights: np.ndarray, which: int, time: float, other: int, within: float = 2.0 * MARGIN) -> int:
     """The face that an end of an edge touches, or is `within` [u] behind, at a time between two queries; -1 if none.
 
-    A vertex on the tool's rim touches two: then it is the one by which the edge does not go out at its other end, for
-    between two different faces the edge lies over a third, or over the tool's edge.
+    A vertex on the tool's rim touches two faces. The result is then the one that is not `other`, the face through which
+    the edge leaves the tool at its other end: between two different faces the edge lies over a third, or over the
+    tool's edge.
     """
     best, highest, second = -1, -within, -1
     for p in range(heights.shape[0]):
@@ -363,14 +367,14 @@ def least_deep_plane(heights: np.ndarray, time: float, first: float, end: float)
 
 @array_kernel
 def meeting_time(heights: np.ndarray, samples: int) -> float:
-    """When, between two queries, an edge of the organ first touched the tool.
+    """The time between two queries at which an edge of the organ first touched the tool.
 
     Args:
-        heights: (P, 4) from `fill_heights`, or those rows that `fill_clipping` leaves [u].
-        samples: At how many times in between it is looked at.
+        heights: (P, 4) from `fill_heights`, or only the rows that `fill_clipping` writes [u].
+        samples: Number of times at which the edge is checked.
 
     Returns:
-        From 0 to 1, or 2 if it did not.
+        The time from 0 to 1; 2 if it did not touch the tool.
     """
     first, end, _, _ = clip_edge(heights, 0.0)
     if first <= end:
@@ -396,9 +400,10 @@ def meeting_time(heights: np.ndarray, samples: int) -> float:
 
 @array_kernel
 def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
-    """Whether an edge lies within the faces around one, from one query to the next: it passes over none of its rim.
+    """Whether an edge stays over a face from one query to the next, without passing over the face's rim.
 
-    Nor does one of its ends, which is behind the face now, end on one of those around it, where a solve has put it.
+    Both its ends must stay behind the planes of all neighbouring faces, and no end that is behind the face now may lie
+    on one of these planes, where a solve has put it.
     """
     for p in range(heights.shape[0]):
         if ridges[plane, p, 0] >= 0:
@@ -413,18 +418,18 @@ def stays_over(heights: np.ndarray, plane: int, ridges: np.ndarray) -> bool:
 
 @array_kernel
 def border_reached(heights: np.ndarray, which: int, time: float, met: int, samples: int, ridges: np.ndarray) -> int:
-    """Through which face next to the one it met an edge leaves the tool once its end has swung down past the rim.
+    """The neighbouring face through which an edge leaves the tool once its end has swung past the rim of the face met.
 
     Args:
         heights: (P, 4) from `fill_heights` [u].
         which: 0 for the first end of the edge, 1 for the second.
-        time: When the edge first touched the tool.
-        met: The face that it touched.
-        samples: At how many times between two queries the edge is looked at.
+        time: Time at which the edge first touched the tool.
+        met: Index of the face that it touched.
+        samples: Number of times between two queries at which the edge is checked.
         ridges: (P, P, 2) of the tool.
 
     Returns:
-        The face; -1 if there is none.
+        Index of the face; -1 if there is none.
     """
     for sample in range(1, samples + 1):
         now = sample / samples
@@ -434,7 +439,7 @@ def border_reached(heights: np.ndarray, which: int, time: float, met: int, sampl
         first, end, plane_in, plane_out = clip_edge(heights, now)
         border = plane_in if which == 0 else plane_out
         if first <= end and border < 0:
-            # A solve has put the end on the face that it came to, about.
+            # A solve has put the end approximately on the face that it came to.
             border = touched_plane(heights, which, now, met, RESIDUAL_TOLERANCE)
         if first <= end and border >= 0 and border != met and ridges[met, border, 0] >= 0:
             return border
@@ -455,10 +460,11 @@ def gather_edges(
 ) -> int:
     """Append constraints for each edge of the organ that came into the tool or touches it.
 
-    When an edge first touches the tool, hardly any of it is inside, and between which faces tells what it lies over: an
-    edge of the tool that two faces share, or one face between two of the edges around it. An edge that lay on a face
-    may then swing over its rim. What swings so far only because nothing holds the edge's other end yet is not told from
-    what really does: this is asked when contacts are looked for `again`, where a solve has put the organ.
+    When an edge first touches the tool, hardly any of it is inside. The faces through which that part enters and leaves
+    show what the edge lies over: an edge of the tool that two faces share, or one face between two of the edges around
+    it. An edge that lay on a face may afterwards swing over the face's rim. In the first pass an edge may also swing so
+    far merely because nothing holds its other end yet; therefore this is checked only when contacts are looked for
+    `again`, where a solve has put the organ.
     """
     local, last, candidates, codes = organ.local, organ.last_local, organ.candidates, organ.codes
     plane_normals, plane_offsets, extent = tool.plane_normals, tool.plane_offsets, tool.extent
@@ -468,7 +474,8 @@ def gather_edges(
         t = candidates[k]
         for side in range(3):
             a, b = triangles[t, side], triangles[t, (side + 1) % 3]
-            # Two triangles share an edge, in opposite directions. Codes are of what vertices were and are beyond.
+            # Two triangles share an edge, in opposite directions: skip one of them. Codes tell beyond which sides of
+            # the tool's box a vertex was at the last query and still is.
             if a > b or codes[a] & codes[b] != 0:
                 continue
             if fill_heights(plane_normals, plane_offsets, last, local, a, b, heights):
@@ -477,14 +484,14 @@ def gather_edges(
             for axis in range(3):
                 way = max(way, abs(local[axis, a] - last[axis, a]), abs(local[axis, b] - last[axis, b]))
             samples = min(1 + int(way / (EDGE_PART * extent[7])), MOST_SAMPLES)
-            # Most of those that are looked at have touched already.
+            # Most edges that get here touched the tool at the last query already.
             first, end, plane_in, plane_out = clip_edge(heights, time)
             if first > end:
                 time = meeting_time(clipping[: fill_clipping(heights, clipping)], samples)
                 if time > 1.0:
                     continue
                 first, end, plane_in, plane_out = clip_edge(heights, time)
-            # An end that touches a face has come in by it.
+            # An end that touches a face counts as having come in through it.
             if plane_in < 0:
                 plane_in = touched_plane(heights, 0, time, plane_out)
             if plane_out < 0:
@@ -537,20 +544,20 @@ def gather_features(
     trial: Any,
     scratch: Any,
 ) -> int:
-    """Append constraints where vertices, corners and edges have met.
+    """Append constraints where vertices and faces, corners and triangles, and edges and edges have met.
 
     Args:
         table: `ConstraintTable` with room for 9 more for each candidate and each corner of the tool.
-        count: How many there are.
+        count: Number of constraints so far.
         tool: `ToolGeometry`.
-        organ: `LocalOrgan`. In the first pass, `attempt` 0, it is where its springs have thrown it; later where solves
-            have put it.
+        organ: `LocalOrgan`. In the first pass, `attempt` 0, it is where its springs have thrown it; in later ones where
+            solves have put it.
         triangles: (T, 3) of the organ.
-        found: How many candidates there are; see `find_candidates`.
+        found: Number of candidates; see `find_candidates`.
         placement: `Placement` of the tool.
         again: See `gather_edges`.
-        attempt: Which pass this is.
-        tried: How many constraints pushed in the last one.
+        attempt: Index of the pass.
+        tried: Number of constraints that pushed in the last pass.
         trial: `ConstraintTable` of them.
         scratch: `Scratch`.
 

@@ -28,7 +28,7 @@ FirstStep = Literal["inside", "any_hit", "off"]
 """What makes a contact unfeasible in the first step: see `FlaggedDetector`."""
 
 FIRST_STEP_CODES: dict[str, int] = {"off": 0, "any_hit": 1, "inside": 2}
-"""How kernels know them."""
+"""Codes of the variants of the first step in kernels."""
 
 F8, F8_2, I4_2 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4_2"]
 
@@ -38,18 +38,18 @@ _ONLY_ARRAYS = {np.ndarray}
 _FLOAT, _INTEGER = np.dtype(np.float64), np.dtype(np.int32)
 
 STILL = (0.0, 0.0, 0.0)
-"""The velocity of a tool that nothing is said about [u/s], [rad/s]."""
+"""Default linear and angular velocity of a tool [u/s], [rad/s]."""
 
 _UNIT_TOLERANCE = 1.0000001e-6
-"""Allowed difference of a quaternion's length from one; a rounding error more than `as_quaternion` allows."""
+"""Allowed difference of a quaternion's length from one; by a rounding error more than `as_quaternion` allows."""
 
 
 class Contacts:
-    """What a detector found in one query. Arrays are copies; they do not change with the next query.
+    """Contacts that a detector found in one query. Arrays are copies, which do not change with the next query.
 
     Attributes:
-        flags: (n,) bool, the node is in feasible contact.
-        unfeasible: (n,) bool, the first step refused the node.
+        flags: (n,) bool, whether the node is in feasible contact.
+        unfeasible: (n,) bool, whether the first step refused the node.
         triangle: (n,) int32, the organ's triangle that the node's inward ray leaves through; -1 where not flagged.
         barycentric: (n, 3) weights of the triangle's corners at that point; zero where not flagged.
         depth: (n,) distance from the node to that point [u]; zero where not flagged.
@@ -90,7 +90,7 @@ class Contacts:
 
 @array_kernel
 def fill_rotation(quaternion: np.ndarray, scale: float, rotation: np.ndarray) -> None:
-    """Write the rotation matrix of a quaternion (xyzw) that `scale` brings to unit length, row by row."""
+    """Write the rotation matrix (9,), row by row, of a quaternion (xyzw); `scale` brings it to unit length."""
     x, y, z, w = scale * quaternion[0], scale * quaternion[1], scale * quaternion[2], scale * quaternion[3]
     rotation[0], rotation[1], rotation[2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
     rotation[3], rotation[4], rotation[5] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
@@ -153,7 +153,7 @@ def fill_local(
     """Write an organ's vertices, in the tool's frame, into local (3, V)."""
     own = vertices[first_vertex : first_vertex + local.shape[1]]
     along_x, along_y, along_z = local[0], local[1], local[2]
-    # Numbers that cannot change while the organ is written: such a loop becomes vector instructions.
+    # The loop is vectorised because these scalars, unlike array elements, cannot change while the organ is written.
     left, back, down = position[0], position[1], position[2]
     xx, xy, xz = rotation[0], rotation[3], rotation[6]
     yx, yy, yz = rotation[1], rotation[4], rotation[7]
@@ -197,9 +197,9 @@ def lead_by_velocity(
 
 @array_kernel
 def lead_by_motion(tool: Any, memory: Any, organ: Any, triangles: np.ndarray) -> None:
-    """Mark the nodes that lead relative to the surface they are in, and those whose face that surface came through.
+    """Mark the nodes whose face leads relative to the surface, and the nodes through whose face the surface came.
 
-    An organ does not move as one: what counts is the motion, since the last query and in the tool's frame, of the
+    As an organ does not move as a whole, this uses the motion, since the last query and in the tool's frame, of the
     point of the surface that the node would push.
 
     Args:
@@ -222,7 +222,7 @@ def lead_by_motion(tool: Any, memory: Any, organ: Any, triangles: np.ndarray) ->
         y = nodes[i, 1] - distances[i, 0] * normals[i, 1]
         z = nodes[i, 2] - distances[i, 0] * normals[i, 2]
         wa, wb, wc = triangle_weights(local, a, b, c, x, y, z)
-        # A triangle seen edge-on may round to anything.
+        # The weights of a triangle seen edge-on may be far off because of rounding.
         wa = min(max(wa, 0.0), 1.0)
         wb = min(max(wb, 0.0), 1.0 - wa)
         wc = 1.0 - wa - wb
@@ -237,7 +237,7 @@ def lead_by_motion(tool: Any, memory: Any, organ: Any, triangles: np.ndarray) ->
 
 @array_kernel
 def remember_flags(memory: Any) -> None:
-    """Note the flags of a `NodeMemory` before they are decided anew."""
+    """Store the flags of a `NodeMemory` in `remembered`, before they are decided anew."""
     for i in range(memory.flags.shape[0]):
         memory.remembered[i] = memory.flags[i]
 
@@ -253,7 +253,7 @@ def decide_flags(
     grade: int,
     normal: np.ndarray,
 ) -> tuple[int, int]:
-    """The two steps of the flags method, node by node, after rays have been cast.
+    """Carry out the two steps of the flags method, node by node, after rays have been cast.
 
     Args:
         tool: `ToolGeometry`.
@@ -262,12 +262,12 @@ def decide_flags(
         triangles: (T, 3).
         first_step: Code of what the outward ray must find; 0 for no first step.
         exclusive: See `FlaggedDetector`.
-        grade: What else a contact needs. 0: nothing; 1: that no other face opposes the triangle clearly better; 2:
-            that the surface came through the node's face.
+        grade: Further condition on a contact. 0: none; 1: no other face opposes the triangle clearly better; 2: the
+            surface came through the node's face.
         normal: (3,) workspace.
 
     Returns:
-        How many nodes are flagged, and to how many of those that are inside `grade` refused it.
+        The number of flagged nodes, and the number of nodes inside the organ that the condition of `grade` refused.
     """
     flags, unfeasible, leading, remembered, decided, came_through = (
         memory.flags, memory.unfeasible, memory.leading, memory.remembered, memory.decided, memory.came_through,
@@ -284,8 +284,9 @@ def decide_flags(
             other = opposite[i]
             inside = hits[i, 0, 1] > 0
             if first_step != 0 and flags[other]:
-                # The opposite node owns a contact. If it is inside the organ, this node's would be unfeasible.
-                # Where the organ overlaps itself rays may contradict that; if asked to, the first then keeps it.
+                # The opposite node owns a contact. If its outward ray leaves the organ, too, this node's contact is
+                # unfeasible. Where the organ overlaps itself, rays may contradict each other; if `exclusive`, the node
+                # visited first then keeps its contact.
                 outward = hits[other, 1, 1]
                 if outward > 0 or (first_step == 1 and outward != 0) or (exclusive and decided[other] and inside):
                     flags[i] = False
@@ -317,7 +318,7 @@ def fill_record(
 ) -> None:
     """Write triangle and record of all nodes, after the flags have been decided.
 
-    Weights of flagged nodes may be there already.
+    With `has_weights`, the weights of flagged nodes are in the record already.
     """
     nodes, normals, flags, hits, distances = tool.nodes, tool.normals, memory.flags, memory.hits, memory.distances
     triangle, record = memory.triangle, memory.record
@@ -355,7 +356,7 @@ def detect_contacts(
     first_step: int,
     exclusive: bool,
 ) -> int:
-    """One query of the flags method by itself; `FlaggedDetector.detect` says what it takes and gives."""
+    """Run one query of the flags method by itself; see `FlaggedDetector.detect` for arguments and results."""
     if (
         position.shape[0] != 3 or orientation.shape[0] != 4 or linear_velocity.shape[0] != 3
         or angular_velocity.shape[0] != 3 or vertices.shape[1] != 3 or triangles.shape[1] != 3
@@ -384,27 +385,26 @@ def detect_contacts(
 
 
 class FlaggedDetector:
-    """Tells which contact nodes of a tool are in feasible contact with an organ, and remembers it.
+    """Detector of the flags method: it flags a tool's contact nodes in feasible contact and remembers the flags.
 
     Nodes are visited one by one: those whose face leads (their normal has a positive component along their velocity)
-    before those whose face trails, by index among equals. For each node:
+    before those whose face trails, in the order of their indices within each group. For each node:
 
     1. First step. If the opposite node's flag is set at this moment, the opposite node casts a ray outwards, along
        its own normal. If that ray finds the organ, this node's contact is unfeasible: its flag is cleared.
     2. Second step. Otherwise the node casts a ray inwards, against its normal N_r. If the first triangle it meets has
        an outward normal N with N . N_r < 0, the node is inside the organ: its flag is set. Otherwise it is cleared.
 
-    Rays have no end: a node of a tool that is wholly inside needs one longer than the tool is thick.
+    Rays are infinitely long: a node of a tool that is wholly inside needs a ray longer than the tool is thick.
 
     Attributes:
-        tool: The tool whose nodes are watched.
-        first_step: What the outward ray must find. "inside": a triangle that it leaves the organ through, so that the
+        tool: The tool whose contact nodes are checked.
+        first_step: What the outward ray must find. "inside": a triangle through which it leaves the organ, so that the
             opposite wall of a fissure does not make a good contact unfeasible. "any_hit": any triangle, which is the
             published method to the letter. "off": no first step.
-        exclusive: Whether a node is also refused a contact that its opposite owns since earlier in the same query. On
-            a closed surface that changes nothing. On one that overlaps itself rays can say of both nodes of a pair
-            that they are inside, and of neither that its outward ray leaves the organ; the published method then flags
-            both.
+        exclusive: Whether a node is also refused a contact if its opposite node has been flagged earlier in the same
+            query. On a closed surface this changes nothing. On a surface that overlaps itself, the rays may find both
+            nodes of a pair inside, and neither outward ray leaving the organ; the published method then flags both.
     """
 
     def __init__(
@@ -416,7 +416,7 @@ class FlaggedDetector:
         """Make a detector with all flags clear.
 
         Args:
-            tool: The tool whose nodes are watched.
+            tool: The tool whose contact nodes are checked.
             first_step: "inside", "any_hit" or "off"; see the class.
             exclusive: See the class.
 
@@ -434,7 +434,7 @@ class FlaggedDetector:
         self._still = np.zeros(3)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies and pickles hold what is remembered; a kernel's structures are made anew."""
+        """Copies and pickles hold the remembered flags; the kernels' structures are made anew."""
         return _remake, (self.tool, self.first_step, self.exclusive, self.flags)
 
     @property
@@ -477,7 +477,7 @@ class FlaggedDetector:
             angular_velocity: (3,) relative to the organ, world frame [rad/s].
 
         Returns:
-            The contacts; arrays of their own.
+            The contacts, as copies.
 
         Raises:
             ValueError: If an argument has the wrong shape, is not finite, is not a unit quaternion, or names a vertex
@@ -487,7 +487,7 @@ class FlaggedDetector:
         angular = self._still if angular_velocity is STILL else angular_velocity
         arguments: tuple[Any, ...] = (position, orientation, linear, angular, vertices, triangles)
         memory, status = self.memory, WRONG_SHAPE
-        # Arrays of the right type go straight to the kernel, which looks at their shapes.
+        # Arrays of the right type go straight to the kernel, which checks their shapes.
         if (
             {type(argument) for argument in arguments} == _ONLY_ARRAYS
             and arguments[4].dtype is _FLOAT
@@ -499,7 +499,7 @@ class FlaggedDetector:
                     *arguments, self.shape, memory.structure, self._first_step_code, self.exclusive
                 )
             except TypeError:
-                # Numba's word for arrays that the kernel was not compiled for.
+                # Numba raises it for arrays that the kernel was not compiled for.
                 pass
         if status == WRONG_SHAPE:
             arguments = (
@@ -519,7 +519,7 @@ class FlaggedDetector:
 
     @property
     def contacts(self) -> Contacts:
-        """The result of the last query; arrays of their own."""
+        """The result of the last query, as copies."""
         return Contacts(self.memory.states, self.memory.triangle, self.memory.record)
 
 
@@ -531,7 +531,7 @@ def _remake(tool: Tool, first_step: FirstStep, exclusive: bool, flags: NDArray[n
 
 def _float_array(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """The argument as a C-contiguous float64 array of the shape asked for; no copy if it is one."""
-    # Kernels take writeable arrays, though they do not write to these.
+    # Kernels are compiled for writeable arrays, although they do not write to these.
     if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.carray:
         array: NDArray[np.float64] = value
     else:
@@ -567,7 +567,7 @@ def _raise_for_status(
     vertices: NDArray[np.float64],
     triangles: NDArray[np.int32],
 ) -> None:
-    """Say which argument a kernel refused."""
+    """Raise a `ValueError` that names the argument which a kernel refused with this status."""
     as_vector3(position, "position")
     as_quaternion(orientation, "orientation")
     as_vector3(linear_velocity, "linear_velocity")

@@ -1,9 +1,10 @@
-"""Which constraints act on each other: those of tools that hold a vertex in common, by however many steps.
+"""Islands: groups of constraints that can be solved apart from each other.
 
-What organs do to themselves and to each other counts as one further tool.
+The constraints of two tools are in one island if the tools hold a common vertex, directly or through other tools. The
+constraints of organs with themselves and each other count as those of one further tool.
 
-What shares no vertex is solved apart: each solve ends when its own constraints have settled. Of several tools the one
-that takes longest is then swept alone, and none is looked at again that already holds.
+Islands share no vertex, so each is solved by itself, until its own constraints have converged. Of several tools, the
+one that takes longest is then swept alone, and constraints that hold already are not processed again.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ class IslandRoom(NamedTuple):
     """Room for islands of constraints of N tools with V vertices.
 
     Attributes:
-        starts: (N + 2,) int64, where the islands begin in an order of constraints; last where they end.
+        starts: (N + 2,) int64, where each island begins in the order of constraints, and where the last one ends.
         holders: (V,) int64 workspace, all -1 between two calls.
         parents: (N + 1,) int64 workspace.
         sizes: (N + 1,) int64 workspace.
@@ -34,7 +35,7 @@ class IslandRoom(NamedTuple):
 
 @inline_kernel
 def island_room(step: Any, tool_count: int, vertex_count: int) -> IslandRoom:
-    """The `IslandRoom` for so many tools and vertices in a `StepRoom`."""
+    """The `IslandRoom` in a `StepRoom`, for these numbers of tools and vertices."""
     islands = step.islands
     return IslandRoom(
         islands[0, : tool_count + 2], step.holders[:vertex_count], islands[1, : tool_count + 1],
@@ -44,7 +45,7 @@ def island_room(step: Any, tool_count: int, vertex_count: int) -> IslandRoom:
 
 @array_kernel
 def _root(parents: np.ndarray, tool: int) -> int:
-    """The tool that stands for a tool's island."""
+    """The root of a tool's island in the union-find forest `parents`."""
     while parents[tool] != tool:
         tool = parents[tool]
     return tool
@@ -52,7 +53,7 @@ def _root(parents: np.ndarray, tool: int) -> int:
 
 @array_kernel
 def _island_of(c: int, features: np.ndarray, tool_count: int, room: Any) -> int:
-    """The tool that stands for a constraint's island; -1 for one of the ground that no tool shares."""
+    """The root of a constraint's island; -1 for a constraint of the ground at a vertex that no tool holds."""
     owner = features[c, OWNER]
     if owner == GROUND:
         owner = room.holders[features[c, 0]]
@@ -63,7 +64,7 @@ def _island_of(c: int, features: np.ndarray, tool_count: int, room: Any) -> int:
 
 @array_kernel
 def _join(count: int, features: np.ndarray, inverse_mass: np.ndarray, tool_count: int, room: Any) -> None:
-    """Write who holds each vertex, and join tools that hold one in common; arguments as of `find_islands`."""
+    """Write which tool holds each vertex, and join tools that hold a common one; arguments as in `find_islands`."""
     holders, parents = room.holders, room.parents
     for k in range(tool_count + 1):
         parents[k] = k
@@ -89,18 +90,19 @@ def _join(count: int, features: np.ndarray, inverse_mass: np.ndarray, tool_count
 def find_islands(
     count: int, features: np.ndarray, inverse_mass: np.ndarray, tool_count: int, order: np.ndarray, room: Any
 ) -> int:
-    """Sort constraints into islands; in an island they keep their order.
+    """Sort constraints into islands, keeping their order within an island.
 
     Args:
-        count: How many constraints.
-        features: See `structures.Constraints`.
+        count: Number of constraints.
+        features: See `structures.ConstraintTable`.
         inverse_mass: (V,) [1/kg]; fixed vertices have zero, and connect nothing.
         tool_count: N.
-        order: (count,) int64 written: indices of constraints, first those of the ground that no tool shares.
+        order: (count,) int64 written: indices of constraints, first those of the ground at vertices that no tool
+            holds, which belong to no island.
         room: `IslandRoom`, of which `starts` is written.
 
     Returns:
-        How many islands there are.
+        The number of islands.
     """
     starts, sizes, lone = room.starts, room.sizes, 0
     _join(count, features, inverse_mass, tool_count, room)
@@ -137,9 +139,10 @@ def find_islands(
 
 @array_kernel
 def greatest_violation(order: np.ndarray, rows: np.ndarray, features: np.ndarray) -> float:
-    """How much some constraints, which have been measured, are violated, at most [u].
+    """The greatest violation of some constraints, whose gaps have been measured [u].
 
-    Organs are kept apart by a distance of which half may be left over: that is enough not to cross.
+    Constraints between organs count as violated only by what exceeds half the distance at which organs are kept apart;
+    the other half is enough to keep them from crossing.
     """
     worst = 0.0
     for c in order:

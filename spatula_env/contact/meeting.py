@@ -1,7 +1,8 @@
-"""When two moving features of surfaces meet: a vertex and a triangle, or two edges, whose vertices move straight on.
+"""Time of impact of two moving features: a vertex and a triangle, or two edges, whose vertices move on straight lines.
 
-Four points are in one plane when the volume that they span is zero, which is a cubic of time (Provot, Graphics
-Interface 1997). Each of its roots is when the features may meet; where they then are on each other tells if they do.
+Four points are in one plane when the volume that they span is zero, which is a cubic in time (Provot, Graphics
+Interface 1997). Each of its roots is a time at which the features may meet; whether they do depends on where they then
+are on each other.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ ROOT_STEPS = 24
 """Most steps to close in on a root."""
 
 ROOT_PRECISION = 1e-6
-"""To which times of meeting are found, in steps."""
+"""Precision to which times of meeting are found, as a fraction of the time between the two positions."""
 
 
 @array_kernel
 def fill_volume(before: np.ndarray, now: np.ndarray, volume: np.ndarray) -> None:
-    """Write the volume u x v . w as a cubic of time.
+    """Write the volume u x v . w as a cubic in time.
 
     Args:
         before: (9,) u, v and w at time zero.
-        now: (9,) at time one.
-        volume: (4,) written: its coefficients in Bernstein's form, of which the first and the last are its values at
-            times zero and one; if all have one sign, it has no root between.
+        now: (9,) u, v and w at time one.
+        volume: (4,) written: its Bernstein coefficients. The first and the last are its values at times zero and one;
+            if all have the same sign, it has no root in between.
     """
     ux, uy, uz, vx, vy, vz = before[0], before[1], before[2], before[3], before[4], before[5]
     px, py, pz, qx, qy, qz = now[0], now[1], now[2], now[3], now[4], now[5]
@@ -51,7 +52,7 @@ def has_no_root(volume: np.ndarray) -> bool:
 
 @array_kernel
 def _value(volume: np.ndarray, time: float) -> float:
-    """Of a cubic in Bernstein's form."""
+    """The value of a cubic with Bernstein coefficients `volume` (4,) at a time."""
     rest = 1.0 - time
     first = rest * rest * (rest * volume[0] + 3.0 * time * volume[1])
     value: float = first + time * time * (3.0 * rest * volume[2] + time * volume[3])
@@ -60,14 +61,14 @@ def _value(volume: np.ndarray, time: float) -> float:
 
 @array_kernel
 def find_roots(volume: np.ndarray, roots: np.ndarray) -> int:
-    """Write the times from 0 to 1, ascending, at which a cubic changes its sign (3,); returns how many there are."""
-    # Between its extrema it goes one way only.
+    """Write the times from 0 to 1 at which a cubic changes its sign (3,), ascending. Returns how many there are."""
+    # Between its extrema the cubic is monotonic.
     first, second, third = volume[1] - volume[0], volume[2] - volume[1], volume[3] - volume[2]
     a, b, c = first - 2.0 * second + third, second - first, first
     one, two, inner = 1.0, 1.0, 0
     square = b * b - a * c
     if square > 0.0:
-        # Of a t2 + 2 b t + c, without cancellation.
+        # The roots of the derivative, a t^2 + 2 b t + c, without cancellation.
         q = -b - np.sqrt(square) if b > 0.0 else -b + np.sqrt(square)
         first, second = q / a if a != 0.0 else -1.0, c / q if q != 0.0 else -1.0
         if 0.0 < max(first, second) < 1.0:
@@ -84,7 +85,7 @@ def find_roots(volume: np.ndarray, roots: np.ndarray) -> int:
         for _ in range(ROOT_STEPS):
             if high - low <= ROOT_PRECISION:
                 break
-            # False position, that halves the interval when it has come near one end.
+            # False position, kept at least 5 % of the interval away from both ends.
             middle = low + (high - low) * min(max(at_low / (at_low - at_high), 0.05), 0.95)
             value = _value(volume, middle)
             if (value > 0.0) == (at_low > 0.0):

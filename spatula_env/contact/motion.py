@@ -1,4 +1,4 @@
-"""How organs and tools move in a step, and how far."""
+"""Motions of organs and tools in a step, their extent, and helpers for points and orientations."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray
 
 NODES_AT_ONCE = 16
-"""So many nodes are looked at before it is asked whether that is enough."""
+"""Number of nodes that are examined between two checks whether the answer is known already."""
 
 
 class Motions(NamedTuple):
-    """How the N tools move in one step. Contact stops them where the organs cannot give way: see `step.stop_tools`.
+    """Motions of the N tools in one step. Contact stops them where the organs cannot give way: see `step.stop_tools`.
 
     Attributes:
         start_positions: (N, 3) [u].
@@ -37,14 +37,14 @@ class Motions(NamedTuple):
 
 
 class OrganMotion(NamedTuple):
-    """How the V nodes of all organs move in one step.
+    """Motion of the V nodes of all organs in one step.
 
     Attributes:
-        start: (V, 3) at its start [u].
-        free_vertices: (V, 3) at its end, without contact [u].
-        free_velocities: (V, 3) [u/s].
-        vertices: (V, 3) written: at its end [u].
-        velocities: (V, 3) written [u/s].
+        start: (V, 3) positions at its start [u].
+        free_vertices: (V, 3) positions at its end, without contact [u].
+        free_velocities: (V, 3) velocities at its end, without contact [u/s].
+        vertices: (V, 3) written: positions at its end [u].
+        velocities: (V, 3) written: velocities at its end [u/s].
     """
 
     start: FloatArray
@@ -55,13 +55,13 @@ class OrganMotion(NamedTuple):
 
 
 class StepOutcome(NamedTuple):
-    """What resolving the contacts of a step comes to; written.
+    """Result of resolving the contacts of a step; written.
 
     Attributes:
-        nodal_impulses: (V, 3) what the tools gave the nodes [kg u/s].
-        wrenches: (N + 1, 6) impulse and its moment about each tool's origin, that the organs give the tool; last what
-            they give the ground [kg u/s, kg u2/s2].
-        numbers: (7,) by the names of the columns of the result in `settings`.
+        nodal_impulses: (V, 3) impulses of the tools on the nodes [kg u/s].
+        wrenches: (N + 1, 6) impulse, and its moment about the tool's origin, of the organs on each tool; in the last
+            row the impulse on the ground, with a moment of zero [kg u/s, kg u2/s].
+        numbers: (7,) indexed by the column names of the result in `settings`.
     """
 
     nodal_impulses: FloatArray
@@ -76,7 +76,7 @@ STEP_OUTCOME = types.NamedTuple([ARRAYS["f8_2"], ARRAYS["f8_2"], ARRAYS["f8"]], 
 
 @array_kernel
 def _squared_shift(before: np.ndarray, now: np.ndarray, i: int) -> float:
-    """The squared distance between two positions, of (V, 3) each, of a vertex [u2]."""
+    """The squared distance between the positions of vertex `i` in two arrays (V, 3) [u2]."""
     x, y, z = now[i, 0] - before[i, 0], now[i, 1] - before[i, 1], now[i, 2] - before[i, 2]
     squared: float = x * x + y * y + z * z
     return squared
@@ -84,18 +84,18 @@ def _squared_shift(before: np.ndarray, now: np.ndarray, i: int) -> float:
 
 @kernel("f8(f8[:,::1], f8[:,::1])")
 def largest_shift(before: np.ndarray, now: np.ndarray) -> float:
-    """The greatest distance between two positions of one vertex [u].
+    """The greatest distance that any vertex has moved between two times.
 
     Args:
-        before: (V, 3) [u].
-        now: (V, 3) [u].
+        before: (V, 3) positions at the first time [u].
+        now: (V, 3) positions at the second time [u].
 
     Returns:
-        It.
+        The distance [u].
     """
     count = before.shape[0]
     largest, of_odd = 0.0, 0.0
-    # Of two in turn, so that one comparison need not wait for the other.
+    # Two running maxima, of even and of odd vertices, so that one comparison need not wait for the other.
     for i in range(0, count - 1, 2):
         squared, other = _squared_shift(before, now, i), _squared_shift(before, now, i + 1)
         largest = squared if squared > largest else largest
@@ -113,17 +113,17 @@ def tool_passes(
     """Whether the box around a tool's path overlaps the box around the organs' motion.
 
     Args:
-        start_position: (3,) of the tool [u].
-        position: (3,) of the tool [u].
-        radius: Of a ball around the tool's origin that holds the tool [u].
-        before: (V, 3) of the organs [u].
-        now: (V, 3) of the organs [u].
+        start_position: (3,) of the tool before the motion [u].
+        position: (3,) of the tool after it [u].
+        radius: Radius of a ball around the tool's origin that contains the tool [u].
+        before: (V, 3) vertices of the organs before the motion [u].
+        now: (V, 3) vertices of the organs after it [u].
 
     Returns:
-        False if nothing can have met.
+        False if tool and organs cannot have met.
     """
-    # From the tool's side: whether any node is on this side of one of its box's faces, and any on that side; along all
-    # axes in one loop, as nodes lie in memory.
+    # The boxes overlap if along each axis some node is not above the tool's box and some node is not below it. All axes
+    # are checked in one loop, in the order in which nodes lie in memory.
     least_x, greatest_x = max(start_position[0], position[0]) + radius, min(start_position[0], position[0]) - radius
     least_y, greatest_y = max(start_position[1], position[1]) + radius, min(start_position[1], position[1]) - radius
     least_z, greatest_z = max(start_position[2], position[2]) + radius, min(start_position[2], position[2]) - radius
@@ -138,7 +138,7 @@ def tool_passes(
         above_x |= (x >= greatest_x) | (u >= greatest_x)
         above_y |= (y >= greatest_y) | (v >= greatest_y)
         above_z |= (z >= greatest_z) | (w >= greatest_z)
-        # Beside an organ a few nodes tell; looking after every one would take longer than they do.
+        # Beside an organ a few nodes decide; checking after every one would take longer than examining it.
         if i % NODES_AT_ONCE == 0 and below_x and below_y and below_z and above_x and above_y and above_z:
             return True
     return below_x and below_y and below_z and above_x and above_y and above_z
@@ -146,8 +146,11 @@ def tool_passes(
 
 @array_kernel
 def copy_points(points: np.ndarray, into: np.ndarray) -> None:
-    """Copy points (V, 3) into an array of that shape; assigning arrays compiles checks of their shapes, for seconds."""
-    # Of numbers in a row vector instructions are made.
+    """Copy points (V, 3) into an array of that shape.
+
+    An assignment of whole arrays would make Numba compile checks of their shapes, which takes seconds.
+    """
+    # Flat views, so that the loop is vectorised.
     numbers, copied = points.reshape(points.size), into.reshape(into.size)
     for k in range(numbers.shape[0]):
         copied[k] = numbers[k]

@@ -1,4 +1,4 @@
-"""What constraints hand on: multipliers to the next step's solves, and contacts to the end of their own step."""
+"""Constraints that outlive their query: multipliers that warm-start later solves, and contacts of earlier queries."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from spatula_env.contact.structures import (
 )
 
 MOST_PASSED = 512
-"""Most contacts remembered from earlier queries of a step."""
+"""Most contacts that are remembered from earlier queries of a step."""
 
 
 @array_kernel
 def start_warm(count: int, table: Any, column: int, known: int, warm: Any, scale: float) -> None:
-    """Give constraints multipliers, in three columns from `column`: `scale` times the displacements kept by name.
+    """Warm-start constraints: write `scale` times the displacements kept under the same names, from `column` on.
 
-    Both come in the order of their owners, so each is looked for among its owner's.
+    Both tables are sorted by owner, so each constraint is looked for among those of its owner.
     """
     rows, features, names = table.rows, table.features, table.names
     warm_rows, warm_features, warm_names = warm.rows, warm.features, warm.names
@@ -60,7 +60,7 @@ def start_warm(count: int, table: Any, column: int, known: int, warm: Any, scale
 def _push_part(
     rows: np.ndarray, features: np.ndarray, e: int, part: float, inverse_mass: np.ndarray, vertices: np.ndarray
 ) -> None:
-    """Apply `part` of a kept displacement to the vertices (V, 3) that it moved [u]."""
+    """Apply a fraction `part` of a kept constraint's displacement to its vertices in `vertices` (V, 3) [u]."""
     summed = 0.0
     for corner in range(3):
         vertex = features[e, corner]
@@ -76,7 +76,7 @@ def _push_part(
 
 @array_kernel
 def _height_over(rows: np.ndarray, features: np.ndarray, e: int, vertices: np.ndarray) -> float:
-    """Of a kept constraint's point over its plane, with vertices (V, 3) [u]."""
+    """Height of a kept constraint's point over its plane, with vertices (V, 3) [u]."""
     height, fourth = 0.0, features[e, FOURTH]
     summed = rows[e, WEIGHTS] + rows[e, WEIGHTS + 1] + rows[e, WEIGHTS + 2]
     for axis in range(3):
@@ -89,7 +89,7 @@ def _height_over(rows: np.ndarray, features: np.ndarray, e: int, vertices: np.nd
 
 @array_kernel
 def greatest_kept_depth(known: int, warm: Any, vertices: np.ndarray) -> float:
-    """How deep behind their planes the kept constraints have left the surface of vertices (V, 3), at most [u]."""
+    """Greatest depth of the surface behind the planes of the kept constraints, with vertices (V, 3) [u]."""
     rows, features, deepest = warm.rows, warm.features, 0.0
     for e in range(known):
         deepest = max(deepest, -_height_over(rows, features, e, vertices))
@@ -109,23 +109,24 @@ def expect_vertices(
     thrown: np.ndarray,
     expected: np.ndarray,
 ) -> None:
-    """Where contact will about put the organs' vertices: it undoes most of what it undid in the last step.
+    """Predict where contact will put the organs' vertices: it will undo about as much motion as in the last step.
 
-    Springs that a tool holds compressed throw the surface deep into it in every step, and where it was thrown says
-    little of where it touches. A contact that pushes less than it did would leave its plane; it is then undone only so
-    far that the surface stays a little behind the plane, where it is found.
+    Springs that a tool holds compressed throw the surface deep into the tool in every step, and the position that it is
+    thrown to says little about where it touches. Where a contact now pushes less, its last displacement would lift the
+    surface off the plane; it is then applied only so far that the surface stays slightly behind the plane, where the
+    contact is found.
 
     Args:
-        known: How many constraints were kept.
+        known: Number of constraints kept from the last step.
         warm: `ConstraintTable` of them; their points are moved on with the tools.
         inverse_mass: (V,) [1/kg].
         start_positions: (N, 3) of the tools before this step [u].
-        linear_velocities: (N, 3) [u/s].
-        angular_velocities: (N, 3) [rad/s].
-        dt: [s].
-        part: How much of a displacement is undone at most.
-        thrown: (V, 3) where the vertices come without contact [u].
-        expected: (V, 3) written [u].
+        linear_velocities: (N, 3) of the tools [u/s].
+        angular_velocities: (N, 3) of the tools [rad/s].
+        dt: Length of the step [s].
+        part: Greatest part of a displacement that is applied.
+        thrown: (V, 3) positions of the vertices without contact [u].
+        expected: (V, 3) written: the predicted positions [u].
     """
     rows, features = warm.rows, warm.features
     copy_points(thrown, expected)
@@ -153,14 +154,14 @@ def expect_vertices(
 
 @inline_kernel
 def keep_warm(count: int, table: Any, warm: Any) -> int:
-    """Keep a solve's displacements in `Constraints`, for the velocity solve and the next step; returns how many."""
+    """Keep the constraints with displacements in `Constraints`, to warm-start later solves. Returns their number."""
     reserve(warm, 0, count)
     return int(_copy_pushing(count, table, warm.table))
 
 
 @array_kernel
 def _copy_pushing(count: int, table: Any, into: Any) -> int:
-    """Copy the constraints that push to the first places of another table; returns how many there are."""
+    """Copy the constraints that push to the first places of another table. Returns how many there are."""
     rows, kept = table.rows, 0
     for c in range(count):
         if rows[c, DISPLACEMENT] != 0.0 or rows[c, DISPLACEMENT + 1] != 0.0 or rows[c, DISPLACEMENT + 2] != 0.0:
@@ -171,9 +172,9 @@ def _copy_pushing(count: int, table: Any, into: Any) -> int:
 
 @array_kernel
 def add_passed(count: int, passed: int, table: Any, earlier: Any, positions: np.ndarray) -> int:
-    """Append the contacts that pushed in an earlier query and are no longer there; without friction.
+    """Append the contacts that pushed in an earlier query of the step and are not in the table, without friction.
 
-    Their planes have moved on with the tools, to positions (N, 3). Returns the new count.
+    Their planes are moved on with the tools, which are at positions (N, 3) now. Returns the new count.
     """
     rows, features, names, current = table.rows, table.features, table.names, count
     for e in range(passed):
@@ -196,7 +197,7 @@ def add_passed(count: int, passed: int, table: Any, earlier: Any, positions: np.
 def note_passed(count: int, passed: int, table: Any, earlier: Any, position: np.ndarray) -> int:
     """Keep the tools' contacts that have just pushed, for the velocity solve at the end of the step.
 
-    Returns how many are kept. Their origin becomes the tool's position (N, 3) at this query.
+    The column of their origin is overwritten by the tool's position (N, 3) at this query. Returns how many are kept.
     """
     rows, features, names = table.rows, table.features, table.names
     earlier_rows = earlier.rows
@@ -226,7 +227,10 @@ def note_passed(count: int, passed: int, table: Any, earlier: Any, position: np.
 
 @array_kernel
 def sum_passed(passed: int, earlier: Any) -> None:
-    """Add up, in the columns of the impulse, what contacts have moved by in the queries so far; called after each."""
+    """Sum the kept contacts' displacements over the queries so far in the columns of the impulse.
+
+    It is called after each query.
+    """
     earlier_rows = earlier.rows
     for e in range(passed):
         for axis in range(3):
@@ -236,12 +240,12 @@ def sum_passed(passed: int, earlier: Any) -> None:
 
 @inline_kernel
 def keep_for_next(count: int, trial: Any, passed: int, earlier: Any, warm: Any) -> None:
-    """Keep what a step's contacts have moved by in all of its queries, for the next step.
+    """Keep the displacements of a step's contacts, summed over all of its queries, for the next step.
 
     Args:
-        count: How many constraints acted in the last query.
+        count: Number of constraints that pushed in the last query. Only these are kept.
         trial: `ConstraintTable` of them.
-        passed: How many acted in the queries before; those that are not among them any more are left out.
+        passed: Number of constraints that pushed in earlier queries.
         earlier: `ConstraintTable` of them, see `sum_passed`.
         warm: `Constraints`, written.
     """
@@ -252,7 +256,7 @@ def keep_for_next(count: int, trial: Any, passed: int, earlier: Any, warm: Any) 
 
 @array_kernel
 def _add_displacements(count: int, table: Any, passed: int, earlier: Any) -> None:
-    """Add what the same contacts moved by in earlier queries to their displacements."""
+    """Add the displacements of the same contacts in earlier queries to those of the table."""
     rows, features, names = table.rows, table.features, table.names
     for c in range(count):
         for e in range(passed):

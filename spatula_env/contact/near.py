@@ -1,12 +1,14 @@
-"""Which features of organs' surfaces may touch each other soon: vertices and triangles, edges and edges.
+"""Broad phase of self-contact: pairs of features of the organs' surfaces that may touch each other soon.
 
-They are found once and stay valid while no vertex gets farther than its reach from where it was then. How far a vertex
-reaches is how far the step throws it, and a margin. Boxes around patches of triangles tell what is far apart. Patches
-that share a vertex overlap always; they are looked at only where the surface around one of them is folded: a connected
-surface whose normals all are within a cone does not meet itself (Volino and Magnenat-Thalmann, Computer Graphics Forum
-13(3), 1994). Two patches by themselves are not enough: they may share a vertex alone, and a fold beside both brings
-them together though neither is folded. Pairs stay valid only while no such surface is folded, which a vertex can do
-within its reach.
+The pairs are a vertex and a triangle, or two edges. They are found once and stay valid while no vertex gets farther
+than its reach from where it was then. The reach of a vertex is the distance by which the step throws it, plus a margin.
+
+Boxes around patches of triangles rule out what is far apart. Patches that share a vertex always overlap; they are
+considered only where the surface around one of them is folded: a connected surface whose normals are all within a cone
+does not meet itself (Volino and Magnenat-Thalmann, Computer Graphics Forum 13(3), 1994). To test the two patches by
+themselves is not enough: they may share just one vertex, and a fold beside both brings them together although neither
+is folded. A vertex can fold the surface while it stays within its reach, so pairs also become invalid when a surface
+that was taken to be flat folds; see `has_turned`.
 """
 
 from __future__ import annotations
@@ -39,37 +41,40 @@ from spatula_env.contact.skin import (
 )
 
 MARGIN = 0.15
-"""How far vertices reach beyond what a step moves them by, in mean edges."""
+"""How far vertices reach beyond their motion in a step, in mean edges."""
 
 SOON = 0.3
-"""When some vertices have got out of reach, those that have used more than this of theirs are looked at again too."""
+"""When some vertices have got out of reach, those that have used more than this part of theirs are updated, too."""
 
 MOVING = 1.5
-"""So many times as far vertices reach that have got out of reach before: they go on, most of them. That costs little"""
+"""Factor on the margin of vertices that have got out of reach before, most of which go on moving. It is used only while
+there are few pairs (see `FEW_PAIRS`), where it costs little."""
 
 FEW_PAIRS = 2
-"""while there are fewer pairs than this for each vertex."""
+"""Number of pairs for each vertex below which there are few pairs."""
 
 MOST_PAIRS = 64
-"""For so many pairs of features for each vertex there is no use in looking: an organ has collapsed into a lump."""
+"""Most pairs of features for each vertex. Where there are more, an organ has collapsed into a lump, and the search is
+given up."""
 
 FLAT = math.radians(60.0)
-"""Neighbouring patches whose normals are within a cone of half this opening are flat [rad]."""
+"""Neighbouring patches are flat if a cone with this angle between its axis and its surface holds all their normals
+[rad]."""
 
 
 TURNED = math.radians(30.0)
-"""Flat patches are looked at again where a triangle has turned out of the cone of its patch by more than this: then two
-of them still are flat [rad]."""
+"""Pairs are found anew where a triangle of a flat patch has turned out of the patch's cone by more than this; if two
+flat patches have turned by less, their normals are still within a half-space [rad]."""
 
 CALM = 0.2
-"""Vertices that move by less than this part of a triangle's least height turn it by less than that."""
+"""Vertices that move by less than this part of a triangle's least height turn the triangle by less than `TURNED`."""
 
 
 @array_kernel
 def closest_on_edges(
     ux: float, uy: float, uz: float, vx: float, vy: float, vz: float, wx: float, wy: float, wz: float
 ) -> tuple[float, float]:
-    """Where two segments are closest to each other: fractions along u and v; w leads from v's start to u's.
+    """Closest points of two segments: fractions along u and along v; w leads from the start of v to the start of u.
 
     C. Ericson, Real-Time Collision Detection, 2005, section 5.1.9.
     """
@@ -87,14 +92,14 @@ def closest_on_edges(
 
 @inline_kernel
 def follow_motion(near: Any, points: np.ndarray) -> None:
-    """Move on where vertices were, when what is near was found, as they have rolled and slid since, to (V, 3) [u]."""
+    """Update `Near.placed` by the rigid motion that best takes the organs to their present vertices (V, 3) [u]."""
     fit_motion(near.found_at, points, near.rotation, near.motion)
     move_points(near.found_at, near.rotation, near.motion, near.placed)
 
 
 @inline_kernel
 def forget_gaps(near: Any) -> None:
-    """Have gaps of pairs measured anew: vertices come from somewhere else, or other pairs are near."""
+    """Mark all gaps of pairs as not measured, after the pairs or the positions that vertices come from have changed."""
     for kind in range(2):
         count = near.counts[VERTEX_PAIRS if kind == 0 else EDGE_PAIRS]
         gaps = near.vertex_gaps if kind == 0 else near.edge_gaps
@@ -110,7 +115,7 @@ def forget_gaps(near: Any) -> None:
 
 @inline_kernel
 def mark_beyond(near: Any, held: np.ndarray, points: np.ndarray, beyond: np.ndarray) -> None:
-    """Write which vertices are out of reach or will soon be, where they come from or where they are (V, 3) [u]."""
+    """Write which vertices are out of reach or soon will be, at `held` (V, 3) or at `points` (V, 3) [u]."""
     placed, reach = near.placed, near.reach
     for i in range(points.shape[0]):
         here, there = 0.0, 0.0
@@ -122,7 +127,7 @@ def mark_beyond(near: Any, held: np.ndarray, points: np.ndarray, beyond: np.ndar
 
 @array_kernel
 def _fill_held(placed: np.ndarray, held: np.ndarray, squared: np.ndarray) -> None:
-    """Write how far vertices (V, 3) are from where they are placed (3, V), squared."""
+    """Write the squared distances of vertices `held` (V, 3) from their positions `placed` (3, V)."""
     along_x, along_y, along_z = placed[0], placed[1], placed[2]
     for i in range(held.shape[0]):
         x, y, z = held[i, 0] - along_x[i], held[i, 1] - along_y[i], held[i, 2] - along_z[i]
@@ -133,8 +138,8 @@ def _fill_held(placed: np.ndarray, held: np.ndarray, squared: np.ndarray) -> Non
 def _fill_shifts(
     placed: np.ndarray, reach: np.ndarray, held: np.ndarray, points: np.ndarray, shift: np.ndarray
 ) -> bool:
-    """See `measure_shifts`; of what is held (V,) the squared shifts."""
-    # Plain, and with few arrays besides the one that is written: such a loop becomes vector instructions.
+    """Write the shifts of `measure_shifts`; `held` (V,) has the squared shifts of where the vertices come from."""
+    # A plain loop with few arrays besides the one that is written, so that it is vectorised.
     along_x, along_y, along_z = placed[0], placed[1], placed[2]
     beyond = False
     for i in range(points.shape[0]):
@@ -147,8 +152,8 @@ def _fill_shifts(
 
 @array_kernel
 def _greatest(values: np.ndarray) -> float:
-    """The greatest of some numbers (n,), none of them negative; 0 if there are none."""
-    # Four at a time, as each comparison waits for the one before.
+    """The greatest of some numbers (n,), none of which is negative; 0 if there are none."""
+    # Four running maxima, since each comparison with a single one would wait for the one before.
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     even = values.shape[0] // 4 * 4
     for i in range(0, even, 4):
@@ -160,7 +165,7 @@ def _greatest(values: np.ndarray) -> float:
 
 @array_kernel
 def _least(values: np.ndarray, count: int) -> float:
-    """The least of the first numbers of some (., ); infinite if there are none."""
+    """The least of the first `count` numbers of an array (.,); infinite if there are none."""
     least = np.inf
     for i in range(count):
         least = min(least, values[i])
@@ -169,7 +174,7 @@ def _least(values: np.ndarray, count: int) -> float:
 
 @inline_kernel
 def note_spans(near: Any) -> None:
-    """Write how far apart pairs are at least, and what leaves all patches calm; nothing has shifted yet."""
+    """Write the entries of `Near.spans` for pairs that have just been found, before anything has shifted."""
     spans, counts = near.spans, near.counts
     spans[FARTHEST], spans[CALM_SPAN] = 0.0, _least(near.calm, near.calm.shape[0])
     spans[VERTEX_SPAN] = _least(near.vertex_distances, counts[VERTEX_PAIRS])
@@ -178,7 +183,7 @@ def note_spans(near: Any) -> None:
 
 @inline_kernel
 def _measure_from_held(near: Any, points: np.ndarray) -> bool:
-    """See `measure_shifts`, where it is known how far vertices are that are held."""
+    """Write the shifts of `measure_shifts`, given the squared distances in `Near.held`."""
     shift = near.shift
     within = _fill_shifts(near.placed, near.reach, near.held, points, shift)
     near.spans[FARTHEST] = _greatest(shift)
@@ -187,15 +192,15 @@ def _measure_from_held(near: Any, points: np.ndarray) -> bool:
 
 @inline_kernel
 def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> bool:
-    """Write how far vertices have got from where they were when what is near was found.
+    """Write how far vertices are from their positions at the time when the near pairs were found.
 
     Args:
         near: `Near`.
-        held: (V, 3) where they come from [u].
-        points: (V, 3) where they are [u].
+        held: (V, 3) positions that the vertices come from [u].
+        points: (V, 3) their present positions [u].
 
     Returns:
-        Whether all of them are within reach, there and here.
+        Whether all of them are within reach at both positions.
     """
     _fill_held(near.placed, held, near.held)
     near.counts[HELD_IS_KNOWN] = 0
@@ -204,7 +209,7 @@ def measure_shifts(near: Any, held: np.ndarray, points: np.ndarray) -> bool:
 
 @inline_kernel
 def measure_shifts_again(near: Any, held: np.ndarray, points: np.ndarray, afresh: bool) -> bool:
-    """The same in pass after pass of a query, in which vertices come from where they did, unless it is afresh."""
+    """Do the same as `measure_shifts`, but reuse the distances of `held` from an earlier pass unless `afresh`."""
     if afresh or near.counts[HELD_IS_KNOWN] == 0:
         _fill_held(near.placed, held, near.held)
         near.counts[HELD_IS_KNOWN] = 1
@@ -213,7 +218,7 @@ def measure_shifts_again(near: Any, held: np.ndarray, points: np.ndarray, afresh
 
 @inline_kernel
 def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs and their distances, `count` of them, in arrays that have room for as many as are wanted."""
+    """Make room for `wanted` pairs and distances: the given arrays if they are large enough, or else larger copies."""
     if wanted <= pairs.shape[0] and wanted <= distances.shape[0]:
         return pairs, distances
     room = max(wanted + wanted // 4, 64)
@@ -227,14 +232,14 @@ def _with_room(pairs: np.ndarray, distances: np.ndarray, count: int, wanted: int
 
 @inline_kernel
 def _new_lists(pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Empty arrays of pairs and distances, with room for somewhat more than there were last."""
+    """Empty arrays of pairs and distances, with room for about a quarter more than the last `count`."""
     room = max(count + count // 4, 64)
     return np.empty((room, pairs.shape[1]), np.int32), np.empty(room)
 
 
 @array_kernel
 def _write_pair(pairs: np.ndarray, distances: np.ndarray, count: int, first: int, second: int, distance: float) -> int:
-    """Write one more pair after `count`, where there is room. Returns the new count."""
+    """Append a pair to `count` others; there must be room for it. Returns the new count."""
     for column in range(pairs.shape[1]):
         pairs[count, column] = 0
     pairs[count, 0], pairs[count, 1] = first, second
@@ -244,7 +249,7 @@ def _write_pair(pairs: np.ndarray, distances: np.ndarray, count: int, first: int
 
 @array_kernel
 def _least_height(points: np.ndarray, a: int, b: int, c: int) -> float:
-    """Of a triangle, vertices in points (3, V), over its longest side [u]."""
+    """The least height of a triangle, that over its longest side, with vertices in points (3, V) [u]."""
     ux, uy, uz = points[0, b] - points[0, a], points[1, b] - points[1, a], points[2, b] - points[2, a]
     vx, vy, vz = points[0, c] - points[0, a], points[1, c] - points[1, a], points[2, c] - points[2, a]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -270,7 +275,7 @@ def _fill_feature_boxes(
     points: np.ndarray, reach: np.ndarray, features: np.ndarray, order: np.ndarray, first: int, end: int,
     boxes: np.ndarray,
 ) -> None:  # fmt: skip
-    """Write the boxes (n, 6) around what the vertices of some edges (n, 2) or triangles (n, 3) can reach."""
+    """Write the bounding boxes (n, 6) of edges (n, 2) or triangles (n, 3), enlarged by the reach of their vertices."""
     corners = features.shape[1]
     for m in range(first, end):
         f = order[m]
@@ -285,7 +290,7 @@ def _fill_feature_boxes(
 
 @inline_kernel
 def _fill_box(skin: Any, near: Any, p: int, boxes: np.ndarray) -> None:
-    """Write the box around what a patch can reach into boxes (P, 6)."""
+    """Write the bounding box of patch `p`, enlarged by the reach of its vertices, into boxes (P, 6)."""
     points, reach, triangles, order = near.found_at, near.reach, skin.triangles, skin.triangle_order
     for axis in range(3):
         low, high = np.inf, -np.inf
@@ -298,7 +303,7 @@ def _fill_box(skin: Any, near: Any, p: int, boxes: np.ndarray) -> None:
 
 @inline_kernel
 def _fill_calm(skin: Any, near: Any, p: int) -> None:
-    """Write how far the vertices of a patch may get before a triangle may have turned much [u], and what is far."""
+    """Write `Near.calm` and `Near.steep` of patch `p`: when its triangles are to be checked, and for which angle."""
     points, triangles, order = near.found_at, skin.triangles, skin.triangle_order
     least = np.inf
     for m in range(skin.triangle_starts[p], skin.triangle_starts[p + 1]):
@@ -309,13 +314,13 @@ def _fill_calm(skin: Any, near: Any, p: int) -> None:
 
 @inline_kernel
 def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: np.ndarray) -> None:
-    """Write a cone around the normals of a patch's triangles: its axis, and half its opening, in cones (P, 4) [rad].
+    """Write a cone around the normals of a patch's triangles into cones (P, 4): its axis, and half its opening [rad].
 
     Args:
         skin: `Skin`.
         p: The patch.
-        start: (V, 3) before a step [u].
-        thrown: (V, 3) after it [u].
+        start: (V, 3) vertices before a step [u].
+        thrown: (V, 3) vertices after it [u].
         cones: Written.
     """
     first, end = skin.triangle_starts[p], skin.triangle_starts[p + 1]
@@ -349,7 +354,7 @@ def _fill_cone(skin: Any, p: int, start: np.ndarray, thrown: np.ndarray, cones: 
 def _mark_stirred(
     shift: np.ndarray, starts: np.ndarray, around: np.ndarray, calm: np.ndarray, stirred: np.ndarray
 ) -> None:
-    """Write which patches have a vertex that has got farther than leaves them calm; see `skin.Skin` and `skin.Near`."""
+    """Write which patches have a vertex that has moved farther than `Near.calm`; see `skin.Skin` and `skin.Near`."""
     least = np.inf
     for p in range(calm.shape[0]):
         stirred[p] = False
@@ -374,23 +379,26 @@ def _first_turned(
     shift: np.ndarray,
     points: np.ndarray,
 ) -> int:
-    """The first patch from one on of which a triangle has turned far out of its cone; how many there are if none has.
+    """The first patch, from index `first` on, of which a triangle has turned far out of its cone.
 
     Args:
         first: The patch to begin with.
-        triangles: See `skin.Skin`, as `order` and `starts`, of the triangles.
-        order: See there.
-        starts: See there.
-        cones: See `skin.Near`, as the next five.
-        calm: See there.
-        stirred: See there.
-        steep: See there.
-        rotation: See there.
-        shift: See there.
-        points: (V, 3) where the vertices are [u].
+        triangles: `triangles` of `skin.Skin`.
+        order: `triangle_order` of `skin.Skin`.
+        starts: `triangle_starts` of `skin.Skin`.
+        cones: `cones` of `skin.Near`.
+        calm: `calm` of `skin.Near`.
+        stirred: `stirred` of `skin.Near`.
+        steep: `steep` of `skin.Near`.
+        rotation: `rotation` of `skin.Near`.
+        shift: `shift` of `skin.Near`.
+        points: (V, 3) present positions of the vertices [u].
+
+    Returns:
+        Its index; the number of patches if there is none.
     """
     for p in range(first, calm.shape[0]):
-        # What is in no such cone is looked at anyway.
+        # A patch whose normals are in no such cone counts as folded anyway.
         if not stirred[p] or cones[p, 3] > FLAT:
             continue
         x, y, z = cones[p, 0], cones[p, 1], cones[p, 2]
@@ -412,7 +420,7 @@ def _first_turned(
 
 @inline_kernel
 def has_turned(skin: Any, near: Any, points: np.ndarray) -> bool:
-    """Whether a triangle has turned so far that its patch may be folded, where vertices (V, 3) are, shifts measured."""
+    """Whether a triangle has turned so far that its patch may be folded; shifts of vertices (V, 3) must be measured."""
     if near.spans[FARTHEST] <= near.spans[CALM_SPAN]:
         return False
     calm, stirred, shift = near.calm, near.stirred, near.shift
@@ -426,7 +434,7 @@ def has_turned(skin: Any, near: Any, points: np.ndarray) -> bool:
 
 @inline_kernel
 def mark_turned(skin: Any, near: Any, points: np.ndarray, beyond: np.ndarray) -> None:
-    """Mark the vertices (V,) of patches that may be folded, see `has_turned`."""
+    """Set the entries of `beyond` (V,) for the vertices of patches that may be folded; see `has_turned`."""
     triangles, order, starts, patches = skin.triangles, skin.triangle_order, skin.triangle_starts, near.calm.shape[0]
     calm, stirred, shift = near.calm, near.stirred, near.shift
     _mark_stirred(shift, skin.around_starts, skin.around, calm, stirred)
@@ -443,7 +451,7 @@ def mark_turned(skin: Any, near: Any, points: np.ndarray, beyond: np.ndarray) ->
 
 @array_kernel
 def _is_flat(cones: np.ndarray, p: int, q: int) -> bool:
-    """Whether the normals of two patches' triangles are in a cone."""
+    """Whether one cone of half-opening `FLAT` holds the normals of two patches' triangles."""
     if max(cones[p, 3], cones[q, 3]) > FLAT:
         return False
     along = cones[p, 0] * cones[q, 0] + cones[p, 1] * cones[q, 1] + cones[p, 2] * cones[q, 2]
@@ -452,25 +460,25 @@ def _is_flat(cones: np.ndarray, p: int, q: int) -> bool:
 
 @inline_kernel
 def _find_folded(skin: Any, near: Any, moved: np.ndarray) -> None:
-    """Write which patches are not flat with all of their neighbours; mark those that were flat as if they had moved."""
+    """Write which patches are not flat with all of their neighbours, and mark those that were flat before as moved."""
     starts, neighbours, cones, folded = skin.neighbour_starts, skin.neighbours, near.cones, near.folded
     for p in range(moved.shape[0]):
         is_known, is_folded = True, False
         for m in range(starts[p], starts[p + 1]):
             is_known &= not moved[neighbours[m]]
         if is_known:
-            # Its cone and theirs are as they were.
+            # Neither its cone nor theirs has changed.
             continue
         for m in range(starts[p], starts[p + 1]):
             is_folded |= not _is_flat(cones, p, neighbours[m])
-        # Its neighbours were not looked at.
+        # Pairs with its neighbours were left out while it was flat, and must be found now.
         moved[p] |= is_folded and not folded[p]
         folded[p] = is_folded
 
 
 @array_kernel
 def _sort_along_x(order: np.ndarray, boxes: np.ndarray) -> None:
-    """Sort patches by where their boxes begin; they are nearly in order from the last time."""
+    """Sort patches by the lower x of their boxes, by insertion: they are nearly in order from the last time."""
     for place in range(1, order.shape[0]):
         patch = order[place]
         k = place
@@ -482,7 +490,7 @@ def _sort_along_x(order: np.ndarray, boxes: np.ndarray) -> None:
 
 @inline_kernel
 def _close_patches(skin: Any, near: Any, moved: np.ndarray) -> np.ndarray:
-    """Pairs of patches that may meet, one of which has moved (P,), as first x P + second, ascending."""
+    """Pairs of patches that may meet and of which at least one has moved (P,), as first x P + second, ascending."""
     order, starts, neighbours, boxes, folded = (
         near.order, skin.neighbour_starts, skin.neighbours, near.boxes, near.folded,
     )  # fmt: skip
@@ -513,7 +521,7 @@ def _close_patches(skin: Any, near: Any, moved: np.ndarray) -> np.ndarray:
 
 @inline_kernel
 def _merged(kept: np.ndarray, moved: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Pairs of patches that were known and of which neither has moved (P,), and found ones, all ascending."""
+    """Merge the known pairs of patches, except those of which one has moved (P,), with those found; all ascending."""
     patches = moved.shape[0]
     pairs, count, place = np.empty(kept.shape[0] + found.shape[0], np.int64), 0, 0
     for pair in kept:
@@ -554,7 +562,7 @@ def _pair_vertices(near: Any, skin: Any, of_vertices: int, of_triangles: int, tr
     triangles, vertex_order, reach, points = skin.triangles, skin.vertex_order, near.reach, near.found_at
     pairs, count, distances, box = near.vertex_pairs, near.counts[VERTEX_PAIRS], near.vertex_distances, np.empty((1, 6))
     begin, stop = skin.vertex_starts[of_vertices], skin.vertex_starts[of_vertices + 1]
-    # At once for all: an array that may change in a loop has its references counted there.
+    # Reserve room for all before the loop: an array that may be replaced within it has its references counted there.
     pairs, distances = _with_room(pairs, distances, count, count + close * (stop - begin))
     for m in range(begin, stop):
         v = vertex_order[m]
@@ -619,7 +627,7 @@ def _pair_edges(near: Any, skin: Any, p: int, q: int, edge_boxes: np.ndarray) ->
 
 @array_kernel
 def _distance_to_edge(points: np.ndarray, corners: tuple[int, int, int], first: int, second: int) -> float:
-    """How far an edge is from a triangle at least: along its normal or across one of its sides [u]."""
+    """Lower bound on the distance of an edge from a triangle: along its normal, or across one of its sides [u]."""
     a, b, c = corners
     ux, uy, uz = points[0, b] - points[0, a], points[1, b] - points[1, a], points[2, b] - points[2, a]
     vx, vy, vz = points[0, c] - points[0, a], points[1, c] - points[1, a], points[2, c] - points[2, a]
@@ -631,7 +639,7 @@ def _distance_to_edge(points: np.ndarray, corners: tuple[int, int, int], first: 
     nx, ny, nz = scale * nx, scale * ny, scale * nz
     distance = 0.0
     for side in range(4):
-        # The plane itself, and those through the sides, upright on it.
+        # The planes through the sides, upright on the triangle's plane, and last that plane itself.
         start = a if side == 3 else (a if side == 0 else (b if side == 1 else c))
         mx, my, mz = nx, ny, nz
         if side < 3:
@@ -690,7 +698,7 @@ def _pair_crossings(
 def _fill_features(
     skin: Any, near: Any, p: int, filled: np.ndarray, edge_boxes: np.ndarray, triangle_boxes: np.ndarray
 ) -> None:
-    """Write the boxes around what the edges and triangles of a patch can reach, and that they are filled (P,)."""
+    """Write the boxes of a patch's edges and triangles, see `_fill_feature_boxes`, and mark it as filled (P,)."""
     filled[p] = True
     _fill_feature_boxes(
         near.found_at, near.reach, skin.edges, skin.edge_order, skin.edge_starts[p], skin.edge_starts[p + 1],
@@ -706,7 +714,7 @@ def _fill_features(
 def _copied(
     pairs: np.ndarray, distances: np.ndarray, count: int, old: np.ndarray, apart: np.ndarray, first: int, end: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs and their distances with some old ones more, from `first` to `end`; sides are kept."""
+    """Append the old pairs from `first` to `end`, with their distances and sides; returns arrays with room for them."""
     pairs, distances = _with_room(pairs, distances, count, count + end - first)
     for m in range(first, end):
         distances[count + m - first] = apart[m]
@@ -717,7 +725,7 @@ def _copied(
 
 @inline_kernel
 def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndarray, with_crossings: bool) -> None:
-    """Find the pairs of features in pairs of patches, ascending; those of patches that have not moved (P,) are kept."""
+    """Find the pairs of features in pairs of patches, ascending; keep those of patches that have not moved (P,)."""
     patch_count, total = near.order.shape[0], patch_pairs.shape[0]
     old_pairs, old_ends = near.patch_pairs, near.ends
     vertex_pairs, vertex_distances = near.vertex_pairs, near.vertex_distances
@@ -782,7 +790,7 @@ def _pair_features(skin: Any, near: Any, patch_pairs: np.ndarray, moved: np.ndar
 
 @kernel(types.void(SKIN, NEAR))
 def find_cross_pairs(skin: Any, near: Any) -> None:
-    """Find which edges and triangles may cross, among the patches that have been found to be near.
+    """Find the pairs of an edge and a triangle that may cross, among the pairs of patches that are near.
 
     Args:
         skin: `Skin`.
@@ -808,16 +816,16 @@ def find_cross_pairs(skin: Any, near: Any) -> None:
 
 @kernel(types.void(SKIN, NEAR, ARRAYS["f8_2"], ARRAYS["f8_2"], types.float64, ARRAYS["b1"]))
 def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margin: float, beyond: np.ndarray) -> None:
-    """Find which features are near each other.
+    """Find the pairs of features that are near each other.
 
     Args:
         skin: `Skin`.
         near: `Near`, written.
-        start: (V, 3) where the vertices are [u].
-        thrown: (V, 3) to where they may move at once [u].
+        start: (V, 3) present positions of the vertices [u].
+        thrown: (V, 3) positions to which they may move at once [u].
         margin: How far they reach beyond that [u].
-        beyond: (V,) which of them have got out of reach of where they were when that was found before. The others
-            count as there still, and what is near is found anew in patches with such vertices only.
+        beyond: (V,) vertices that have got out of their reach since the pairs were last found. The others count as
+            not having moved, and only patches with such vertices are searched anew.
     """
     points, placed, reach, patch_count = near.found_at, near.placed, near.reach, near.order.shape[0]
     whole, few = near.counts[IS_KNOWN] != 1, FEW_PAIRS * start.shape[0]
@@ -825,7 +833,7 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
         margin = MOVING * margin
     if whole:
         near.rotation[:], near.motion[:] = np.eye(3), 0.0
-    # As the vertices would be if the organs had not moved as a whole.
+    # Undo the rigid motion of the organs since all pairs were last found.
     unmoved, ahead = np.empty_like(start), np.empty_like(start)
     move_back(start, near.rotation, near.motion, unmoved)
     move_back(thrown, near.rotation, near.motion, ahead)
@@ -851,7 +859,7 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
     _find_folded(skin, near, moved)
     known = near.patch_pairs[: 0 if whole else near.counts[PATCH_PAIRS]]
     pairs = _merged(known, moved, _close_patches(skin, near, moved))
-    # What may cross is kept up to date while it is asked for, and else found when it is.
+    # Pairs that may cross are kept up to date while they are in use, and otherwise found when they are asked for.
     _pair_features(skin, near, pairs, moved, not whole and near.counts[CROSS_IS_KNOWN] == ASKED_FOR)
 
 
@@ -859,18 +867,18 @@ def find_near(skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, margi
 def find_as_before(
     skin: Any, near: Any, found_at: np.ndarray, reach: np.ndarray, cones: np.ndarray, patch_pairs: np.ndarray
 ) -> None:
-    """Find the same pairs as another time.
+    """Find the same pairs as at an earlier time.
 
-    Which neighbouring patches were flat then is not to be told from where they are now: without this, a state that is
-    restored would not go on as it did.
+    Which neighbouring patches were flat then cannot be told from their present positions: without this, a simulation
+    would continue differently from a restored state than it did from the original one.
 
     Args:
         skin: `Skin`.
         near: `Near`, written.
-        found_at: (3, V) where the vertices were then [u].
-        reach: (V,) how far they reached [u].
+        found_at: (3, V) positions of the vertices then [u].
+        reach: (V,) their reach [u].
         cones: (P, 4) around the patches' normals.
-        patch_pairs: (.,) the patches that might meet.
+        patch_pairs: (.,) pairs of patches that might meet.
     """
     near.found_at[:], near.placed[:], near.reach[:], near.cones[:] = found_at, found_at, reach, cones
     near.rotation[:], near.motion[:] = np.eye(3), 0.0

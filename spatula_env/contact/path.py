@@ -1,8 +1,8 @@
-"""Through which face of a tool a point of an organ has come.
+"""The face of a tool through which a point of an organ has come.
 
-Between two queries a point of the organ moves in the tool's frame from one place to another. Where it was is known to
-be outside of the tool, or on it. If the straight way between the places leads into the tool, the face through which it
-does is the one that pushes the point, however thin the tool is and wherever the way ends.
+Between two queries a point of the organ moves in the tool's frame from one place to another. At the first it was
+outside of the tool, or on it. If the straight path between the places leads into the tool, the face through which it
+enters is the one that pushes the point, however thin the tool is and wherever the path ends.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import numpy as np
 from spatula_env._kernels import array_kernel
 
 MARGIN = 1e-4
-"""What is no farther from a plane than this touches it [u]."""
+"""A point no farther from a plane than this touches it [u]."""
 
 SLACK = 2e-3
-"""How far behind a face a point may have been and still count as having been before it [u]: what the response may
-leave."""
+"""How far behind a face a point may have been and still count as having been before it, as the response may leave it
+there [u]."""
 
 RESIDUAL_TOLERANCE = 1e-3
-"""Contacts are looked for again, where the last solve has moved the organ to, until none is deeper than this [u]."""
+"""Contacts are looked for again at the positions that the last solve has found, until none is deeper than this [u]."""
 
 ON_PLANE = 1e-9
 """A point that ends no deeper than this behind a plane ends on it [u]."""
@@ -37,7 +37,7 @@ def entry_plane(
     plane_offsets: np.ndarray,
     touching: float,
 ) -> int:
-    """Through which plane a point came into a convex body.
+    """Find the plane through which a point came into a convex body.
 
     Args:
         ax: Where it was, in the body's frame [u].
@@ -48,13 +48,14 @@ def entry_plane(
         bz: Where it is.
         plane_normals: (P, 3) outward unit normals.
         plane_offsets: (P,) normal . x on each plane [u].
-        touching: A plane that the point ends this far before, or farther, it has not come through [u]. `MARGIN` for a
-            point that may rest on a plane; -`ON_PLANE` for one that was chosen to end on a plane and slides along it.
+        touching: The point has not come through a plane if its final height over it is this or more [u]. Use `MARGIN`
+            for a point that may rest on a plane; -`ON_PLANE` for one that was chosen to end on a plane and slides
+            along it.
 
     Returns:
         The plane's index, also if the point has left the body again on the other side; -1 if it was never inside. A
-        point that touches the body counts as inside. Where the point was inside already, the plane nearest to where
-        it was. Where it came in by an edge, the plane that it moves against fastest.
+        point that touches the body counts as inside. If the point was inside already, the plane nearest to where it
+        was. If it came in at an edge, the one of the planes there against which it moves fastest.
     """
     planes = plane_normals.shape[0]
     leaves = np.inf
@@ -69,7 +70,7 @@ def entry_plane(
             leaves = min(leaves, before / (before - after))
         elif before > nearest_before:
             nearest, nearest_before = p, before
-    # What the response left behind a face is let in through it only if no face is there that it was before.
+    # A face that the response left the point slightly behind counts only if there is no face that the point was before.
     for attempt in range(2):
         slack = MARGIN if attempt == 0 else SLACK
         enters = -1.0

@@ -1,10 +1,10 @@
-"""How the force on a tool is spread over its contact nodes.
+"""Distribution of the force on a tool over its contact nodes.
 
-The response pushes at a few points: where the organ's vertices and edges meet the tool. Between them the organ is a
-flat triangle, and how the force is spread there is not decided by it. Here each push is spread over the nodes around
-it on the face that it acts on, no farther than a mean edge of the organ, in parts that fall off with the distance
-and grow with a node's share of the face. Nodes in contact come first, if they are not too few; forces sum to the tool's
-force exactly.
+The response pushes at a few points, where the organ's vertices and edges meet the tool. Between them the organ is a
+flat triangle, which does not determine how the force is distributed there. Here each push is spread over the nodes
+around it on the face that it acts on, no farther than a mean edge of the organ. A node's part falls off with its
+distance and grows with its share of the face. Nodes in contact take precedence if they are not too few. The nodes'
+forces sum exactly to the force on the tool.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from spatula_env.contact.structures import CONSTRAINTS, IMPULSE, OWNER, PLANE, P
 F8, F8_2, I4 = ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i4"]
 
 LEAST_PART = 0.25
-"""A push is spread over nodes in contact if they are at least this part of the area over which it would be spread
-without regard to that. Less is not resolved by the organ's mesh: a pressure on the only node that happens to be in
-contact would be a matter of how densely the face is covered with nodes."""
+"""A push is spread over the nodes in contact alone if they make up at least this part of the (weighted) area over which
+it would be spread otherwise. A smaller area is not resolved by the organ's mesh: the pressure on the only node that
+happens to be in contact would depend on how densely the face is covered with nodes."""
 
 
 ANY_FACE = -2
-"""In the place of a face: any."""
+"""Value of a face's index that stands for any face."""
 
 
 @kernel(F8_2(CONSTRAINTS, types.int64))
@@ -46,7 +46,7 @@ def contact_table(constraints: Any, count: int) -> np.ndarray:
 
 @array_kernel
 def into_tool_frame(place: np.ndarray, position: np.ndarray, rotation: np.ndarray, point: np.ndarray) -> None:
-    """Write a point (3,) of the world in the frame of a tool at a position (3,), turned by a rotation matrix (9,)."""
+    """Write a world point `place` (3,) in the frame of a tool with a position (3,) and rotation matrix (9,)."""
     x, y, z = place[0] - position[0], place[1] - position[1], place[2] - position[2]
     for axis in range(3):
         point[axis] = rotation[axis] * x + rotation[3 + axis] * y + rotation[6 + axis] * z
@@ -64,14 +64,14 @@ def _fill_falloff(
     end: int,
     shares: np.ndarray,
 ) -> bool:
-    """Write what each node of a face would have of a push if all were alike in contact; see `share_push`.
+    """Write the share of each node of a face in a push, regardless of which nodes are in contact; see `share_push`.
 
     Returns:
-        Whether the face, or any if it is `ANY_FACE`, has nodes between `first` and `end`.
+        Whether the face, or any face if it is `ANY_FACE`, has nodes between `first` and `end`.
     """
     x, y, z, squared = point[0], point[1], point[2], reach * reach
     has_nodes = False
-    # Without a branch, for vector instructions.
+    # Without a branch, so that the loop is vectorised.
     for i in range(first, end):
         u, v, w = nodes[i, 0] - x, nodes[i, 1] - y, nodes[i, 2] - z
         falloff = 1.0 - (u * u + v * v + w * w) / squared
@@ -83,7 +83,7 @@ def _fill_falloff(
 
 @array_kernel
 def _nearest_node(point: np.ndarray, plane: int, nodes: np.ndarray, face: np.ndarray, first: int, end: int) -> int:
-    """The node of a face, or of any if it is `ANY_FACE`, from `first` to `end` that is nearest to a point (3,)."""
+    """The node of a face, or of any face if it is `ANY_FACE`, from `first` to `end` that is nearest to a point (3,)."""
     nearest, least = 0, np.inf
     for i in range(first, end):
         x, y, z = nodes[i, 0] - point[0], nodes[i, 1] - point[1], nodes[i, 2] - point[2]
@@ -106,24 +106,25 @@ def share_push(
     end: int,
     shares: np.ndarray,
 ) -> float:
-    """Share a push out among the nodes of a tool.
+    """Distribute a push over the nodes of a tool.
 
     Args:
-        point: (3,) where, tool frame [u].
-        plane: The face that it acts on.
+        point: (3,) where the push acts, tool frame [u].
+        plane: Index of the face that it acts on.
         nodes: (n, 3) tool frame [u].
-        face: (n,).
-        areas: (n,) [u2].
-        flags: (n,) nodes in contact.
-        reach: How far a push is spread [u].
-        first: No node of the face comes before this one.
-        end: Nor is this one of them, nor one after it.
-        shares: (n,) written, zero or more; from `first` to `end` if that is not nothing, and else all of them.
+        face: (n,) index of each node's face.
+        areas: (n,) each node's share of its face's area [u2].
+        flags: (n,) whether each node is in contact.
+        reach: Distance over which a push is spread [u].
+        first: Index of the first node that may belong to the face.
+        end: Index after the last node that may belong to the face.
+        shares: (n,) written: the nodes' shares, zero or more, from `first` to `end`; of all nodes if the face has
+            none.
 
     Returns:
-        Their sum.
+        The sum of the shares.
     """
-    # First the nodes of the face; where it has none, those of any.
+    # Use the nodes of the face; if it has none, those of all faces.
     low, high, touches = first, end, True
     if not _fill_falloff(point, plane, nodes, face, areas, reach, low, high, shares):
         low, high, touches = 0, nodes.shape[0], False
@@ -137,7 +138,7 @@ def share_push(
         return 1.0
     if touching == 0.0:
         return total
-    # Nodes in contact come first, the others only as far as those alone would be too small an area.
+    # Nodes in contact take precedence; the others get a share only if those alone would be too small an area.
     others = max(LEAST_PART * total - touching, 0.0) / (total - touching) if touching < total else 0.0
     for i in range(low, high):
         if not flags[i]:
@@ -159,20 +160,20 @@ def spread_forces(
     dt: float,
     forces: np.ndarray,
 ) -> None:
-    """Spread what the organs do to a tool over its nodes.
+    """Distribute the forces of the organs on a tool over its nodes.
 
     Args:
         table: (C, 8) from `contact_table`.
-        tool: Its index.
+        tool: Index of the tool.
         position: (3,) of the tool [u].
-        rotation: (9,) of the tool.
+        rotation: (9,) rotation matrix of the tool, row by row.
         nodes: (n, 3) tool frame [u].
-        face: (n,).
-        areas: (n,) [u2].
-        flags: (n,) nodes in contact.
-        reach: How far a push is spread [u].
+        face: (n,) index of each node's face.
+        areas: (n,) each node's share of its face's area [u2].
+        flags: (n,) whether each node is in contact.
+        reach: Distance over which a push is spread [u].
         dt: Length of the step [s].
-        forces: (n, 3) written, world frame [kg u/s2].
+        forces: (n, 3) written: force on each node, world frame [kg u/s2].
     """
     forces[:] = 0.0
     count = nodes.shape[0]
@@ -198,17 +199,17 @@ def tool_pressures(
     pressures: np.ndarray,
     face_pressures: np.ndarray,
 ) -> float:
-    """The pressure on a tool after a physics step.
+    """Compute the pressure on a tool after a physics step.
 
     Args:
         world: `WorldContacts`.
-        tool: Its index.
-        push_count: How many constraints count.
+        tool: Index of the tool.
+        push_count: Number of constraints.
         position: (3,) of the tool [u].
-        orientation: (4,) of the tool.
-        pressures: (n,) or more, written: on each node, what `spread_forces` gives as far as it is against the node's
-            face, by the node's share of the face [kg/(u s2)].
-        face_pressures: (F,) or more, the mean pressure on each face with nodes is added [kg/(u s2)].
+        orientation: (4,) unit quaternion xyzw of the tool.
+        pressures: (n,) or longer, written: pressure on each node, the component of the force of `spread_forces`
+            against the node's face, divided by the node's share of the face's area; never negative [kg/(u s2)].
+        face_pressures: (F,) or longer: the mean pressure on each face with nodes is added to it [kg/(u s2)].
 
     Returns:
         The greatest pressure on a node [kg/(u s2)].
@@ -240,7 +241,7 @@ def tool_pressures(
         for axis in range(3):
             impulse[axis] = rotation[axis] * x + rotation[3 + axis] * y + rotation[6 + axis] * z
         if features[c, PLANE] != plane:
-            # Pushes on one face follow each other; where its nodes are is looked up once.
+            # Pushes on one face mostly follow each other, so the range of its nodes is looked up once for all of them.
             plane, first, end = features[c, PLANE], count, 0
             for i in range(count):
                 if face[i] == plane:
@@ -255,7 +256,7 @@ def tool_pressures(
                 pressures[i] += against * shares[i] * scale / areas[i]
     greatest, begin = 0.0, 0
     while begin < count:
-        # Nodes of a face follow each other; where they do not, a face comes in several pieces.
+        # The nodes of a face follow each other; if they did not, each run of them would add a mean of its own.
         force, area, index = 0.0, 0.0, begin
         while index < count and face[index] == face[begin]:
             pressures[index] = max(pressures[index], 0.0)

@@ -1,8 +1,8 @@
-"""One query: where tools and organs have come to, what touches there, and where that puts the organs.
+"""One query: find the contacts at given poses of the tools and positions of the organs, and solve for the positions.
 
-Contacts are looked for, and solved for, in passes: where a solve has put the organ others may be met. A query ends when
-all of them hold, no tool is in an organ and no organ crosses itself; or when that cannot be had, with what comes
-nearest.
+Contacts are found and solved for in passes, because the organ may meet other contacts where a solve has put it. A query
+ends when all constraints hold, no tool is in an organ and no organ crosses itself; or, if that cannot be reached, with
+the best positions found.
 """
 
 from __future__ import annotations
@@ -51,26 +51,27 @@ POSITION_TOLERANCE = 3e-5
 """The position solve ends when a sweep moves no constrained point farther than this [u]."""
 
 MOST_PASSES = 10
-"""Most times that contacts are looked for in one query."""
+"""Most passes in one query, unless `goes_on` adds to them."""
 
 MOST_RETRIES = 4
-"""So many times it is gone on from where organs were held back from crossing,"""
+"""Most times that a query goes on from positions at which organs were held back from crossing."""
 
 RETRY_PASSES = 3
-"""and contacts are looked for so often each time."""
+"""Passes that each of these retries adds."""
 
 MOST_SUNK = 4
-"""So often a query goes on where the organ is still in a tool although all contacts that were found hold."""
+"""Most times that a query goes on because an organ is still in a tool although all contacts that were found hold."""
 
 MOST_LOOKS = 64
-"""More often than all of that together."""
+"""Upper bound on the passes of a query; more than all of the above add up to."""
 
 SUNK_DEPTH = 5e-3
-"""Where a solve could not keep the organ out by this much, it is helped by where the organ is [u]."""
+"""If a solve leaves the organ deeper in a tool than this, constraints are added for the triangles that are in the tool;
+see `sunk` [u]."""
 
 PASSES_WITH_FRICTION = 2
-"""Of later ones the second half of the sweeps leaves friction as it is. Sweeps of friction at more points than there
-are vertices may go in circles, pass after pass; those of what keeps surfaces apart converge."""
+"""In passes after these, the second half of the sweeps leaves friction as it is. Sweeps with friction at more points
+than there are vertices may cycle, pass after pass; sweeps of the normal constraints alone converge."""
 
 
 class QueryTools(NamedTuple):
@@ -81,11 +82,11 @@ class QueryTools(NamedTuple):
         rotation: (N, 9) its rotation matrix, row by row.
         last_position: (N, 3) at the last query [u].
         last_rotation: (N, 9).
-        linear_velocity: (N, 3) what it gives an organ at most [u/s].
-        angular_velocity: (N, 3) [rad/s].
-        passes: (N,) whether it comes near any organ in this step.
-        quiet: (N O,) whether it has not come near this organ since the last query.
-        looked_at: (N O,) workspace: pairs whose depth is asked for.
+        linear_velocity: (N, 3) of each tool, scaled down to the greatest speed that it may give an organ [u/s].
+        angular_velocity: (N, 3) likewise [rad/s].
+        passes: (N,) whether the tool comes near any organ in this step.
+        quiet: (N O,) whether the tool has not come near this organ since the last query.
+        looked_at: (N O,) workspace: pairs whose depth is to be measured.
     """
 
     position: np.ndarray
@@ -100,14 +101,14 @@ class QueryTools(NamedTuple):
 
 
 class QueryPoints(NamedTuple):
-    """Where the V vertices of all organs are in a query; (V, 3) each [u].
+    """Positions of the V vertices of all organs in a query; (V, 3) each [u].
 
     Attributes:
-        vertices: Where solves have put them; written.
-        reference: Where they were at the last query.
-        thrown: Where they would be without contact.
-        held: Where they were last on their right sides of each other; written.
-        kept: Workspace: what came nearest so far.
+        vertices: Their present positions, as solves have moved them; written.
+        reference: Their positions at the last query.
+        thrown: Their positions without contact.
+        held: Their last positions at which all features were on the right sides of each other; written.
+        kept: Workspace: the best positions so far.
     """
 
     vertices: np.ndarray
@@ -118,17 +119,17 @@ class QueryPoints(NamedTuple):
 
 
 class Meeting(NamedTuple):
-    """A tool and an organ.
+    """One pair of a tool and an organ.
 
     Attributes:
         tool: `ToolGeometry`.
         memory: `NodeMemory` of the two.
         organ: `LocalOrgan`.
         triangles: (T, 3) of the organ, counting its own vertices.
-        first_vertex: Of the organ, among all organs'.
+        first_vertex: Index of the organ's first vertex among those of all organs.
         friction: Coefficient.
         owner: The tool's index.
-        pair: Index of the two among all pairs of a tool (outer) and an organ (inner).
+        pair: Index of this pair among all pairs of a tool (outer) and an organ (inner).
     """
 
     tool: Any
@@ -142,16 +143,16 @@ class Meeting(NamedTuple):
 
 
 class QueryPlan(NamedTuple):
-    """What is asked of a query.
+    """Options of a query.
 
     Attributes:
         first_step: Code of the detectors' first step; 0 for the method's second step alone, on nodes.
         is_divided: Whether the tools' paths in this step are divided.
         is_only: Whether this is the step's only query.
-        is_last: Whether it is its last.
-        predicts: Whether the organs are expected where contact put them in the last step.
+        is_last: Whether this is the step's last query.
+        predicts: Whether the organs' positions are predicted from the last step's contacts.
         sweeps: Most sweeps in a solve.
-        relaxation: Factor on what a sweep changes.
+        relaxation: Over-relaxation factor of a sweep.
     """
 
     first_step: int
@@ -168,27 +169,27 @@ class QueryProgressType(types.StructRef):
     """Numba type of `QueryProgress`."""
 
     def preprocess_fields(self, fields: Any) -> Any:
-        """Types of numbers, not of the very numbers that a query begins with."""
+        """Replace literal types by the types of their values, so that the fields can be assigned other numbers."""
         return tuple((name, types.unliteral(kind)) for name, kind in fields)
 
 
 class QueryProgress(structref.StructRefProxy):
-    """How far a query has come, for kernels.
+    """Progress of a query, for kernels.
 
     Fields:
-        attempt: Which pass this is.
-        last_attempt: Which is the last one, as things are.
-        retries: How often it was gone on from where organs were held back.
-        tries: How often although all contacts held.
-        tried: How many constraints pushed in the last pass; they are in the world's `trial`.
-        passed: How many pushed in this step's earlier queries; they are in its `earlier`.
+        attempt: Index of the present pass.
+        last_attempt: Index of the last pass, as planned so far.
+        retries: How often the query has gone on from positions at which organs were held back from crossing.
+        tries: How often it has gone on because an organ was in a tool although all contacts held.
+        tried: Number of constraints that pushed in the last pass; they are in the world's `trial`.
+        passed: Number of constraints that pushed in this step's earlier queries; they are in the world's `earlier`.
         met: Whether organs have met themselves or each other.
-        sinks: Whether the solve is helped by where the organ is.
-        is_over: Whether nothing is solved any more: where the organs are has been decided.
-        afresh: Whether `QueryPoints.held` has changed since organs were last looked at.
-        depth: How deep tools and organs are in each other; what is allowed if it is no more than that [u].
-        least: The least that was [u].
-        crossed: In how many places organs crossed before the query.
+        sinks: Whether constraints are added for the triangles of an organ that are in a tool; see `sunk`.
+        is_over: Whether the positions of the organs are final, so that no further solve follows.
+        afresh: Whether `QueryPoints.held` has changed since contacts between organs were last gathered.
+        depth: How deep tools and organs are in each other; the allowed depth if it is no more than that [u].
+        least: The least such depth so far [u].
+        crossed: Number of places in which organs crossed before the query.
     """
 
 
@@ -212,7 +213,7 @@ def begin_query(near: Any, tried: int, passed: int) -> Any:
 
 @array_kernel
 def pose_tools(motions: Any, part: float, tools: Any, orientation: np.ndarray) -> None:
-    """Put the tools where they are after a part of the step; an orientation (4,), or more, is workspace."""
+    """Put the tools at their poses after a fraction `part` of the step; `orientation` (4,), or longer, is workspace."""
     for k in range(tools.position.shape[0]):
         for axis in range(3):
             way = motions.positions[k, axis] - motions.start_positions[k, axis]
@@ -223,7 +224,7 @@ def pose_tools(motions: Any, part: float, tools: Any, orientation: np.ndarray) -
 
 @array_kernel
 def remember_poses(tools: Any) -> None:
-    """Note where the tools are, for the next query."""
+    """Store the tools' poses for the next query."""
     for k in range(tools.position.shape[0]):
         for axis in range(3):
             tools.last_position[k, axis] = tools.position[k, axis]
@@ -251,7 +252,7 @@ def _all(values: np.ndarray) -> bool:
 
 @array_kernel
 def _detect_pair(met: Any, rays: Any, plan: Any, tools: Any, points: Any, axes: np.ndarray, normal: np.ndarray) -> int:
-    """See `detect`; of a `Meeting`."""
+    """Decide the flags of one tool's contact nodes and one organ, given as a `Meeting`; see `detect`."""
     tool, memory, organ, triangles, k = met.tool, met.memory, met.organ, met.triangles, met.owner
     if not tools.passes[k] and not _any(memory.flags):
         memory.unfeasible[:] = False
@@ -261,7 +262,7 @@ def _detect_pair(met: Any, rays: Any, plan: Any, tools: Any, points: Any, axes: 
     fill_local(tools.last_position[k], tools.last_rotation[k], points.reference, met.first_vertex, organ.last_local)
     fill_local(position, rotation, own, 0, organ.local)
     if _all(memory.outside) and find_candidates(tool.extent, organ, triangles) == 0:
-        # Nothing came near a tool that was outside.
+        # All nodes were outside the organ, and no triangle of it has come near the tool.
         memory.flags[:] = False
         memory.unfeasible[:] = False
         tools.quiet[met.pair] = True
@@ -280,10 +281,10 @@ def _detect_pair(met: Any, rays: Any, plan: Any, tools: Any, points: Any, axes: 
 
 @inline_kernel
 def detect(world: Any, plan: Any, tools: Any, points: Any) -> int:
-    """Decide the flags of all tools' contact nodes, where the organs would be without contact, as published.
+    """Decide the flags of all tools' contact nodes at the positions of the organs without contact, as published.
 
     Returns:
-        0; otherwise what `raycast.cast_columns` returned.
+        0 if all went well; otherwise the status of `raycast.cast_columns`.
     """
     organ_count, scratch = len(world.surfaces), world.room.scratch
     axes, normal = scratch.axes, scratch.normal
@@ -317,10 +318,10 @@ def _append_contacts(
     scratch: Any,
     numbers: np.ndarray,
 ) -> int:
-    """See `_gather_pair`.
+    """Append the constraints of a tool and an organ in one pass, if there is room for them; see `_gather_pair`.
 
     Returns:
-        The new count; where there is no room, minus the room that is wanted, and nothing is done yet.
+        The new count; if there is not enough room, minus the capacity that is needed, and nothing has been appended.
     """
     tool, memory, organ, triangles, k = met.tool, met.memory, met.organ, met.triangles, met.owner
     first, with_features = met.first_vertex, plan.first_step != 0
@@ -347,14 +348,14 @@ def _append_contacts(
                 attempt, tried, trial, scratch,
             )  # fmt: skip
             scratch.listed[0] = met.pair
-        # Where less was thrown into the tool than expected, it is looked where that really is.
+        # The predicted positions may have no contact where the positions without contact do; then the latter are used.
         if attempt > 0 or not plan.predicts or count > before:
             break
     if count > before:
-        # Contact moves the organ on from where its nodes were found to be outside.
+        # Contact will move the organ, so that the nodes found to be outside may not stay so.
         memory.outside[:] = False
     if attempt == 0:
-        # A tool that was put into an organ came through no face. Then the published method decides.
+        # If a tool was put into an organ, the surface came through none of its faces; the published method decides.
         if with_features and count == before and not _any(memory.flags):
             for grade in (1, 0):
                 if decide_flags(
@@ -382,7 +383,7 @@ def _gather_pair(
     count: int,
     numbers: np.ndarray,
 ) -> int:
-    """Append the constraints of a tool and an organ in one pass, making room for them. Returns the new count."""
+    """Append the constraints of tool `k` and organ `o` in one pass, making room for them. Returns the new count."""
     index, constraints = k * len(world.surfaces) + o, world.constraints
     shape, both, trial, scratch = world.tools[k], world.memories[index], world.trial.table, world.room.scratch
     met = Meeting(
@@ -401,10 +402,10 @@ def _gather_pair(
 
 @inline_kernel
 def gather_contacts(world: Any, plan: Any, tools: Any, points: Any, progress: Any, numbers: np.ndarray) -> int:
-    """Write the constraints of one pass: of organs with each other, with the ground and with tools.
+    """Write the constraints of one pass: of organs with themselves and each other, with the ground and with tools.
 
     Returns:
-        How many there are.
+        The number of constraints.
     """
     settings, constraints, count, vertices = world.settings, world.constraints, 0, points.vertices
     if settings[KEEPS_APART] > 0.0:
@@ -430,10 +431,11 @@ def gather_contacts(world: Any, plan: Any, tools: Any, points: Any, progress: An
 def measure_tools(
     world: Any, plan: Any, tools: Any, vertices: np.ndarray, attempt: int, is_placed: bool = False
 ) -> float:
-    """How deep tools and organs are in each other [u], where vertices (V, 3) are: what is allowed if it is no more.
+    """Measure how deep tools and organs are in each other [u], with vertices (V, 3).
 
-    Between queries it is enough to know that it is not too deep. If contacts have just been looked for where the
-    vertices are, in a later pass than the first, the organs are placed beside the tools already (`is_placed`).
+    Returns the allowed depth if it is no deeper than that: zero in the step's last query; `RESIDUAL_TOLERANCE` in
+    earlier ones, where it is enough to know that it is not too deep. Set `is_placed` if the memories' `local` holds
+    the organs at these vertices already: contacts have then just been gathered there, in a pass after the first.
     """
     organ_count = len(world.surfaces)
     for k in range(tools.position.shape[0]):
@@ -450,7 +452,7 @@ def measure_tools(
 
 @inline_kernel
 def _uncross(world: Any, points: Any, known: int, held: np.ndarray, vertices: np.ndarray) -> bool:
-    """Hold vertices (V, 3) back from crossing, coming from where they were held (V, 3). Returns whether any was."""
+    """Hold vertices (V, 3) back from crossing on their way from `held` (V, 3). Returns whether any was held back."""
     return bool(
         keep_uncrossed(
             world.skin, world.near, world.inverse_mass, known, world.trial.table, held, vertices,
@@ -461,14 +463,17 @@ def _uncross(world: Any, points: Any, known: int, held: np.ndarray, vertices: np
 
 @inline_kernel
 def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any, crosses: bool) -> bool:
-    """Have the organs keep their places beside the tools where nothing else helps, if that is better.
+    """Let the organs keep their places relative to the tools, as a last resort, unless that makes matters worse.
+
+    First only the parts near the tools move with them (skipped if organs begin to cross); then the rest of the organs
+    also goes back to its positions at the last query; see `arrest.arrest`.
 
     Returns:
         Whether it was tried.
     """
     near, tool_count, crossings = world.near, tools.position.shape[0], world.near.crossing[skin.CROSSINGS]
     begins_to_cross = crossings > 0.0 and progress.crossed == 0.0
-    # A tool that goes far in a step is where it is by its way alone.
+    # Beside a tool that moves far in a step, the paths alone decide where the organ is: it is not held in its place.
     if plan.is_divided or tool_count == 0 or not (progress.depth > SUNK_DEPTH or begins_to_cross):
         return False
     for stage in range(1 if begins_to_cross else 0, 2):
@@ -494,25 +499,26 @@ def _arrest_tools(world: Any, plan: Any, tools: Any, points: Any, progress: Any,
 
 @inline_kernel
 def _allowed_depth(plan: Any) -> float:
-    """How deep an organ may be left in a tool before it is helped by where it is [u]."""
+    """Greatest depth of an organ in a tool at which no constraints for the triangles in the tool are added [u]."""
     if not plan.is_divided:
         return RESIDUAL_TOLERANCE
-    # What comes next shows by its way where it came in; at the end of a way nothing comes any more.
+    # In later queries of a divided step the paths of points still tell which face they came through; after the last
+    # query none follows.
     return SUNK_DEPTH if plan.is_last else np.inf
 
 
 @inline_kernel
 def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settled: bool) -> bool:
-    """Whether contacts are looked for again, although they hold (`settled`) or it was tried often enough.
+    """Decide whether a query goes on after its constraints hold (`settled`) or its planned passes are used up.
 
-    That is so where a tool is in an organ still, or organs cross; the organs are then put where that is not so.
+    It does if a tool is still in an organ, or if organs cross; crossing organs are first moved to where they do not.
     """
     near, attempt, vertices = world.near, progress.attempt, points.vertices
     with_features = plan.first_step != 0
     if with_features:
         progress.depth = measure_tools(world, plan, tools, vertices, attempt, True)
     if progress.depth > _allowed_depth(plan) and progress.tries < MOST_SUNK:
-        # Rows are missing, or could not be kept.
+        # Constraints are missing, or could not be fulfilled.
         progress.sinks = progress.sinks or settled or progress.depth > SUNK_DEPTH
         if progress.depth < progress.least:
             progress.least = progress.depth
@@ -525,7 +531,8 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
         progress.depth = progress.least
     crosses = progress.met or near.crossing[skin.CROSSINGS] > 0.0
     if not crosses and world.settings[KEEPS_APART] > 0.0:
-        # What has folded may cross where nobody has looked. Shifts were measured when contacts were looked for.
+        # Where the surface has folded, it may cross outside the known pairs. The shifts were measured when the contacts
+        # were gathered.
         if progress.is_over:
             measure_shifts(near, points.held, vertices)
         crosses = near.counts[skin.IS_KNOWN] != 1 or has_turned(world.skin, near, vertices)
@@ -535,7 +542,7 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
             progress.depth = measure_tools(world, plan, tools, vertices, attempt)
         most = MOST_RETRIES if progress.depth > SUNK_DEPTH else 1
         if progress.retries < most:
-            # Tools go on, and push where the organ has been left.
+            # Go on with the tools' contacts from where the organs have been put.
             remember_sides(near, progress.tried, world.trial.table)
             copy_points(vertices, points.held)
             progress.retries, progress.last_attempt = progress.retries + 1, attempt + RETRY_PASSES
@@ -551,30 +558,30 @@ def goes_on(world: Any, plan: Any, tools: Any, points: Any, progress: Any, settl
 def solve_contacts(
     world: Any, plan: Any, points: Any, progress: Any, count: int, islands: int, order: np.ndarray, starts: np.ndarray
 ) -> None:
-    """Move the organs to where the constraints of a pass hold.
+    """Move the organs to positions at which the constraints of a pass hold.
 
     Args:
         world: `WorldContacts`; its constraints have been measured.
         plan: `QueryPlan`.
         points: `QueryPoints`; vertices are moved.
         progress: `QueryProgress`.
-        count: How many constraints there are.
-        islands: How many islands, see `islands.find_islands`, as the next two.
-        order: (C,).
-        starts: (N + 2,).
+        count: Number of constraints.
+        islands: Number of islands of constraints; see `islands.find_islands` for this and the next two.
+        order: (C,) constraints in the order in which they are solved.
+        starts: (N + 2,) where each island begins in `order`.
     """
     table, inverse_mass, vertices = world.constraints.table, world.inverse_mass, points.vertices
     rows, features, sweeps, attempt = table.rows, table.features, plan.sweeps, progress.attempt
     if attempt == 0 and plan.is_last and (plan.predicts or plan.is_only):
-        # From here on the organs are where they would be without contact, and what pushes them is known.
+        # Solve from the positions without contact, warm-started with the last step's displacements.
         if plan.predicts:
             copy_points(points.thrown, vertices)
         start_warm(count, table, DISPLACEMENT, world.warm_count[0], world.warm.table, 1.0)
         start_pushed(count, rows, features, inverse_mass, DISPLACEMENT, vertices)
     if attempt > 0:
-        # What has pushed already may give way again.
+        # Constraints that pushed in the last pass keep their multipliers, so that they may give way again.
         start_warm(count, table, DISPLACEMENT, progress.tried, world.trial.table, 1.0)
-    # What stands on the ground by itself is settled by one sweep.
+    # Ground constraints that share no vertex with others are solved by one sweep.
     solve_positions(order[: starts[0]], rows, features, inverse_mass, vertices, 1, POSITION_TOLERANCE, 1)
     frictional = sweeps if attempt < PASSES_WITH_FRICTION else sweeps // 2
     for island in range(islands):
@@ -609,7 +616,8 @@ def resolve_query(
         numbers: Columns of the result; penetration is written.
 
     Returns:
-        How many constraints there are, how many islands of them, and their order (C,); see `islands.find_islands`.
+        The number of constraints, the number of islands, and the order of the constraints (C,); see
+        `islands.find_islands`.
     """
     inverse_mass, mean, tool_count = world.inverse_mass, world.settings[MEAN_INVERSE_MASS], tools.position.shape[0]
     copy_points(points.reference, points.held)
@@ -620,7 +628,7 @@ def resolve_query(
         measure_gaps(count, table.rows, table.features, inverse_mass, mean, points.vertices)
         order = np.empty(count, np.int64)
         islands = find_islands(count, table.features, inverse_mass, tool_count, order, room)
-        # The first solve is there for friction too, which holds a surface that only touches.
+        # The first pass is always solved, also for friction, which holds a surface that only touches.
         settled = attempt > 0 and greatest_violation(order, table.rows, table.features) <= RESIDUAL_TOLERANCE
         if settled or attempt >= progress.last_attempt or progress.is_over:
             if progress.is_over or not goes_on(world, plan, tools, points, progress, settled):

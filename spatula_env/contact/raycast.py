@@ -1,9 +1,9 @@
-"""Where rays meet a triangle surface.
+"""Intersections of rays with a triangle surface.
 
-Two forms of one question. `intersect_triangle` is Möller and Trumbore's test (Fast, minimum storage ray-triangle
-intersection, Journal of Graphics Tools 2(1), 1997) for one ray and one triangle; `cast_ray` applies it to every
-triangle. `cast_columns` answers it for all lines of a tool at once: in the frame of a group of parallel lines the
-test becomes two-dimensional, most triangles fall outside the group's rectangle, and each line asks only the few
+There are two ways to compute them. `intersect_triangle` is Möller and Trumbore's test (Fast, minimum storage
+ray-triangle intersection, Journal of Graphics Tools 2(1), 1997) for one ray and one triangle; `cast_ray` applies it to
+every triangle. `cast_columns` casts all rays of a tool at once: in the frame of a group of parallel lines the test
+becomes two-dimensional, most triangles fall outside the group's rectangle, and each line is tested only with the few
 triangles above or below it.
 
 `cast_columns` is watertight. The side of an edge on which a line passes is decided by the sign of a 2 x 2
@@ -84,7 +84,7 @@ def intersect_triangle(
 def _first_met(
     ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, vertices: np.ndarray, triangles: np.ndarray
 ) -> tuple[int, float, float, float, float]:
-    """See `cast_ray`."""
+    """Implementation of `cast_ray`, with the ray's origin and direction as scalars."""
     best, best_t, best_v, best_w, facing = NO_HIT, np.inf, 0.0, 0.0, 0.0
     for k in range(triangles.shape[0]):
         a, b, c = vertices[triangles[k, 0]], vertices[triangles[k, 1]], vertices[triangles[k, 2]]
@@ -178,7 +178,7 @@ def line_meets_triangle(
     cu: float,
     cv: float,
 ) -> tuple[int, float, float, float]:
-    """Whether the point p lies in the triangle (a, b, c) of the plane, every point of the plane in one triangle only.
+    """Whether a point p lies in a triangle (a, b, c) of the plane; in a mesh, each point lies in one triangle only.
 
     Returns:
         (facing, weight_a, weight_b, weight_c): +1 if the triangle is counter-clockwise about p (its normal has a
@@ -276,13 +276,13 @@ def _project(
     local: np.ndarray,
     codes: np.ndarray,
 ) -> bool:
-    """Write vertices (V, 3) along a group's axes (9,) into local (3, V), and beyond which of its bounds (4,) they are.
+    """Write vertices (V, 3) in a group's axes (9,) into local (3, V), and beyond which of its bounds (4,) they are.
 
     Returns:
-        Whether they are numbers.
+        Whether all coordinates are finite.
     """
     least_u, greatest_u, least_v, greatest_v = bounds[0], bounds[1], bounds[2], bounds[3]
-    # Loops this plain become vector instructions.
+    # Plain loops, so that they are vectorised.
     along_u, along_v, along_w = local[0], local[1], local[2]
     for i in range(vertices.shape[0]):
         x, y, z = vertices[i, 0] - position[0], vertices[i, 1] - position[1], vertices[i, 2] - position[2]
@@ -307,7 +307,7 @@ def _record_on_line(
     facing: int,
     triangle: int,
 ) -> None:
-    """Keep where a line meets a triangle, at a height w, for the two nodes (2,) on it, or -1."""
+    """Record the meeting of a line and a triangle at a height w, for the two nodes (2,) on the line, -1 for none."""
     plus, minus = nodes[0], nodes[1]
     if plus >= 0:
         # The node on the +w face looks inwards along -w and outwards along +w.
@@ -330,11 +330,11 @@ def _record_on_line(
 def _cast_group(
     group: int, rays: Any, local: np.ndarray, codes: np.ndarray, triangles: np.ndarray, memory: Any
 ) -> None:
-    """Cast the rays of a group, each at the triangles (T, 3) that meet its line; see `_project`."""
+    """Cast the rays of a group at the triangles (T, 3), whose vertices `_project` has written."""
     row_u, row_columns, column_v = rays.row_u, rays.row_columns, rays.column_v
     first_row, last_row = rays.group_rows[group], rays.group_rows[group + 1]
     for k in range(triangles.shape[0]):
-        # Unsigned, so that no index is taken to count from the end.
+        # Unsigned, so that Numba does not check for negative indices, which count from the end.
         a, b, c = np.uint32(triangles[k, 0]), np.uint32(triangles[k, 1]), np.uint32(triangles[k, 2])
         if codes[a] & codes[b] & codes[c]:
             continue

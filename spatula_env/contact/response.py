@@ -1,6 +1,6 @@
-"""From contacts to motion: the organ is moved out of the tool, and the momentum that takes is what the tool feels.
+"""Contact response: solve for the displacements and impulses that keep organs out of tools.
 
-Both halves are projected Gauss-Seidel sweeps over unilateral constraints, over-relaxed (Young, Transactions of the
+Both solves are projected Gauss-Seidel sweeps over unilateral constraints, over-relaxed (Young, Transactions of the
 American Mathematical Society 76, 1954; for inequalities Cryer, SIAM Journal on Control 9, 1971). A constraint holds one
 point of the organ's surface, s = sum of weight x vertex, on the far side of a plane with normal n through a point p:
 
@@ -38,11 +38,11 @@ from spatula_env.contact.structures import (
 )
 
 OVER_RELAXATION = 1.4
-"""Factor on what a sweep changes. Projected Gauss-Seidel converges with less than 2; where many constraints hold the
-same few vertices, as under a spatula, it is after 25 sweeps with this factor where it would be after 50 with 1."""
+"""Relaxation factor of a sweep. Projected Gauss-Seidel converges with factors below 2; where many constraints hold the
+same few vertices, as under a spatula, 25 sweeps with this factor achieve what 50 sweeps with 1 do."""
 
 GREATEST_PUSH = 2.0
-"""Two points of organs are pushed apart in one solve by so many times what is missing at most."""
+"""One solve pushes two points of organs apart by at most this multiple of their violation, plus their separation."""
 
 
 @array_kernel
@@ -71,7 +71,7 @@ def _push(
     dz: float,
     of: np.ndarray,
 ) -> None:
-    """Apply a displacement or an impulse to the vertices that carry a constrained point."""
+    """Apply a constraint's displacement or impulse to the positions or velocities `of` (V, 3) of its vertices."""
     wi, wj, wk = (
         row[WEIGHTS] * inverse_mass[i],
         row[WEIGHTS + 1] * inverse_mass[j],
@@ -104,8 +104,9 @@ def measure_gaps(
 ) -> float:
     """Write gap and inertia of all constraints, and return the greatest violation [u].
 
-    Beside a fixed vertex a point of a triangle hardly moves however far the free vertices are moved. The inertia is
-    therefore reckoned as if fixed vertices were like others: what cannot be moved is not thrown.
+    Beside a fixed vertex a point of a triangle hardly moves, however far the free vertices are moved. The inertia is
+    therefore computed as if fixed vertices had the mean inverse mass: otherwise free vertices would be thrown far in
+    order to move a point that cannot be moved.
     """
     worst = 0.0
     for c in range(count):
@@ -138,9 +139,10 @@ def measure_gaps(
 def start_pushed(
     count: int, rows: np.ndarray, features: np.ndarray, inverse_mass: np.ndarray, column: int, of: np.ndarray
 ) -> None:
-    """Begin a solve with multipliers that are there already, in three columns from `column`.
+    """Warm-start a solve: apply the multipliers that the three columns from `column` hold already.
 
-    They are brought into the friction cone of the present normal and applied to positions or velocities (V, 3).
+    They are first projected onto the friction cone of the present normal, and then applied to positions or velocities
+    `of` (V, 3).
     """
     for c in range(count):
         row = rows[c]
@@ -156,9 +158,9 @@ def start_pushed(
 
 @array_kernel
 def _bound_pushes(order: np.ndarray, rows: np.ndarray, features: np.ndarray) -> None:
-    """Write how far each constraint between organs may push at most, in the place of its impulse.
+    """Write the greatest multiplier of each constraint between organs in the place of its impulse.
 
-    Some of what is asked for there may contradict the rest, and sweeps would push ever farther.
+    Such constraints may contradict each other, and without a bound sweeps would push ever farther.
     """
     for c in order:
         if features[c, OWNER] == ORGANS:
@@ -185,23 +187,25 @@ def solve_positions(
     """Move the vertices until a sweep moves no constrained point by more than `tolerance`.
 
     Args:
-        order: Which constraints are solved, in this order.
-        rows: See `structures.Constraints`; displacements are added to, inertia must have been measured.
-        features: See there.
+        order: Indices of the constraints to solve, in the order in which they are solved.
+        rows: See `structures.ConstraintTable`; displacements are added to, inertia must have been measured.
+        features: See `structures.ConstraintTable`.
         inverse_mass: (V,) [1/kg].
         vertices: (V, 3) positions; changed [u].
         sweeps: Greatest number of sweeps.
-        tolerance: [u].
-        frictional: After so many sweeps friction stays as it is, and what keeps surfaces apart is solved for alone.
-        over_relaxation: Factor on what a sweep changes.
+        tolerance: Motion of a constrained point in a sweep at which the solve ends [u].
+        frictional: After this many sweeps the friction multipliers stay as they are, and only the normal ones are
+            solved for.
+        over_relaxation: Relaxation factor of a sweep.
 
     Returns:
-        How many sweeps it took.
+        The number of sweeps.
     """
     _bound_pushes(order, rows, features)
     done = sweeps
     for sweep in range(sweeps):
-        # The first sweep settles what stands alone, and the last one leaves nothing overdone.
+        # No over-relaxation in the first sweep, which solves constraints without neighbours exactly, nor in the last
+        # one, so that no constraint is left overshot.
         relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
         sticks = sweep < frictional
         moved = 0.0
@@ -261,24 +265,25 @@ def solve_velocities(
     tolerance: float,
     over_relaxation: float = OVER_RELAXATION,
 ) -> int:
-    """Change the vertices' velocities by impulses until a sweep changes none by more than `tolerance`.
+    """Change the vertices' velocities by impulses until a sweep changes no constrained point by more than `tolerance`.
 
     Args:
-        order: Which constraints are solved, in this order.
-        rows: See `structures.Constraints`; impulses are added to, gap and inertia must have been measured.
-        features: See there.
+        order: Indices of the constraints to solve, in the order in which they are solved.
+        rows: See `structures.ConstraintTable`; impulses are added to, gap and inertia must have been measured.
+        features: See `structures.ConstraintTable`.
         inverse_mass: (V,) [1/kg].
         velocities: (V, 3) of the vertices; changed [u/s].
         dt: Length of the step [s].
         sweeps: Greatest number of sweeps.
-        tolerance: [u/s].
-        over_relaxation: Factor on what a sweep changes.
+        tolerance: Change of a constrained point's velocity in a sweep at which the solve ends [u/s].
+        over_relaxation: Relaxation factor of a sweep.
 
     Returns:
-        How many sweeps it took.
+        The number of sweeps.
     """
     for sweep in range(sweeps):
-        # The first sweep settles what stands alone, and the last one leaves nothing overdone.
+        # No over-relaxation in the first sweep, which solves constraints without neighbours exactly, nor in the last
+        # one, so that no constraint is left overshot.
         relaxation = 1.0 if sweep == 0 or sweep == sweeps - 1 else over_relaxation
         moved = 0.0
         for c in order:
@@ -330,7 +335,18 @@ def sum_impulses(
     nodal_impulses: np.ndarray,
     wrenches: np.ndarray,
 ) -> None:
-    """Add up the impulses of a solve, for each node and each tool."""
+    """Sum the impulses of a solve for each node and each tool.
+
+    Args:
+        count: Number of constraints.
+        rows: See `structures.ConstraintTable`; where a tool gives an impulse, POINT becomes the contact point.
+        features: See `structures.ConstraintTable`.
+        tool_count: N.
+        positions: (N, 3) of the tools' origins, about which moments are taken [u].
+        vertices: (V, 3) [u].
+        nodal_impulses: (V, 3) written: impulses of the tools on the nodes [kg u/s].
+        wrenches: (N + 1, 6) written: see `motion.StepOutcome`.
+    """
     nodal_impulses[:] = 0.0
     wrenches[:] = 0.0
     for c in range(count):

@@ -30,15 +30,15 @@ def turn(rotation: np.ndarray, vector: np.ndarray) -> tuple[float, float, float]
 
 @array_kernel
 def opposes_best(normal: np.ndarray, face_normal: np.ndarray, face_normals: np.ndarray) -> bool:
-    """Whether no face of a tool opposes a triangle clearly better than this one.
+    """Whether no face of a tool opposes a triangle clearly better than a given one.
 
     A plane that has come into a convex body is pushed out of it by the face that opposes the plane most: the body's
-    outermost point on that side is one of this face.
+    outermost point on that side lies on this face.
 
     Args:
-        normal: (3,) of the triangle, unit, tool frame.
-        face_normal: (3,) of the face asked about.
-        face_normals: (F, 3) of all faces with contact nodes.
+        normal: (3,) unit normal of the triangle, tool frame.
+        face_normal: (3,) unit normal of the given face.
+        face_normals: (F, 3) unit normals of the faces to compare it with.
     """
     opposition = -dot(normal, face_normal)
     for f in range(face_normals.shape[0]):

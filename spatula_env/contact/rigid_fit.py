@@ -1,4 +1,7 @@
-"""Which rigid motion takes points to where they are now: organs that roll stay as near to themselves as before."""
+"""The rigid motion that best takes points to their present positions.
+
+Contact of organs with themselves discounts it: an organ that rolls as a whole gets no nearer to itself.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,21 @@ import numpy as np
 from spatula_env._kernels import array_kernel, inline_kernel
 
 ITERATIONS = 12
-"""Most steps of Newton's method for the rotation; a few do."""
+"""Most steps of Newton's method for the rotation; a few suffice."""
 
 CONVERGED = 1e-9
-"""Greatest change in the last one."""
+"""Greatest change of an entry in the last of these steps."""
 
 FITTED = 64
-"""Where there are many points, about so many of them tell how all go."""
+"""About how many of the points are fitted where there are many."""
 
 DEGENERATE = 1e-6
-"""Points with a smaller determinant than this, in their size, tell no rotation."""
+"""Least determinant of the points' matrix, scaled to a greatest entry of 1, from which a rotation is found."""
 
 
 @inline_kernel
 def _polar(matrix: np.ndarray) -> bool:
-    """Replace a matrix (3, 3) by the rotation in its polar decomposition; whether there is one.
+    """Replace a matrix (3, 3) by the rotation in its polar decomposition. Returns whether there is one.
 
     N. J. Higham, SIAM Journal on Scientific and Statistical Computing 7(4), 1986.
     """
@@ -57,8 +60,8 @@ def _polar(matrix: np.ndarray) -> bool:
 
 @array_kernel
 def _sum_points(before: np.ndarray, now: np.ndarray, step: int) -> tuple[float, float, float, float, float, float]:
-    """The sums of points (3, V) and of others (V, 3), every so many."""
-    # Sums are numbers: in arrays each would be written and read again for every point.
+    """The sums of every `step`-th of points `before` (3, V) and of points `now` (V, 3)."""
+    # Sums are scalars: in arrays each would be written and read again for every point.
     x, y, z, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(0, now.shape[0], step):
         x, y, z = x + before[0, i], y + before[1, i], z + before[2, i]
@@ -71,7 +74,7 @@ def _fill_products(
     before: np.ndarray, now: np.ndarray, step: int, first: tuple[float, float, float],
     second: tuple[float, float, float], sums: np.ndarray,
 ) -> None:  # fmt: skip
-    """Write the sums of products (3, 3) of points (V, 3) from `second` and what they were (3, V) from `first`."""
+    """Write the sums of products (3, 3) of points `now` (V, 3), less `second`, and `before` (3, V), less `first`."""
     first_x, first_y, first_z = first
     second_x, second_y, second_z = second
     xx, xy, xz, yx, yy, yz, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -88,13 +91,16 @@ def _fill_products(
 
 @inline_kernel
 def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> None:
-    """Write the rigid motion that takes points to where they are now in the sense of least squares, about.
+    """Write the rigid motion that takes points to their present positions in the sense of least squares.
+
+    It is approximate, as only about `FITTED` of many points are used. If they determine no rotation, it is a
+    translation.
 
     Args:
-        before: (3, V) [u].
-        now: (V, 3) [u].
+        before: (3, V) earlier positions [u].
+        now: (V, 3) present positions [u].
         rotation: (3, 3) written.
-        shift: (3,) written: a point x has gone to rotation x + shift [u].
+        shift: (3,) written: a point x has moved to rotation x + shift [u].
     """
     step = max(1, now.shape[0] // FITTED)
     count = (now.shape[0] + step - 1) // step
@@ -113,7 +119,7 @@ def fit_motion(before: np.ndarray, now: np.ndarray, rotation: np.ndarray, shift:
 
 @array_kernel
 def move_points(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, moved: np.ndarray) -> None:
-    """Write where a rigid motion takes points (3, V) [u] into an array of that shape."""
+    """Apply a rigid motion to points (3, V) [u]; the result is written into `moved` (3, V)."""
     for axis in range(3):
         a, b, c, d = rotation[axis, 0], rotation[axis, 1], rotation[axis, 2], shift[axis]
         for i in range(points.shape[1]):
@@ -122,7 +128,7 @@ def move_points(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, mov
 
 @array_kernel
 def move_back(points: np.ndarray, rotation: np.ndarray, shift: np.ndarray, moved: np.ndarray) -> None:
-    """Write from where a rigid motion takes points to (V, 3) [u], into an array of that shape."""
+    """Apply the inverse of a rigid motion to points (V, 3) [u]; the result is written into `moved` (V, 3)."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0] - shift[0], points[i, 1] - shift[1], points[i, 2] - shift[2]
         for axis in range(3):

@@ -1,4 +1,4 @@
-"""Constraints of one query: how a row is written, and how it is named."""
+"""Writing and naming of the constraints of a query."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ from spatula_env.contact.structures import (
 )
 
 ON_NODE, ON_VERTEX, ON_CORNER, ON_EDGE, ON_GROUND, ON_TRIANGLE, ON_EDGES, ON_SURFACE = 0, 1, 2, 3, 4, 5, 6, 7
-"""Kinds of constraints, in their names."""
+"""Kinds of constraints, as encoded in their names."""
 
 
 @array_kernel
 def constraint_name(kind: int, of_tool: int, first: int, second: int) -> int:
-    """A number that tells features apart: of the tool (up to 2**20), and two vertices of the organ (up to 2**20)."""
+    """A number that identifies a constraint by its kind and its features.
+
+    These are a feature of the tool and two features of the organs, all with indices below 2**20.
+    """
     name: int = (kind << 60) | (of_tool << 40) | (first << 20) | second
     return name
 
@@ -50,11 +53,11 @@ def append_constraint(
 
     Args:
         table: `ConstraintTable` with room for it.
-        count: How many there are.
-        corners: Three vertices of the organ.
-        weights: Theirs.
-        normal: Towards the organ, tool frame.
-        point: Of the plane, tool frame [u].
+        count: Number of constraints so far.
+        corners: Three vertices of the organ, counting its own.
+        weights: Weights of these vertices.
+        normal: Normal of the plane, towards the organ, tool frame.
+        point: A point of the plane, tool frame [u].
         last: (3, V) the organ in the tool's frame at the last query [u].
         placement: `Placement` of the tool.
         plane: The tool's face.

@@ -1,13 +1,13 @@
 """Contact of organs with themselves and with each other: surfaces that came near stay on the side that they came from.
 
-Two features can keep surfaces apart: a vertex and a triangle, and two edges. Where they were at the last query tells
-the side; a pair that pushed in the last step remembers its own, as contact nodes of a tool remember their flags, for
-what the solve has left may be on the wrong side by a little. Surfaces are kept a small distance apart for the same
-reason.
+Surfaces are kept apart by pairs of features: a vertex and a triangle, or two edges. The side is that on which the
+features were at the last query. A pair that pushed in the last step remembers its side, as contact nodes of a tool
+remember their flags, because a solve may leave the features slightly on the wrong side. Surfaces are kept a small
+distance apart for the same reason.
 
 A pair makes one constraint of four vertices: the point of one feature stays on one side of the point of the other. The
-weights of one point are positive and those of the other negative, so momentum is kept whatever the solve does. See
-`response` for the solve and `near` for which pairs are looked at.
+weights of one point are positive and those of the other negative, and all sum to zero, so the solve conserves momentum
+even if it has not converged. See `response` for the solve, and `near` for the broad phase that finds the pairs.
 """
 
 from __future__ import annotations
@@ -66,23 +66,26 @@ from spatula_env.contact.structures import (
 from spatula_env.contact.tangles import find_crossings, hold_back
 
 SEPARATION = 0.03
-"""How far apart surfaces are kept, in mean edges of the organ with the smallest."""
+"""How far apart surfaces are kept, in mean edges of the organ with the smallest mean edge."""
 
 TOUCHING = 2.0
-"""Pairs that are this many times as far apart as they are kept touch: what comes closer in the step is stopped."""
+"""Pairs no farther apart than this, as a multiple of the distance at which they are kept, make a constraint, so that
+they are stopped if they come closer in the step."""
 
 OUTSIDE = 0.02
-"""How far outside of a triangle or beyond the end of an edge, in its size, a point may be and still count as on it."""
+"""How far outside of a triangle or beyond the end of an edge a point may be and still count as on it, relative to the
+size of the feature."""
 
 PARALLEL = 1e-3
 """Squared sine of the angle between edges below which they are parallel; vertices then keep them apart."""
 
 DEEPEST = 0.5
-"""A pair that is farther on its wrong side than this, in mean edges, is not pushed back: it has come there round
-something else."""
+"""A pair that is farther on its wrong side than this, in mean edges, is not pushed back: it has come there some other
+way than through each other."""
 
 SPREAD = 0x1E3779B97F4A7C15
-"""What names are multiplied by where they are looked up: odd, with bits everywhere; the golden section's, halved."""
+"""Multiplier of the hash function of names: odd, with set bits all over; that of the golden ratio, without its highest
+bit."""
 
 SIDE_BIT = 1 << 40
 """Added to a pair's name if the second feature, or the vertex, is on the inner side."""
@@ -90,7 +93,11 @@ SIDE_BIT = 1 << 40
 
 @array_kernel
 def _fill_sides(points: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool, sides: np.ndarray) -> None:
-    """Write u, v, w (9,): of a triangle a, b, c two sides and the way to a vertex d; or of edges a, b and c, d."""
+    """Write the vectors u, v and w (9,) of a pair of features.
+
+    For a triangle a, b, c and a vertex d: u = b - a, v = c - a, w = d - a. For edges a, b and c, d: u = b - a,
+    v = d - c, w = c - a.
+    """
     for axis in range(3):
         start = points[a, axis]
         sides[axis] = points[b, axis] - start
@@ -104,12 +111,12 @@ def _fill_sides(points: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bo
 
 @array_kernel
 def _gap(sides: np.ndarray, is_edges: bool, corners: np.ndarray) -> float:
-    """How far apart two features are [u].
+    """The distance between two features [u].
 
     Args:
         sides: (9,) see `_fill_sides`.
-        is_edges: Whether these are edges.
-        corners: (3, 3) workspace, of zeros in its first column.
+        is_edges: Whether they are two edges, or else a triangle and a vertex.
+        corners: (3, 3) workspace, with zeros in its first column.
     """
     x, y, z = sides[6], sides[7], sides[8]
     if is_edges:
@@ -127,10 +134,11 @@ def _gap(sides: np.ndarray, is_edges: bool, corners: np.ndarray) -> float:
 
 @array_kernel
 def _fill_place(sides: np.ndarray, is_edges: bool, place: np.ndarray) -> None:
-    """Write where two features are closest: of a triangle the weights of b and c; of edges the fractions along both.
+    """Write where a triangle's plane is closest to a vertex, or two edges' lines to each other, into place (3,).
 
-    The third number (3,) is how far outside of the features that is, as a fraction of their size; infinite if they have
-    no extent or edges are parallel.
+    The first two numbers are the weights of the triangle's corners b and c, or the fractions along both edges. The
+    third is how far outside of the features that is, as a fraction of their size: negative inside, and infinite if the
+    features have no extent or the edges are parallel.
     """
     uu, uv, vv, uw, vw = 0.0, 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
@@ -149,7 +157,7 @@ def _fill_place(sides: np.ndarray, is_edges: bool, place: np.ndarray) -> None:
 
 @array_kernel
 def _fill_normal(sides: np.ndarray, normal: np.ndarray) -> float:
-    """Write the direction of u x v (3,), and return how far w goes along it; a normal of zeros if there is none."""
+    """Write the unit vector along u x v (3,), or zeros if that vanishes. Returns the component of w along it."""
     ux, uy, uz, vx, vy, vz = sides[0], sides[1], sides[2], sides[3], sides[4], sides[5]
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     length = np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -171,27 +179,28 @@ def _side_held(
     place: np.ndarray,
     room: np.ndarray,
 ) -> int:
-    """On which side of each other two features are to be held, if they have met or are close.
+    """Decide on which side of each other two features are to be held, if they have met or are close.
 
     Args:
         before: (9,) u, v, w at the last query, see `_fill_sides` [u].
-        now: (9,) now [u].
-        is_edges: Whether these are edges.
-        known: The side on which they were held in the last step; 0 if they were not.
-        touching: How far apart they are at most if they touch [u].
-        deepest: How far on the wrong side they are at most, where they have not been seen to meet [u].
-        normal: (3,) written: direction of u x v now.
-        place: (3,) written: where on the features, see `_fill_place`.
+        now: (9,) the same now [u].
+        is_edges: Whether they are two edges, or else a triangle and a vertex.
+        known: The side on which they were held in the last step; 0 if they were not held.
+        touching: Greatest distance at which features touch [u].
+        deepest: Greatest distance on the wrong side at which features are still held on the known side if no meeting
+            between the two times was found [u].
+        normal: (3,) written: unit vector along u x v now.
+        place: (3,) written: where on the features they are held, see `_fill_place`.
         room: (3, 9) workspace.
 
     Returns:
-        1 if w is to go along the normal, -1 if against it, 0 if they are left alone.
+        1 if w is to point along the normal, -1 if against it, 0 if the features are not held.
     """
     distance = _fill_normal(now, normal)
     if known * distance > touching:
         return 0
     if known != 0:
-        # What has slid off a feature may come back to it from the other side.
+        # Forget the side of features that have slid off each other: they may come back from the other side.
         _fill_place(before, is_edges, place)
         if not place[2] <= OUTSIDE:
             known = 0
@@ -203,7 +212,7 @@ def _side_held(
                 between[entry] = before[entry] + roots[k] * (now[entry] - before[entry])
             _fill_place(between, is_edges, place)
             if place[2] <= OUTSIDE:
-                # Before its first root a cubic has the sign that it begins with, and changes it at each.
+                # The cubic has the sign of its first value up to its first root, and changes it at each root.
                 side = 1 if (volume[0] > 0.0) == (k % 2 == 0) else -1
                 side = known if known != 0 else side
                 return side if side * distance <= touching else 0
@@ -230,7 +239,7 @@ def append_pair(
     friction: float,
     name: int,
 ) -> int:
-    """Append a constraint between two points of organs; the fourth vertex's weight makes their sum zero."""
+    """Append a constraint between two points of organs; the fourth vertex's weight makes the weights sum to zero."""
     i, j, k, fourth = vertices
     row, features = table.rows[count], table.features[count]
     features[0], features[1], features[2], features[FOURTH] = i, j, k, fourth
@@ -254,7 +263,7 @@ def append_pair(
 
 @array_kernel
 def _is_left_out(left_out: np.ndarray, name: int) -> bool:
-    """Whether a name without a side is among those (., ), which are sorted."""
+    """Whether a name without a side is among `left_out` (.,), which is sorted."""
     place = np.searchsorted(left_out, name)
     return bool(place < left_out.shape[0] and left_out[place] == name)
 
@@ -263,12 +272,12 @@ class _Pairs(NamedTuple):
     """Pairs of features of one kind.
 
     Attributes:
-        pairs: (., 3) see `skin.Near`, as the next.
-        distances: (.,) [u].
-        gaps: (.,) measured where they are negative [u].
-        edges: (., 2) see `skin.Skin`, as the next two.
-        triangles: (., 3).
-        left_out: (.,).
+        pairs: (., 3) `vertex_pairs` or `edge_pairs` of `skin.Near`.
+        distances: (.,) `vertex_distances` or `edge_distances` of `skin.Near` [u].
+        gaps: (.,) `vertex_gaps` or `edge_gaps` of `skin.Near`; negative ones are still to be measured [u].
+        edges: (E, 2) of `skin.Skin`.
+        triangles: (T, 3) of `skin.Skin`.
+        left_out: (.,) of `skin.Skin`.
     """
 
     pairs: np.ndarray
@@ -283,12 +292,12 @@ class _Vertices(NamedTuple):
     """The V vertices of all organs.
 
     Attributes:
-        held: (V, 3) as in `gather_organs`, as the next two [u].
-        vertices: (V, 3) [u].
-        reference: (V, 3) [u].
-        placed: (3, V) see `skin.Near`, as the next two [u].
-        shift: (V,) [u].
-        tangled: (V,).
+        held: (V, 3) as in `gather_organs` [u].
+        vertices: (V, 3) as in `gather_organs` [u].
+        reference: (V, 3) as in `gather_organs` [u].
+        placed: (3, V) of `skin.Near` [u].
+        shift: (V,) of `skin.Near` [u].
+        tangled: (V,) of `skin.Near`.
     """
 
     held: np.ndarray
@@ -301,7 +310,7 @@ class _Vertices(NamedTuple):
 
 @array_kernel
 def _shift_of_both(of: np.ndarray, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
-    """How far the vertices of one feature have got at most and those of the other, together [u]; of shifts (V,)."""
+    """The greatest shift of a vertex of one feature plus the greatest of the other, from shifts `of` (V,) [u]."""
     if is_edges:
         return float(max(of[a], of[b]) + max(of[c], of[d]))
     return float(max(of[a], of[b], of[c]) + of[d])
@@ -309,7 +318,7 @@ def _shift_of_both(of: np.ndarray, a: int, b: int, c: int, d: int, is_edges: boo
 
 @array_kernel
 def _squared_way(organs: Any, i: int) -> float:
-    """How far a vertex has got from where it was last on its right side, squared [u2]."""
+    """The squared distance of a vertex from its last position on its right side [u2]."""
     squared = 0.0
     for axis in range(3):
         placed = organs.placed[axis, i]
@@ -320,7 +329,7 @@ def _squared_way(organs: Any, i: int) -> float:
 
 @array_kernel
 def _way_of_both(organs: Any, a: int, b: int, c: int, d: int, is_edges: bool) -> float:
-    """How far the vertices of one feature have got from there at most and those of the other, together [u]."""
+    """The greatest distance of `_squared_way` of a vertex of one feature plus the greatest of the other [u]."""
     of_a, of_b, of_c, of_d = (
         _squared_way(organs, a), _squared_way(organs, b), _squared_way(organs, c), _squared_way(organs, d),
     )  # fmt: skip
@@ -343,7 +352,7 @@ def _append_pairs(
     table: Any,
     count: int,
 ) -> tuple[int, int]:
-    """Append constraints of some pairs of features while there is room for them, and measure what is not known.
+    """Append constraints of some pairs of features while there is room for them, and measure their unknown gaps.
 
     Args:
         is_edges: Whether they are pairs of edges, or of a vertex and a triangle.
@@ -352,14 +361,14 @@ def _append_pairs(
         of: `_Pairs`.
         organs: `_Vertices`.
         is_tangled: Whether organs cross.
-        mean_edge: As in `gather_organs`, as the next.
-        friction: See there.
-        room: (10, 9) workspace, of zeros where nobody has written.
+        mean_edge: As in `gather_organs` [u].
+        friction: As in `gather_organs`.
+        room: (10, 9) workspace, with zeros where nothing has been written yet.
         table: `ConstraintTable`.
-        count: How many constraints there are.
+        count: Number of constraints so far.
 
     Returns:
-        How many there are then, and the index of the first pair that was not looked at, for want of room.
+        The new number of constraints, and the index of the first pair that was left for want of room (`end` if none).
     """
     before, now, normal, place, corners = room[0], room[1], room[2], room[3], room[4:7, :3]
     separation, deepest, gaps, tangled = SEPARATION * mean_edge, DEEPEST * mean_edge, of.gaps, organs.tangled
@@ -370,13 +379,13 @@ def _append_pairs(
             a, b, c, d = edges[first, 0], edges[first, 1], edges[second, 0], edges[second, 1]
         else:
             a, b, c, d = triangles[second, 0], triangles[second, 1], triangles[second, 2], first
-        # What was farther apart than it has moved since does not touch.
+        # Features that were farther apart than they have moved since do not touch.
         if _shift_of_both(organs.shift, a, b, c, d, is_edges) < of.distances[m] - touching:
             continue
         way = _way_of_both(organs, a, b, c, d, is_edges)
         if way < gaps[m] - touching:
             continue
-        # Of what crosses nobody knows the side: it is left to the springs to pull it apart.
+        # The side of features that cross is unknown: it is left to the springs to pull them apart.
         if is_tangled and tangled[d] and (tangled[a] or tangled[b] or tangled[c]):
             continue
         _fill_sides(organs.held, a, b, c, d, is_edges, before)
@@ -393,7 +402,7 @@ def _append_pairs(
             continue
         if count == table.names.shape[0]:
             return count, m
-        # The fourth vertex is one of the first edge, or what has come to the triangle.
+        # The fourth vertex is the end of the first edge, or the vertex that has come to the triangle.
         if is_edges:
             s, t = min(max(place[0], 0.0), 1.0), min(max(place[1], 0.0), 1.0)
             a, b, c, d = c, d, a, b
@@ -421,8 +430,8 @@ def _gather_pairs(
     friction: float,
     room: np.ndarray,
 ) -> int:
-    """Append constraints of vertices that came to a triangle, or of edges that came to each other."""
-    # What was farther apart than anything has moved since does not touch.
+    """Append the constraints of pairs of one kind (`is_edges`); arguments as in `gather_organs`."""
+    # If even the closest pair was farther apart than any two vertices have moved since, no pair touches.
     nearest = near.spans[EDGE_SPAN if is_edges else VERTEX_SPAN] - TOUCHING * (SEPARATION * mean_edge)
     if 2.0 * near.spans[FARTHEST] < nearest:
         return count
@@ -462,27 +471,27 @@ def gather_organs(
     friction: float,
     afresh: bool,
 ) -> int:
-    """Append constraints where organs have come to themselves or to each other, making room for them.
+    """Append constraints where organs have come near themselves or each other, making room for them.
 
     Args:
         constraints: `Constraints`.
-        count: How many there are already.
+        count: Number of constraints so far.
         skin: `Skin`.
-        near: `Near`; what is near is found anew if a vertex has got out of reach.
-        held: (V, 3) where the vertices were last on their right sides [u].
-        vertices: (V, 3) where they are [u].
-        thrown: (V, 3) where they would be without contact [u].
-        reference: (V, 3) where they were at the last query, from which friction counts [u].
-        mean_edge: Of the organ with the smallest [u].
-        friction: Coefficient between organs.
-        afresh: Whether `held` has changed since the last time.
+        near: `Near`; its pairs are found anew if a vertex has got out of reach.
+        held: (V, 3) last positions of the vertices on their right sides [u].
+        vertices: (V, 3) their present positions [u].
+        thrown: (V, 3) their positions without contact [u].
+        reference: (V, 3) their positions at the last query, from which slip is measured for friction [u].
+        mean_edge: Mean edge of the organ with the smallest mean edge [u].
+        friction: Coefficient of friction between organs.
+        afresh: Whether `held` has changed since the last call.
 
     Returns:
         The new count.
     """
     see_near(skin, near, held, vertices, thrown, mean_edge, afresh)
     if near.counts[IS_KNOWN] == TOO_MANY:
-        # Nothing keeps it from crossing, so it is told that it does.
+        # Nothing keeps the organ from crossing itself, so it is reported as crossing.
         near.crossing[CROSSINGS] = 1.0
         return count
     if near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] == 0:
@@ -502,20 +511,20 @@ def gather_organs(
 def prepare_pairs(
     skin: Any, near: Any, start: np.ndarray, thrown: np.ndarray, mean_edge: float, is_free: bool, known: int, warm: Any
 ) -> None:
-    """Begin a step: see to it that what is near is known, and tell pairs on which sides they were held in the last one.
+    """Prepare the pairs for a step: find them if they are not known, and set the sides held in the last step.
 
     Args:
         skin: `Skin`.
         near: `Near`.
-        start: (V, 3) where the vertices are [u].
-        thrown: (V, 3) where the first query looks for contact [u].
-        mean_edge: Of the organ with the smallest [u].
-        is_free: Whether no node is held: organs roll and slide as a whole.
-        known: How many constraints were kept.
+        start: (V, 3) vertices at the start of the step [u].
+        thrown: (V, 3) positions at which the first query looks for contact [u].
+        mean_edge: Mean edge of the organ with the smallest mean edge [u].
+        is_free: Whether no node is held, so that organs may roll and slide as a whole.
+        known: Number of constraints kept from the last step.
         warm: `ConstraintTable` of them.
     """
     if near.counts[IS_KNOWN] != 1:
-        # What was too much to look at may be less now.
+        # If there were too many pairs before, there may be fewer now.
         find_near(skin, near, start, thrown, MARGIN * mean_edge, near.tangled)
         near.shift[:] = 0.0
         if near.counts[IS_KNOWN] != TOO_MANY:
@@ -529,16 +538,16 @@ def prepare_pairs(
 def see_near(
     skin: Any, near: Any, held: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float, afresh: bool
 ) -> None:
-    """See to it that what is near is known where vertices come from and where they are, and measure their shifts.
+    """Make sure that the near pairs are valid for vertices at `held` and at `vertices`, and measure their shifts.
 
-    Whether the surface has folded meanwhile is asked where a solve has ended: see `keep_uncrossed`.
+    This does not check whether the surface has folded meanwhile; that is done after a solve, see `keep_uncrossed`.
     """
     if measure_shifts_again(near, held, vertices, afresh):
         return
     find_again(skin, near, held, vertices, thrown, mean_edge)
     measure_shifts(near, held, vertices)
     if near.counts[IS_KNOWN] == TOO_MANY:
-        # It is thrown far; where solves put it is nearer.
+        # The organ is thrown far; from where solves have put it its vertices need less reach.
         find_again(skin, near, held, vertices, vertices, mean_edge)
         measure_shifts(near, held, vertices)
 
@@ -547,7 +556,10 @@ def see_near(
 def find_again(
     skin: Any, near: Any, reference: np.ndarray, vertices: np.ndarray, thrown: np.ndarray, mean_edge: float
 ) -> None:
-    """Find what is near, keeping in mind which sides are known. Shifts have been measured, and are to be anew."""
+    """Find the near pairs anew, keeping the known sides.
+
+    Shifts must have been measured before, and must be measured again afterwards.
+    """
     names, sides = _known_sides(near)
     farthest, beyond = vertices.copy(), np.empty(vertices.shape[0], np.bool_)
     mark_beyond(near, reference, vertices, beyond)
@@ -575,29 +587,29 @@ def keep_uncrossed(
     vertices: np.ndarray,
     mean_edge: float,
 ) -> bool:
-    """Hold vertices back from crossing what is near; see `tangles.hold_back`.
+    """Hold vertices back so that no organ crosses itself or another; see `tangles.hold_back`.
 
     Args:
         skin: `Skin`.
-        near: `Near`; what is near is found anew if a vertex has got out of reach or the surface has folded.
+        near: `Near`; its pairs are found anew if a vertex has got out of reach or the surface has folded.
         inverse_mass: (V,) [1/kg].
-        known: How many constraints pushed in the last solve.
+        known: Number of constraints that pushed in the last solve.
         solved: `ConstraintTable` of them.
-        held: (V, 3) where the vertices were last on their right sides [u].
-        vertices: (V, 3) where they are; changed [u].
-        mean_edge: Of the organ with the smallest [u].
+        held: (V, 3) last positions of the vertices on their right sides [u].
+        vertices: (V, 3) their present positions; changed [u].
+        mean_edge: Mean edge of the organ with the smallest mean edge [u].
 
     Returns:
-        Whether any has been held back.
+        Whether any vertex has been held back.
     """
     see_near(skin, near, held, vertices, vertices, mean_edge, True)
-    # Others come from somewhere else.
+    # The next caller may pass another `held`.
     near.counts[HELD_IS_KNOWN] = 0
     if near.counts[IS_KNOWN] != 1 or has_turned(skin, near, vertices):
         find_again(skin, near, held, vertices, vertices, mean_edge)
         measure_shifts(near, held, vertices)
     if near.counts[IS_KNOWN] == TOO_MANY:
-        # Nothing keeps it from crossing, so it is told that it does.
+        # Nothing keeps the organ from crossing itself, so it is reported as crossing.
         near.crossing[CROSSINGS] = 1.0
         return False
     pushed = np.zeros(vertices.shape[0], np.bool_)
@@ -610,7 +622,7 @@ def keep_uncrossed(
 
 @inline_kernel
 def _known_sides(near: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Names of the pairs whose sides are known, without these, and the sides."""
+    """Names, without sides, of the pairs whose sides are known, and those sides."""
     total = near.counts[VERTEX_PAIRS] + near.counts[EDGE_PAIRS] if near.counts[IS_KNOWN] else 0
     names, sides, known = np.empty(total, np.int64), np.empty(total, np.int32), 0
     for kind in range(2):
@@ -625,16 +637,19 @@ def _known_sides(near: Any) -> tuple[np.ndarray, np.ndarray]:
 
 @array_kernel
 def _place_of(name: int, size: int) -> int:
-    """In a table of a power of two: names that differ a little are far apart (Knuth, vol. 3, section 6.4)."""
+    """Place of a name in a hash table whose size is a power of two.
+
+    Multiplicative hashing, which puts names that differ a little far apart (Knuth, vol. 3, section 6.4).
+    """
     return ((name * SPREAD) >> 40) & (size - 1)
 
 
 @inline_kernel
 def _tell_sides(near: Any, names: np.ndarray, sides: np.ndarray, known: int) -> None:
-    """Give pairs the sides that are known by name."""
+    """Set the sides of the pairs with `known` names (.,) to `sides` (.,)."""
     if known == 0:
         return
-    # There are many pairs, and few that are known: a table with at least as many empty places tells most apart at once.
+    # There are many pairs, and few known names: in a hash table that is at most half full most look-ups end at once.
     size = 2
     while size < 2 * known:
         size *= 2
@@ -658,11 +673,11 @@ def _tell_sides(near: Any, names: np.ndarray, sides: np.ndarray, known: int) -> 
 
 @inline_kernel
 def remember_sides(near: Any, known: int, warm: Any) -> None:
-    """Tell pairs on which sides they were held in the last step, by its constraints that pushed.
+    """Set the sides on which pairs were held in the last solve, from its constraints that pushed.
 
     Args:
         near: `Near`, written.
-        known: How many constraints were kept.
+        known: Number of constraints kept from that solve.
         warm: `ConstraintTable` of them.
     """
     vertex_pairs, edge_pairs = near.vertex_pairs, near.edge_pairs
@@ -701,5 +716,5 @@ def touching_pairs(skin: Any, near: Any, vertices: np.ndarray, mean_edge: float)
 
 @kernel(types.void(SKIN, ARRAYS["i8"]))
 def leave_out(skin: Any, names: np.ndarray) -> None:
-    """Have pairs of features, by their sorted names without a side, never keep each other apart."""
+    """Exclude pairs of features from contact, given their sorted names without a side."""
     skin.left_out = names

@@ -1,4 +1,4 @@
-"""The surfaces of all organs of a scene as one net, divided into patches, for contact of organs with themselves."""
+"""The surfaces of all organs of a scene as one triangle mesh in patches, for contact of organs with themselves."""
 
 from __future__ import annotations
 
@@ -32,58 +32,59 @@ class NearType(types.StructRef):
 
 
 class Skin(structref.StructRefProxy):
-    """The net of all organs' surfaces, for kernels; vertices are counted over all organs.
+    """The triangle mesh of all organs' surfaces, for kernels; vertices are numbered over all organs.
 
-    Every vertex and every edge belongs to one patch, that of the first triangle which has it.
+    Every vertex and every edge belongs to one patch: that of the first triangle that contains it.
 
     Fields:
         triangles (T, 3): counter-clockwise from outside.
         edges (E, 2).
         faces (E, 2): the triangles beside each edge; -1 where there is none.
-        triangle_starts (P + 1,), triangle_order (T,): the triangles of patch after patch.
-        edge_starts (P + 1,), edge_order (E,): the edges.
-        vertex_starts (P + 1,), vertex_order (V,): the vertices.
+        triangle_starts (P + 1,), triangle_order (T,): the triangles sorted by patch, and where each patch's begin.
+        edge_starts (P + 1,), edge_order (E,): the same for edges.
+        vertex_starts (P + 1,), vertex_order (V,): the same for vertices.
         neighbour_starts (P + 1,), neighbours: patches that share a vertex with each one, itself included, ascending.
         around_starts (V + 1,), around: patches with a triangle at each vertex.
         organs (V,): index of each vertex's organ.
-        left_out: sorted names, without a side, of pairs that touch at rest.
+        left_out: sorted names, without a side, of pairs that touch at rest and are excluded from contact.
     """
 
 
 class Near(structref.StructRefProxy):
-    """Which features of one world's organs are near each other, and how long organs have crossed, for kernels.
+    """Pairs of features of one world's organs that are near each other, and what crosses, for kernels.
 
     Fields:
         vertex_pairs (., 3): a vertex, a triangle, and the side of it that the vertex was held on in the last step:
             1 outside, -1 inside, 0 if it was not held.
-        edge_pairs (., 3): two edges, and likewise.
-        cross_pairs (., 2): an edge and a triangle; found only when it is asked what crosses.
-        vertex_distances, edge_distances, cross_distances (.,): how far apart they were at least when they were found
-            [u].
+        edge_pairs (., 3): two edges, and likewise the side on which they were held.
+        cross_pairs (., 2): an edge and a triangle; found only when crossings are looked for.
+        vertex_distances, edge_distances, cross_distances (.,): distance of each pair when it was found; for cross pairs
+            a lower bound [u].
         patch_pairs (.,): pairs of patches that may meet, as first x P + second, ascending.
-        ends (., 3): of each pair of patches, the place after its last vertex pair, edge pair and cross pair.
-        cones (P, 4): around the normals of each patch: axis, and half the opening [rad].
-        calm (P,): where vertices have got no farther than this since they were found, no triangle of a patch has turned
-            much [u].
-        stirred (P,): whether one of them has, as was last looked at.
-        steep (P,): cosine of the angle to its cone's axis from which on a triangle of a patch has turned far.
+        ends (., 3): for each pair of patches, the index after its last vertex pair, edge pair and cross pair.
+        cones (P, 4): a cone around the normals of each patch: axis, and half the opening [rad].
+        calm (P,): the greatest shift of its vertices at which no triangle of a patch can have turned far [u].
+        stirred (P,): whether a vertex of a patch had shifted farther than that when last checked.
+        steep (P,): a triangle of a patch has turned far if the cosine of its angle to the cone's axis is below this.
         folded (P,): whether a patch is not flat with all of its neighbours, itself included.
-        boxes (P, 6): around what each patch can reach: lower and upper corner [u].
-        counts (7,): how many of each; whether they are known, or `TOO_MANY`; whether the third kind is known, or
-            `ASKED_FOR`; how many pairs of patches; whether it is known how far vertices are that are held.
-        found_at (3, V): where the vertices were when they were found [u].
-        placed (3, V): the same, moved on as the organs have rolled and slid since as a whole [u].
+        boxes (P, 6): lower and upper corner of a box around each patch and the reach of its vertices [u].
+        counts (7,): numbers of vertex pairs, edge pairs and cross pairs; whether the first two are known, or
+            `TOO_MANY`; whether the cross pairs are known, or `ASKED_FOR`; the number of pairs of patches; whether
+            `held` is known.
+        found_at (3, V): positions of the vertices when the pairs were found [u].
+        placed (3, V): those positions, moved by the rigid motion of the organs since [u].
         rotation (3, 3), motion (3,): that motion takes a point x to rotation x + motion [u].
-        reach (V,): how far a vertex may get from where it is placed before they are to be found anew [u].
-        shift (V,): how far it has got, as was last looked at [u].
-        held (V,): how far it was where it comes from, squared [u2].
-        spans (4,): the greatest of these shifts; the least distance of any vertex pair and of any edge pair; the least
-            that leaves a patch calm [u]. Most of the time they tell at once that nothing has come near and nothing has
+        reach (V,): how far a vertex may get from `placed` before the pairs are to be found anew [u].
+        shift (V,): how far each vertex was from `placed` when last measured [u].
+        held (V,): squared distance from `placed` to where each vertex comes from [u2].
+        spans (4,): the greatest of these shifts; the least of the vertex distances and of the edge distances; the least
+            of `calm` [u]. Most of the time comparing these shows at once that nothing has come near and nothing has
             turned.
-        vertex_gaps, edge_gaps (.,): how far apart pairs were there [u]; -1 where nobody has asked.
-        order (P,): patches by where they begin along x.
+        vertex_gaps, edge_gaps (.,): distances of pairs at the positions that vertices come from [u]; -1 where they
+            have not been measured.
+        order (P,): patches sorted by the lower x of their boxes.
         crossing (2,): for how long organs have crossed themselves or each other [s]; in how many places.
-        tangled (V,): whether a vertex belongs to what crosses.
+        tangled (V,): whether a vertex belongs to features that cross.
         room (10, 9): workspace of `self_contact.gather_organs`.
     """
 
@@ -145,10 +146,10 @@ VERTEX_PAIRS, EDGE_PAIRS, CROSS_PAIRS, IS_KNOWN, CROSS_IS_KNOWN, PATCH_PAIRS, HE
 """Places in `Near.counts`."""
 
 TOO_MANY = 2
-"""In the place of whether they are known: an organ is so crumpled that nobody looks."""
+"""Value of `counts[IS_KNOWN]`: an organ is so crumpled that there are too many pairs, and none are kept."""
 
 ASKED_FOR = 2
-"""In the place of whether the third kind is known: it is, and somebody has asked since what is near was found."""
+"""Value of `counts[CROSS_IS_KNOWN]`: the cross pairs are known, and have been used since the near pairs were found."""
 
 CROSSED_FOR, CROSSINGS = 0, 1
 """Places in `Near.crossing`."""
@@ -171,7 +172,7 @@ def _make_skin(
 
 @kernel(NEAR(SKIN))
 def make_near(skin: Any) -> Any:
-    """A `Near` for a `Skin`, of which nothing is known yet."""
+    """Make a `Near` for a `Skin`, with no pairs known yet."""
     vertices, patches = skin.organs.shape[0], skin.neighbour_starts.shape[0] - 1
     return Near(
         np.zeros((0, 3), np.int32), np.zeros((0, 3), np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros(0),
@@ -187,7 +188,7 @@ def make_near(skin: Any) -> Any:
 
 @kernel(types.void(NEAR))
 def forget_near(near: Any) -> None:
-    """Have what is near found anew, and forget that anything crossed."""
+    """Forget the near pairs, so that they are found anew, and that anything crossed."""
     near.counts[:] = 0
     near.crossing[:] = 0.0
     near.tangled[:] = False
@@ -195,7 +196,7 @@ def forget_near(near: Any) -> None:
 
 @kernel(types.Tuple((ARRAYS["f8_2"], ARRAYS["f8"], ARRAYS["f8_2"], ARRAYS["i8"], types.boolean))(NEAR))
 def copy_near(near: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]:
-    """What `near.find_as_before` is to be given to find again what is near; and whether it has been found."""
+    """Copy the arguments with which `near.find_as_before` finds the same pairs again; and whether pairs are known."""
     known = near.counts[IS_KNOWN] == 1
     return near.found_at.copy(), near.reach.copy(), near.cones.copy(), near.patch_pairs.copy(), known
 
@@ -209,16 +210,16 @@ def crossed_for(near: Any) -> float:
 
 @kernel(types.void(NEAR, types.float64))
 def set_crossed_for(near: Any, duration: float) -> None:
-    """Have organs have crossed for so long [s]."""
+    """Set for how long organs have crossed [s]."""
     near.crossing[CROSSED_FOR] = duration
 
 
 def make_skin(surfaces: Sequence[IntArray], vertex_counts: Sequence[int]) -> Any:
-    """A `Skin` of some organs' surfaces.
+    """Make a `Skin` of some organs' surfaces.
 
     Args:
-        surfaces: Triangles (T, 3) of each organ, counting its own vertices.
-        vertex_counts: How many vertices each organ has.
+        surfaces: Triangles (T, 3) of each organ, with indices into its own vertices.
+        vertex_counts: Number of vertices of each organ.
     """
     starts = np.cumsum([0, *vertex_counts])
     triangles = np.concatenate([part + start for part, start in zip(surfaces, starts, strict=False)]).astype(np.int32)
@@ -268,7 +269,7 @@ def _edges(triangles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.int64]]:
     faces = np.full((len(edges), 2), -1, dtype=np.int32)
     for triangle, three in enumerate(edges_of.tolist()):
         for edge in three:
-            # Where a surface is not a manifold, further triangles beside an edge are of no use here.
+            # Where the surface is not a manifold, further triangles beside an edge are ignored.
             place = 0 if faces[edge, 0] < 0 else 1
             if faces[edge, place] < 0:
                 faces[edge, place] = triangle
@@ -276,7 +277,7 @@ def _edges(triangles: IntArray) -> tuple[IntArray, IntArray, NDArray[np.int64]]:
 
 
 def _patches(triangles: IntArray, faces: IntArray, edges_of: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The patch of each triangle (T,): neighbours, as round as can be had by adding what was found first."""
+    """The patch of each triangle (T,): neighbouring triangles, added breadth first so that patches are roundish."""
     patch_of = np.full(len(triangles), -1, dtype=np.int64)
     patch = 0
     for seed in range(len(triangles)):
@@ -296,7 +297,7 @@ def _patches(triangles: IntArray, faces: IntArray, edges_of: NDArray[np.int64]) 
 
 
 def _by_patch(patch_of: NDArray[np.int64], count: int) -> tuple[IntArray, IntArray]:
-    """Where each patch's members begin (P + 1,), and the members of patch after patch; what has none is left out."""
+    """Where each patch's members begin (P + 1,), and members sorted by patch; those without a patch are left out."""
     order = np.argsort(patch_of, kind="stable")
     order = order[np.searchsorted(patch_of[order], 0) :]
     starts = np.searchsorted(patch_of[order], np.arange(count + 1))

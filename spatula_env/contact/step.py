@@ -1,4 +1,4 @@
-"""All contacts of one physics step: divide the step into queries, resolve each, and sum up what organs were given."""
+"""All contacts of one physics step: divide the step into queries, resolve each, and sum the impulses on the organs."""
 
 from __future__ import annotations
 
@@ -65,71 +65,75 @@ VELOCITY_TOLERANCE = 1e-3
 """The velocity solve ends when a sweep changes no constrained point's velocity by more than this [u/s]."""
 
 MOST_SWEEPS = 200
-"""Most sweeps in one solve of positions under a tool that holds still. Where these are too few, friction at more points
-than the organ has vertices there leaves a choice, and many times as many sweeps do not settle it either."""
+"""Most sweeps of one position solve under a tool that holds still. Where these do not suffice, friction acts at more
+points than the organ has vertices there, its forces are not unique, and many times as many sweeps do not settle them
+either."""
 
 MOST_SWEEPS_MOVING = 25
-"""The same where a tool moves farther than `SLOW` in a step: what it touches changes from step to step, and each solve
-goes on from where the last one ended."""
+"""Most sweeps of one position solve where a tool moves farther than `SLOW` in a step: its contacts change from step to
+step, and each solve starts from the result of the last one."""
 
 MOST_SWEEPS_DIVIDED = 50
-"""The same in a step that is divided into several queries."""
+"""Most sweeps of one position or velocity solve in a step that is divided into several queries."""
 
 MOST_SWEEPS_VELOCITY = 25
-"""Most sweeps of the velocity solve in a step that is not divided. It begins with what the position solve has found,
-and more sweeps change neither forces nor how still a held organ is."""
+"""Most sweeps of the velocity solve in a step that is not divided. It starts from the result of the position solve, and
+more sweeps change neither the forces nor how still a held organ is."""
 
 SLOW = 1e-3
-"""Motion of a tool in a step that counts as holding still [u]."""
+"""Greatest motion of a tool in a step that still counts as holding still [u]."""
 
 PATH_PART = 0.5
-"""Greatest motion of a tool between two queries, in its thicknesses."""
+"""Greatest motion of a tool between two queries, as a multiple of its thickness."""
 
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
 MOST_PARTS = 4
-"""Most parts of a step, by the organ's motion, in which contacts are not expected that did not hold in the last one."""
+"""If the organ's motion divides a step into at most this many parts, its positions are predicted from the last step's
+contacts only if those have held (see `GREATEST_DEPTH_KEPT`)."""
 
 GREATEST_DEPTH_KEPT = 2e-3
-"""Contacts that left the surface deeper than this at the end of a step have not held it [u]."""
+"""Greatest depth of the surface at the end of a step at which its contacts count as having held it [u]."""
 
 STOPPING_DEPTH = 8e-3
-"""A step that would leave tools and organs deeper in each other than this, where they were not, stops the tools [u]."""
+"""A step stops the tools if it would leave them deeper in the organs than this and they were not so deep before [u]."""
 
 STOPPING_WAY = 0.5
-"""That is, unless a point of a tool goes farther than this in the step, in mean edges of the organ."""
+"""Tools are not stopped in a step in which a point of a tool moves farther than this, in mean edges of the organ."""
 
 SLOWING = 0.25
-"""Part of its pace that a stop leaves to the hand,"""
+"""Factor on the tools' pace, the part of their motion that they carry out in a step, after a step that stopped them."""
 
 SPEEDING = 2.0
-"""and factor by which it grows again in each step without one."""
+"""Factor by which the pace grows again, up to 1, in each step that does not stop the tools."""
 
 SLOWEST = 2.0**-8
-"""Least pace."""
+"""Least pace of the tools."""
 
 FARTHEST = 1e9
-"""An organ of which a vertex goes farther than this in a step has flown apart [u]."""
+"""An organ has flown apart if one of its vertices moves farther than this in a step [u]."""
 
 NOT_FINITE = 1
-"""What is returned then, as for what is not a number."""
+"""Status that `resolve_step` returns if an organ has flown apart or a coordinate is not a number."""
 
 COURANT_LIMIT = 0.125
-"""Part of an organ's mean edge that a tool may make a node move in a step by giving it velocity. A faster tool moves
-the organ by displacement alone: a node cannot carry more speed than its springs can answer within a step."""
+"""Greatest distance that the velocity given to a node by a tool may move it in a step, in mean edges of the organ. A
+faster tool moves the organ by displacement alone: a node cannot carry more speed than its springs can answer within a
+step."""
 
 EXPECTED_PART = 0.9
-"""Greatest part of the last solve's displacements that is expected; see `multipliers.expect_vertices`."""
+"""Greatest part of the last solve's displacements that is predicted to recur; see `multipliers.expect_vertices`."""
 
 
 class Division(NamedTuple):
-    """How a step is divided into queries.
+    """Division of a step into queries.
 
     Attributes:
-        by_tools: Into how many parts the tools' paths are divided.
-        by_organs: Into how many the organs' are. They move first, against the tools where they were; then the tools.
-        predicts: Whether the organs are expected where contact put them in the last step.
+        by_tools: Number of parts into which the tools' paths are divided.
+        by_organs: Number of parts into which the organs' paths are divided. The organs move first, against the tools
+            at their poses before the step; then the tools move.
+        predicts: Whether the organs' positions are predicted from the last step's contacts.
     """
 
     by_tools: int
@@ -139,7 +143,7 @@ class Division(NamedTuple):
 
 @array_kernel
 def greatest_speed(extent: np.ndarray, linear_velocity: np.ndarray, angular_velocity: np.ndarray) -> float:
-    """Of any point of a tool [u/s]."""
+    """The greatest speed that any point of a tool can have [u/s]."""
     linear, angular = 0.0, 0.0
     for axis in range(3):
         linear += linear_velocity[axis] * linear_velocity[axis]
@@ -150,7 +154,7 @@ def greatest_speed(extent: np.ndarray, linear_velocity: np.ndarray, angular_velo
 
 @inline_kernel
 def divide_paths(world: Any, motions: Any, organs: Any, passes: np.ndarray) -> int:
-    """Into how many parts the tools' paths are divided, so that no tool moves too far between two queries.
+    """Number of parts into which the tools' paths are divided, so that no tool moves too far between two queries.
 
     Args:
         world: `WorldContacts`.
@@ -159,7 +163,7 @@ def divide_paths(world: Any, motions: Any, organs: Any, passes: np.ndarray) -> i
         passes: (N,) written: whether a tool comes near an organ.
 
     Returns:
-        How many.
+        The number of parts.
     """
     parts = 1
     for k in range(passes.shape[0]):
@@ -175,7 +179,7 @@ def divide_paths(world: Any, motions: Any, organs: Any, passes: np.ndarray) -> i
 
 @array_kernel
 def move_points(points: np.ndarray, shift: np.ndarray, part: float) -> None:
-    """Move points (V, 3) by a part of their way (V, 3)."""
+    """Move points (V, 3) by a fraction `part` of their displacements (V, 3)."""
     for i in range(points.shape[0]):
         for axis in range(3):
             points[i, axis] += part * shift[i, axis]
@@ -183,7 +187,7 @@ def move_points(points: np.ndarray, shift: np.ndarray, part: float) -> None:
 
 @array_kernel
 def fill_thrown(vertices: np.ndarray, free: np.ndarray, expected: np.ndarray, thrown: np.ndarray) -> None:
-    """Write where vertices (V, 3) would be if they had not been expected elsewhere than they move freely."""
+    """Write where vertices (V, 3) would be without the difference between their predicted and their free positions."""
     for i in range(vertices.shape[0]):
         for axis in range(3):
             thrown[i, axis] = vertices[i, axis] + (free[i, axis] - expected[i, axis])
@@ -191,21 +195,21 @@ def fill_thrown(vertices: np.ndarray, free: np.ndarray, expected: np.ndarray, th
 
 @array_kernel
 def _organ_parts(way: float, mean_edge: float) -> int:
-    """Into how many parts the organs' way [u] is divided, so that no vertex goes too far between two queries."""
+    """Number of parts into which the organs' path [u] is divided, so that no vertex moves too far between queries."""
     return max(1, int(np.ceil(way / (ORGAN_PART * mean_edge) - 1e-9)))
 
 
 @inline_kernel
 def divide_step(world: Any, motions: Any, organs: Any, way: float, passes: np.ndarray, expected: np.ndarray) -> Any:
-    """Divide a step.
+    """Decide into how many queries a step is divided, and whether the organs' positions are predicted.
 
     Args:
         world: `WorldContacts`.
         motions: `Motions`.
-        organs: `OrganMotion`, with the vertices where they are without contact.
-        way: How far a vertex goes without contact, at most [u].
+        organs: `OrganMotion`, with the vertices at their positions without contact.
+        way: Greatest distance that a vertex moves without contact [u].
         passes: (N,) written: whether a tool comes near an organ.
-        expected: (V, 3) written if the organs' motion is predicted: where to [u].
+        expected: (V, 3) written if the organs' positions are predicted: those positions [u].
 
     Returns:
         `Division`.
@@ -214,8 +218,9 @@ def divide_step(world: Any, motions: Any, organs: Any, way: float, passes: np.nd
     parts, organ_parts = divide_paths(world, motions, organs, passes), 1
     if passes.shape[0] > 0:
         organ_parts = _organ_parts(way, mean_edge)
-    # An organ that is thrown so far that the step would be divided is expected where contact undoes that, about as it
-    # did in the last step. What pushed in vain, against held nodes, is no measure unless the organ is thrown far.
+    # If an organ is thrown so far that the step would be divided, its positions are predicted instead: contact will
+    # undo most of that motion, as it did in the last step. Contacts that pushed in vain, against held nodes, are no
+    # basis for a prediction unless the organ is thrown far.
     predicts = organ_parts > 1 and parts == 1 and warm_count > 0
     if predicts and organ_parts <= MOST_PARTS:
         predicts = greatest_kept_depth(warm_count, world.warm.table, organs.start) <= GREATEST_DEPTH_KEPT
@@ -225,7 +230,8 @@ def divide_step(world: Any, motions: Any, organs: Any, way: float, passes: np.nd
             motions.angular_velocities, world.settings[DT], EXPECTED_PART, organs.vertices, expected,
         )  # fmt: skip
         expected_parts = _organ_parts(largest_shift(organs.start, expected), mean_edge)
-        # What is pushed from both sides at once, in vain, has multipliers that grow from step to step and tell nothing.
+        # Where an organ is pushed from both sides at once, in vain, the multipliers grow from step to step and predict
+        # nothing.
         predicts = expected_parts <= organ_parts
         if predicts:
             organ_parts = expected_parts
@@ -234,7 +240,7 @@ def divide_step(world: Any, motions: Any, organs: Any, way: float, passes: np.nd
 
 @inline_kernel
 def make_tools(world: Any, step: Any, motions: Any, passes: np.ndarray) -> tuple[Any, float]:
-    """`QueryTools` at the start of a step, in a `StepRoom`, and the greatest speed of any tool [u/s]."""
+    """Make the `QueryTools` of a step in its `StepRoom`. Returns them and the greatest speed of any tool [u/s]."""
     count, pairs = passes.shape[0], passes.shape[0] * len(world.surfaces)
     vectors, rotations = step.vectors, step.rotations
     tools = QueryTools(
@@ -260,7 +266,9 @@ def make_tools(world: Any, step: Any, motions: Any, passes: np.ndarray) -> tuple
 
 @kernel(types.float64(WORLD_CONTACTS, F8_2, F8_2, F8_2))
 def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, vertices: np.ndarray) -> float:
-    """How deep the tools and the organs are in each other, see `depth.pair_depth` and `edge_depth.edge_depth`.
+    """Measure how deep the tools and the organs penetrate each other.
+
+    See `depth.pair_depth` and `edge_depth.edge_depth`.
 
     Args:
         world: `WorldContacts`.
@@ -288,37 +296,42 @@ def measure_depth(world: Any, positions: np.ndarray, orientations: np.ndarray, v
 def _begin_ways(
     start: np.ndarray, expected: np.ndarray, vertices: np.ndarray, queries: int, predicts: bool
 ) -> np.ndarray:
-    """Put vertices (V, 3) where the first query looks, before it moves them on. Returns the way of a divided step."""
+    """Put vertices (V, 3) where the first query begins.
+
+    Returns:
+        (V, 3) displacements of the vertices over the whole step, if it is divided into queries [u]; otherwise `start`,
+        which is not used.
+    """
     if queries > 1:
-        # First, as the vertices may be where they are expected.
+        # Computed before the copy, because `expected` may be the same array as `vertices`.
         ways: np.ndarray = expected - start
         copy_points(start, vertices)
         return ways
     if predicts:
-        # Else they are where they are expected.
+        # Without a prediction, `expected` is the same array as `vertices`, and there is nothing to copy.
         copy_points(expected, vertices)
     return start
 
 
 @array_kernel
 def _effort(queries: int, way: float) -> tuple[int, float]:
-    """Most sweeps in a solve, and the factor on what one changes, in a step of so many queries.
+    """The greatest number of sweeps in a solve, and the relaxation factor of a sweep.
 
     Args:
-        queries: How many.
-        way: How far any point of a tool goes in the step [u].
+        queries: Number of queries in the step.
+        way: Greatest distance that a point of a tool moves in the step [u].
     """
     if queries > 1:
-        # More may be asked than can be had, and what is overdone in one place is then missing in another.
+        # The constraints may contradict each other; over-relaxing one would then violate another.
         return MOST_SWEEPS_DIVIDED, 1.0
     return MOST_SWEEPS if way <= SLOW else MOST_SWEEPS_MOVING, OVER_RELAXATION
 
 
 @array_kernel
 def _parts_done(queries: int, organ_parts: int, tool_parts: int) -> tuple[float, float]:
-    """Which parts of their ways the organs and the tools have done after so many queries of a step.
+    """The fractions of their paths that the organs and the tools have covered after a number of queries of a step.
 
-    The organs move first, against the tools where they were; then the tools.
+    The organs move first, against the tools at their poses before the step; then the tools move.
     """
     organ_part = min(queries / organ_parts, 1.0)
     if tool_parts > 1:
@@ -337,23 +350,23 @@ def solve_impulses(
     order: np.ndarray,
     starts: np.ndarray,
 ) -> None:
-    """Give the organs the impulses that stop their surfaces at what they touch.
+    """Solve for the impulses that stop the organs' surfaces at what they touch, and apply them.
 
     Args:
         world: `WorldContacts`; its constraints have been measured, and their impulses are written.
         plan: `QueryPlan` of the step's last query.
-        count: How many constraints there are.
-        tried: How many pushed in the last position solve.
+        count: Number of constraints.
+        tried: Number of constraints that pushed in the last position solve.
         velocities: (V, 3) changed [u/s].
-        islands: How many islands of constraints, see `islands.find_islands`, as the next two.
-        order: (C,).
-        starts: (N + 2,).
+        islands: Number of islands of constraints; see `islands.find_islands` for this and the next two.
+        order: (C,) constraints in the order in which they are solved.
+        starts: (N + 2,) where each island begins in `order`.
     """
     table, inverse_mass, dt, sweeps = world.constraints.table, world.inverse_mass, world.settings[DT], plan.sweeps
     rows, features = table.rows, table.features
     if plan.is_only:
-        # A point that was on its plane, and was moved back by so much, came that far in the time step: the impulse that
-        # stops it is the displacement over the time step.
+        # A point that was on its plane, and that the position solve moved back by some displacement, had moved by as
+        # much in the time step: the impulse that stops it is the displacement divided by the time step.
         start_warm(count, table, IMPULSE, tried, world.trial.table, 1.0 / dt)
         start_pushed(count, rows, features, inverse_mass, IMPULSE, velocities)
         sweeps = MOST_SWEEPS_VELOCITY
@@ -378,7 +391,7 @@ def _finish_step(
     outcome: Any,
     room: Any,
 ) -> None:
-    """Remember what the next step needs, give the organs their impulses, and add up what tools felt."""
+    """Store what the next step needs, apply the impulses to the organs, and sum the impulses and wrenches."""
     near, numbers, dt, passed, tried = world.near, outcome.numbers, world.settings[DT], progress.passed, progress.tried
     near.crossing[skin.CROSSED_FOR] += dt
     if near.crossing[skin.CROSSINGS] == 0.0:
@@ -408,10 +421,10 @@ def _finish_step(
 
 @inline_kernel
 def slow_tools(world: Any, motions: Any) -> None:
-    """Have the tools go a part of their ways alone, after a step that has stopped them.
+    """Let the tools carry out only a part of their motion, after a step that has stopped them.
 
-    Away from where it was stopped, a hand that goes as fast as before may be stopped again and again, as a step that is
-    too long for the organ to follow leaves it too deep as well. Shorter ones let it out.
+    A tool that moves as fast as before, even away from where it was stopped, may be stopped again and again: a step
+    that is too long for the organ to follow leaves it too deep as well. Shorter steps let the tool out.
 
     Args:
         world: `WorldContacts`.
@@ -433,27 +446,27 @@ def slow_tools(world: Any, motions: Any) -> None:
 
 @inline_kernel
 def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, crossings: float, depth: float) -> float:
-    """Have tools and organs stay where they were before the step, if it was not too deep there and is so now.
+    """Put tools and organs back to where they were before the step, if they were not too deep in each other there.
 
-    Where an organ is pinned or wound up, there may be no place for it beside the tool. A hand that meets this stops, so
-    that from step to step nothing gets deeper. Tools that go far in a step are left to their way alone.
+    Where an organ is pinned or wound up, there may be no place for it beside the tool. The tool is then stopped, so
+    that nothing gets deeper from step to step. The caller does not stop tools that move far in a step.
 
     Args:
         world: `WorldContacts`.
         plan: `QueryPlan` of the step's last query.
         tools: `QueryTools`; written.
-        motions: `Motions`; their ends are their starts then, and their velocities zero.
+        motions: `Motions`; if the tools are stopped, their ends become their starts, and their velocities zero.
         organs: `OrganMotion`, of which the vertices are written.
-        crossings: In how many places organs crossed before the step.
-        depth: How deep tools and organs are in each other [u].
+        crossings: Number of places in which organs crossed before the step.
+        depth: How deep tools and organs are in each other after the step [u].
 
     Returns:
-        How deep they are then [u]; `depth` if nothing was done.
+        How deep they are afterwards [u]; `depth` if nothing was done.
     """
     pose_tools(motions, 0.0, tools, world.room.scratch.axes)
     before: float = measure_tools(world, plan, tools, organs.start, 1)
     before = depth_of_edges(world, tools.position, tools.rotation, organs.start, before)
-    # What a fast tool has got into already would not get rid of it by staying.
+    # An organ that a fast tool had already penetrated would not be freed by stopping the tool.
     if before > STOPPING_DEPTH:
         return depth
     copy_points(organs.start, organs.vertices)
@@ -463,7 +476,7 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
             motions.orientations[k, entry] = motions.start_orientations[k, entry]
         for axis in range(3):
             motions.linear_velocities[k, axis] = motions.angular_velocities[k, axis] = 0.0
-    # What is near is found anew, from there, at the start of the next step.
+    # The pairs of near features are found anew, from these positions, at the start of the next step.
     world.near.crossing[skin.CROSSINGS], world.near.counts[skin.IS_KNOWN] = crossings, 0
     return before
 
@@ -472,17 +485,19 @@ def stop_tools(world: Any, plan: Any, tools: Any, motions: Any, organs: Any, cro
 def _measure_and_stop(
     world: Any, plan: Any, tools: Any, motions: Any, organs: Any, progress: Any, crossings: float, way: float
 ) -> float:  # fmt: skip
-    """Measure the tools' edges as well at the end of a step, and stop the tools if they are too deep; see `slow_tools`.
+    """Measure the depth along the tools' edges, too, at the end of a step, and stop the tools if they are too deep.
+
+    The pace is lowered in a step that stops the tools, and grows again otherwise; see `stop_tools` and `slow_tools`.
 
     Args:
         world: `WorldContacts`.
         plan: `QueryPlan` of the step's last query.
         tools: `QueryTools`.
-        motions: `Motions`; written if the tools are stopped, as the next.
-        organs: `OrganMotion`.
+        motions: `Motions`; written if the tools are stopped.
+        organs: `OrganMotion`; written if the tools are stopped.
         progress: `QueryProgress`; its depth is written.
-        crossings: In how many places organs crossed before the step.
-        way: How far any point of a tool goes in the step [u].
+        crossings: Number of places in which organs crossed before the step.
+        way: Greatest distance that a point of a tool moves in the step [u].
 
     Returns:
         1 if the tools were stopped or slowed, otherwise 0.
@@ -504,22 +519,23 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
     """Resolve all contacts at the end of a step.
 
     Args:
-        world: `WorldContacts`; what it remembers is written.
-        first_step: Code of the detectors' first step. With 0 there is none, and nothing but flagged nodes makes
-            contact: the published method's second step.
-        motions: `Motions` of the tools; of none if only the ground counts. Written if `numbers[STOPPED]` is 1:
-            they were stopped, or slowed after that.
+        world: `WorldContacts`; the memory in it is updated.
+        first_step: Code of the detectors' first step. With 0 there is no first step, and only flagged nodes make
+            contact: this is the published method's second step alone.
+        motions: `Motions` of the tools; of no tools if only the ground is to make contact. Written if
+            `numbers[STOPPED]` is 1: the tools were then stopped, or slowed down after an earlier stop.
         organs: `OrganMotion`; written.
         outcome: `StepOutcome`; written.
 
     Returns:
-        0; `NOT_FINITE` if the organs have gone out of all bounds; otherwise what `raycast.cast_columns` returned.
+        0 if all went well; `NOT_FINITE` if an organ has flown apart; otherwise the status of `raycast.cast_columns`.
     """
     settings, near, numbers = world.settings, world.near, outcome.numbers
     start, vertices, tool_count = organs.start, organs.vertices, motions.positions.shape[0]
     dt, mean_edge, warm_count = settings[DT], settings[MEAN_EDGE], world.warm_count
     if first_step == 0:
-        # Both faces of a tool push against each other; what they come to in one step is not carried into the next.
+        # Without the first step both faces of a tool may push against each other; such multipliers must not be carried
+        # into the next step.
         warm_count[0] = 0
     numbers[:] = 0.0
     copy_points(organs.free_vertices, vertices)
@@ -555,7 +571,7 @@ def resolve_step(world: Any, first_step: int, motions: Any, organs: Any, outcome
             move_points(vertices, shift, organ_part - organ_done)
             organ_done = organ_part
         is_last = query == queries - 1
-        # The flags are decided where the organs would be without contact, as published.
+        # The flags are decided at the positions that the organs would have without contact, as published.
         thrown = vertices
         if division.predicts and is_last:
             thrown = step.points[1, :vertex_count]

@@ -1,9 +1,10 @@
-"""What the contact kernels are given: a tool's shape, what is remembered of a tool and an organ, and constraints.
+"""Data structures of the contact kernels: tool shapes, the memory of a tool and an organ, constraints and workspace.
 
-Numba structures, of tuples of arrays. A kernel takes a structure in a third of a microsecond however many arrays it
-holds, and they share their arrays with the Python objects that made them; but to take an array out of a structure
-counts a reference. Tuples are taken out once, and given to helpers that count none (`array_kernel`). Structures are
-made by compiled functions, so that making one compiles nothing.
+They are Numba structures that hold named tuples of arrays. Passing a structure to a kernel takes a third of a
+microsecond however many arrays it holds, and the structure shares its arrays with the Python objects that made them.
+But taking an array out of a structure counts a reference. Therefore a kernel takes the tuples out once, and passes them
+to helpers that count no references (`array_kernel`). Structures are made by compiled functions, so that making one
+triggers no compilation.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ if TYPE_CHECKING:
     from spatula_env.geometry.tools import Tool
 
 STATES = 7
-"""How many of the fields of `NodeMemory` say yes or no of a node."""
+"""Number of boolean fields of `NodeMemory`, which come first."""
 
 NO_HIT = -1
-"""In the place of a triangle's index: none."""
+"""Value of a triangle's index where there is none."""
 
 SAME_DIRECTION = 1e-9
-"""Normals whose cosine differs from one by less than this belong to one face."""
+"""Normals belong to one face if the cosine of the angle between them differs from one by no more than this."""
 
 ON_PLANE = 1e-9
 """A corner no farther than this from a plane, relative to the tool's size, lies on it."""
@@ -41,15 +42,15 @@ class ToolGeometry(NamedTuple):
     """A convex tool and its contact nodes, in the tool's frame.
 
     Attributes:
-        nodes: (n, 3) [u].
-        normals: (n, 3).
-        opposite: (n,) each node's opposite one.
-        areas: (n,) each node's share of its face [u2].
-        face: (n,) each node's face. Faces with nodes come first among the planes, in the tool's order.
-        plane_normals: (P, 3) of all faces, those with nodes and those without.
-        plane_offsets: (P,) [u].
+        nodes: (n, 3) positions of the contact nodes [u].
+        normals: (n, 3) outward normals of their faces.
+        opposite: (n,) index of each node's opposite node.
+        areas: (n,) each node's share of its face's area [u2].
+        face: (n,) index of each node's face. Faces with nodes come first among the planes, in the tool's order.
+        plane_normals: (P, 3) outward normals of all faces, with and without nodes.
+        plane_offsets: (P,) normal . x on each face [u].
         corners: (K, 3) [u].
-        ridges: (P, P, 2) the two corners of the edge between two planes; -1 where there is none.
+        ridges: (P, P, 2) the two corners of the edge between two faces; -1 where they share none.
         extent: (8,) lower corner of the bounding box, upper corner, bounding radius, thickness [u].
     """
 
@@ -79,20 +80,20 @@ class RayLines(NamedTuple):
 
 
 class NodeMemory(NamedTuple):
-    """What is remembered of a tool's n contact nodes and an organ, and what a query finds about them.
+    """Memory of a tool's n contact nodes and an organ, and results of a query for them.
 
     Attributes:
-        flags: (n,) the node is in feasible contact.
-        unfeasible: (n,) the first step has refused it.
-        leading: (n,) its face leads; serves one query, as the next three.
+        flags: (n,) whether the node is in feasible contact.
+        unfeasible: (n,) whether the first step has refused it.
+        leading: (n,) whether its face leads; used within one query, as are the next three.
         remembered: (n,) its flag before the query.
-        decided: (n,) it has been visited.
-        came_through: (n,) the surface came through its face.
-        outside: (n,) the last query found it outside of the organ.
-        triangle: (n,) the one that its inward ray leaves through, `NO_HIT` where it is not flagged.
-        record: (n, 10) weights of that triangle's corners, depth, normal, point.
+        decided: (n,) whether it has been visited.
+        came_through: (n,) whether the surface came through its face.
+        outside: (n,) whether the last query found it outside of the organ.
+        triangle: (n,) triangle that its inward ray leaves through, `NO_HIT` where it is not flagged.
+        record: (n, 10) weights of that triangle's corners, depth, normal, point; see `flags.Contacts`.
         hits: (n, 2, 2) see `raycast.cast_columns`.
-        distances: (n, 2) see there [u].
+        distances: (n, 2) see `raycast.cast_columns` [u].
     """
 
     flags: np.ndarray
@@ -112,11 +113,11 @@ class LocalOrgan(NamedTuple):
     """An organ of V vertices and T triangles in a tool's frame.
 
     Attributes:
-        local: (3, V) where it is [u].
-        last_local: (3, V) where it was at the last query [u].
-        codes: (V,) workspace: beyond which sides of a box each vertex is.
+        local: (3, V) present positions of the vertices [u].
+        last_local: (3, V) their positions at the last query [u].
+        codes: (V,) workspace: bits for the sides of a box that each vertex is beyond.
         candidates: (T,) triangles near the tool.
-        ray_local: (3, V) workspace: along one group of rays.
+        ray_local: (3, V) workspace: the vertices in the frame of one group of rays.
     """
 
     local: np.ndarray
@@ -127,17 +128,17 @@ class LocalOrgan(NamedTuple):
 
 
 class ConstraintTable(NamedTuple):
-    """Unilateral constraints: see `response`. A row each; columns by the names below.
+    """Unilateral constraints (see `response`), one in each row; columns are named by the constants below.
 
     Attributes:
         rows: (C, 24) WEIGHTS of three vertices, summing to one where there is no fourth; NORMAL n, towards the organ;
             POINT p [u]; VELOCITY dp/dt [u/s]; ORIGIN, where the constrained point would be had it moved with the tool
-            since the last query [u]; FRICTION, coefficient; INERTIA of the constrained point [kg]; GAP (s - p) . n
-            [u]; DISPLACEMENT, what the position solve applied [kg u]; IMPULSE, what the velocity solve applied to the
-            organ [kg u/s].
+            since the last query [u]; FRICTION, coefficient; INERTIA, effective mass of the constrained point [kg]; GAP
+            (s - p) . n [u]; DISPLACEMENT, the multiplier of the position solve [kg u]; IMPULSE, the impulse on the
+            organ from the velocity solve [kg u/s].
         features: (C, 6) the three vertices; FOURTH, a vertex whose weight makes the sum of all zero, or `NO_VERTEX`;
             OWNER, index of the tool, `GROUND` or `ORGANS`; PLANE, the tool's face.
-        names: (C,) tells which features touch, the same in the next query.
+        names: (C,) identify the features that touch, in the same way in every query; see `rows.constraint_name`.
     """
 
     rows: np.ndarray
@@ -146,16 +147,16 @@ class ConstraintTable(NamedTuple):
 
 
 class Placement(NamedTuple):
-    """Where a tool is and how it moves, while it meets an organ.
+    """Pose and velocity of a tool that meets an organ.
 
     Attributes:
-        position: (3,) [u].
+        position: (3,) of the tool [u].
         rotation: (9,) its rotation matrix, row by row.
-        linear_velocity: (3,) [u/s].
-        angular_velocity: (3,) [rad/s].
+        linear_velocity: (3,) of the tool [u/s].
+        angular_velocity: (3,) of the tool [rad/s].
         friction: Coefficient.
         owner: The tool's index.
-        first_vertex: Of the organ, among all organs'.
+        first_vertex: Index of the organ's first vertex among those of all organs.
     """
 
     position: np.ndarray
@@ -168,33 +169,34 @@ class Placement(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Workspace of kernels that make no arrays, for tools of up to P planes and K corners and organs as `LocalOrgan`.
+    """Workspace of kernels that make no arrays, for tools of up to P planes and K corners, and organs as `LocalOrgan`.
 
     Attributes:
-        heights: (P, 4) of an edge's ends over the planes,
-        clipping: (P, 4) and over those that may clip it.
-        under: (P, 3) of a triangle's corners under the planes.
-        polygon: (P + 4, 3) what is left of a triangle,
-        clipped: (P + 4, 3) or here.
-        facing: (P,) of a triangle and the planes.
-        corner_heights: (K,) of corners over triangles.
+        heights: (P, 4) heights of an edge's ends over the planes; see `features.fill_heights`.
+        clipping: (P, 4) heights over the planes that may clip the edge; see `features.fill_clipping`.
+        under: (P, 3) depths of a triangle's corners under the planes; see `depth.fill_under`.
+        polygon: (P + 4, 3) weights of the corners of a clipped triangle; see `depth.clip_triangle`.
+        clipped: (P + 4, 3) the same.
+        facing: (P,) cosines between the normals of a triangle and of the planes.
+        corner_heights: (K,) heights of corners over triangles; see `corners.gather_corners`.
         corner_behind: (K,) whether a corner is behind a triangle.
-        contact: (7,) of two edges.
-        normal: (3,) of a triangle,
-        last_normal: (3,) and at the last query.
-        moving: (3, 3) a triangle on its way.
-        nearest: (4,) the nearest point of a surface.
-        near: (T,) triangles near a tool,
-        around: (T,) or around a triangle.
-        boxes: (6, T) around triangles near a tool,
-        other_boxes: (6, T) or around others.
-        away: (T,) how far a point is from boxes.
+        contact: (7,) contact of two edges; see `features.ridge_contact`.
+        normal: (3,) of a triangle.
+        last_normal: (3,) of a triangle at the last query.
+        moving: (3, 3) a triangle at a time between two queries.
+        nearest: (4,) the nearest point of a surface; see `corners.find_nearest`.
+        near: (T,) triangles near a tool.
+        around: (T,) triangles around another triangle.
+        boxes: (6, T) boxes around triangles near a tool.
+        other_boxes: (6, T) boxes around other triangles.
+        away: (T,) squared distances of a point from boxes.
         codes: (V,) see `LocalOrgan`.
-        turned: (3, V) an organ along a line.
+        turned: (3, V) an organ's vertices in the frame of a ray; see `corners.encloses`.
         axes: (9,) of a group of rays.
-        listed: (2,) of which pair of a tool and an organ, counted tool by tool, `near` and `boxes` are, where the organ
-            was last brought into the tool's frame, or `NO_PAIR`; and how many triangles that is.
-        corner_distances: (K,) of corners from that pair's organ, negative inside; infinite where not known [u].
+        listed: (2,) index of the pair of a tool and an organ, counted tool by tool, whose triangles `near` and `boxes`
+            hold, at the positions in its `LocalOrgan.local`, or `NO_PAIR`; and the number of these triangles.
+        corner_distances: (K,) distances of corners from that pair's organ, negative inside; infinite where not known
+            [u].
     """
 
     heights: np.ndarray
@@ -226,13 +228,14 @@ class StepRoom(NamedTuple):
     """Workspace of a step, for up to N tools, M pairs of a tool and an organ, and V vertices of all organs.
 
     Attributes:
-        points: (4, V, 3) where vertices are expected, thrown, held and kept, see `step` and `query.QueryPoints`.
-        vectors: (4, N, 3) of `query.QueryTools`: both positions and both velocities.
-        rotations: (2, N, 9) of `query.QueryTools`.
-        passes: (N,) of `query.QueryTools`.
-        pairs: (2, M) of `query.QueryTools`: what is quiet and what is looked at.
-        islands: (3, N + 2) of `islands.IslandRoom`: starts, parents and sizes.
-        holders: (V,) of `islands.IslandRoom`, all -1 between two steps.
+        points: (4, V, 3) expected, thrown, held and kept positions of the vertices; see `step` and
+            `query.QueryPoints`.
+        vectors: (4, N, 3) both positions and both velocities of `query.QueryTools`.
+        rotations: (2, N, 9) both rotations of `query.QueryTools`.
+        passes: (N,) `passes` of `query.QueryTools`.
+        pairs: (2, M) `quiet` and `looked_at` of `query.QueryTools`.
+        islands: (3, N + 2) starts, parents and sizes of `islands.IslandRoom`.
+        holders: (V,) `holders` of `islands.IslandRoom`, all -1 between two steps.
         orientation: (4,) of one tool.
     """
 
@@ -250,8 +253,8 @@ class SpreadRoom(NamedTuple):
     """Workspace of `pressure.tool_pressures`, for a tool of up to n contact nodes.
 
     Attributes:
-        touching: (n,) nodes in contact with any organ.
-        shares: (n,) of a push.
+        touching: (n,) whether each node is in contact with any organ.
+        shares: (n,) the nodes' shares of a push.
         rotation: (9,) of the tool.
         point: (3,) where a push acts, tool frame [u].
         impulse: (3,) of a push, tool frame [kg u/s].
@@ -320,7 +323,7 @@ class PairMemory(structref.StructRefProxy):
 
 
 class Constraints(structref.StructRefProxy):
-    """Room for constraints, which grows, for kernels.
+    """A growable table of constraints, for kernels.
 
     Fields:
         table: `ConstraintTable`.
@@ -328,9 +331,9 @@ class Constraints(structref.StructRefProxy):
 
 
 class ScratchRoom(structref.StructRefProxy):
-    """Room for the workspace of kernels, which worlds that are queried one after the other share.
+    """The workspace of kernels, which worlds that are queried one after the other share.
 
-    Making arrays anew in every step would take longer than much of what is done with them.
+    To allocate its arrays anew in every step would take longer than much of the work that is done in them.
 
     Fields:
         scratch: `Scratch`.
@@ -340,25 +343,25 @@ class ScratchRoom(structref.StructRefProxy):
 
 
 class WorldContacts(structref.StructRefProxy):
-    """All that is known of contact in one world, for kernels: its tools and organs, and what is remembered.
+    """The contact state of one world, for kernels: its tools and organs, the memory of contacts, and workspace.
 
     Fields:
         tools: `ToolShape` of the N tools.
         memories: `PairMemory` of each tool (outer) and organ (inner).
         surfaces: Triangles (T, 3) of each organ, counting its own vertices.
-        constraints: Workspace of a query.
-        earlier: Workspace: constraints of queries before the last one.
-        trial: Workspace: displacements of the last position solve's constraints, with which it is tried again.
-        warm: Displacements of the last step's constraints, from which solves start.
-        warm_count (1,): how many.
-        first_vertices (O,): index of each organ's first vertex among all.
+        constraints: `Constraints`, workspace: those of a query.
+        earlier: `Constraints`, workspace: those of the step's earlier queries that pushed.
+        trial: `Constraints`, workspace: those that pushed in the last position solve, to warm-start the next pass.
+        warm: `Constraints` that pushed in the last step, to warm-start solves.
+        warm_count (1,): number of these.
+        first_vertices (O,): index of each organ's first vertex among those of all organs.
         friction (N,): coefficients.
         settings: See `settings`.
         inverse_mass (V,): of the organs' nodes [1/kg].
         skin: `Skin` of all organs.
-        near: `Near`: which features of organs are near each other.
+        near: `Near`, the pairs of features of organs that are near each other.
         ledger (O, 5): of the energy that the tools put into each organ; see `energy`.
-        pace (1,): part of their ways that the tools go in the next step; 1 unless they were stopped.
+        pace (1,): fraction of their motion that the tools carry out in the next step; less than 1 after a stop.
         room: `ScratchRoom`, large enough for all tools and organs.
     """
 
@@ -369,13 +372,13 @@ ROW_LENGTH = 24
 FOURTH, OWNER, PLANE, FEATURE_LENGTH = 3, 4, 5, 6
 
 NO_PAIR = -1
-"""In the place of a pair's index in `Scratch.listed`: none."""
+"""Value of a pair's index in `Scratch.listed` where there is none."""
 
 NO_VERTEX = -1
-"""In the place of a fourth vertex: none. The constrained point is one of the organ and kept from a plane."""
+"""Value of the fourth vertex where there is none: the constraint then keeps a point of the organ from a plane."""
 
 ORGANS, GROUND = -2, -1
-"""Owners of constraints that are not a tool's: of organs with themselves and each other, and with the ground."""
+"""Owners of constraints that belong to no tool: of organs with themselves and each other, and with the ground."""
 
 structref.define_proxy(ToolShape, ToolShapeType, ["geometry", "rays"])
 structref.define_proxy(PairMemory, PairMemoryType, ["nodes", "organ"])
@@ -437,7 +440,7 @@ def make_world_contacts(
     warm_count: Any, first_vertices: Any, friction: Any, settings: Any, inverse_mass: Any, skin: Any,
     near: Any, ledger: Any, pace: Any, room: Any,
 ) -> Any:  # fmt: skip
-    """A `WorldContacts` of these fields."""
+    """Make a `WorldContacts` of these fields."""
     return WorldContacts(
         tools, memories, surfaces, constraints, earlier, trial, warm, warm_count, first_vertices, friction,
         settings, inverse_mass, skin, near, ledger, pace, room,
@@ -446,7 +449,7 @@ def make_world_contacts(
 
 @kernel(CONSTRAINTS(types.int64))
 def make_constraints(capacity: int) -> Any:
-    """Room for so many constraints."""
+    """Make `Constraints` with room for `capacity` constraints."""
     rows, features = np.zeros((capacity, ROW_LENGTH)), np.zeros((capacity, FEATURE_LENGTH), np.int32)
     return Constraints(ConstraintTable(rows, features, np.zeros(capacity, np.int64)))
 
@@ -478,13 +481,13 @@ def _make_spread_room(nodes: int) -> Any:
 
 @kernel(ROOM())
 def make_room() -> Any:
-    """A `ScratchRoom` without any room."""
+    """Make an empty `ScratchRoom`; see `fit_room`."""
     return ScratchRoom(_make_scratch(0, 0, 0, 0), _make_step_room(0, 0, 0), _make_spread_room(0))
 
 
 @kernel(types.void(WORLD_CONTACTS))
 def fit_room(world: Any) -> None:
-    """Have the workspace of a world be large enough for all of its tools and organs."""
+    """Enlarge the workspace of a world, if needed, so that it suffices for all of its tools and organs."""
     scratch, vertices = world.room.scratch, world.inverse_mass.shape[0]
     planes, corners, triangles = scratch.under.shape[0], scratch.corner_heights.shape[0], scratch.near.shape[0]
     step, nodes = world.room.step, 0
@@ -510,7 +513,7 @@ def fit_room(world: Any) -> None:
 @array_kernel
 def copy_constraint(table: Any, index: int, into: Any, place: int) -> None:
     """Copy one constraint of a `ConstraintTable` to a place in another."""
-    # Element by element: an assignment of array to array compiles checks of their shapes, for seconds.
+    # Element by element: for an assignment of whole arrays Numba compiles checks of their shapes, which takes seconds.
     for column in range(ROW_LENGTH):
         into.rows[place, column] = table.rows[index, column]
     for column in range(FEATURE_LENGTH):
@@ -527,7 +530,7 @@ def copy_first(count: int, table: Any, into: Any) -> None:
 
 @kernel(types.void(CONSTRAINTS, types.int64, types.int64))
 def reserve(constraints: Any, count: int, capacity: int) -> None:
-    """Make room for at least so many constraints, keeping the first `count`."""
+    """Make room for at least `capacity` constraints, keeping the first `count`."""
     room = constraints.table.names.shape[0]
     if capacity <= room:
         return
@@ -538,7 +541,7 @@ def reserve(constraints: Any, count: int, capacity: int) -> None:
 
 @kernel(types.Tuple((ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))(CONSTRAINTS, types.int64))
 def copy_constraints(constraints: Any, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Names, features and rows of the first `count` constraints, copied."""
+    """Copy names, features and rows of the first `count` constraints."""
     copied = make_constraints(count).table
     copy_first(count, constraints.table, copied)
     return copied.names, copied.features, copied.rows
@@ -546,7 +549,7 @@ def copy_constraints(constraints: Any, count: int) -> tuple[np.ndarray, np.ndarr
 
 @kernel(types.void(CONSTRAINTS, ARRAYS["i8"], ARRAYS["i4_2"], ARRAYS["f8_2"]))
 def restore_constraints(constraints: Any, names: np.ndarray, features: np.ndarray, rows: np.ndarray) -> None:
-    """Write constraints that were copied."""
+    """Write back constraints that `copy_constraints` returned."""
     reserve(constraints, 0, names.shape[0])
     copy_first(names.shape[0], ConstraintTable(rows, features, names), constraints.table)
 
@@ -563,7 +566,7 @@ def _append_tool(tools: Any, tool: Any) -> None:
 
 @kernel(types.void(WORLD_CONTACTS, types.int64, TOOL))
 def replace_tool(world: Any, index: int, tool: Any) -> None:
-    """Put another tool in the place of one."""
+    """Replace the tool with this index by another one."""
     world.tools[index] = tool
     fit_room(world)
 
@@ -631,11 +634,11 @@ def world_list(worlds: list[Any]) -> Any:
 
 
 def tool_shape(tool: Tool) -> Any:
-    """A `ToolShape` of a tool."""
+    """Make the `ToolShape` of a tool."""
     columns = RayColumns(tool)
     normals, offsets = _planes(tool)
     low, high = tool.vertices.min(axis=0), tool.vertices.max(axis=0)
-    # Kernels take writeable arrays; a tool's are read-only.
+    # Kernels are compiled for writeable arrays, and a tool's are read-only: copy them.
     geometry = ToolGeometry(
         nodes=np.array(tool.nodes),
         normals=np.array(tool.normals),
@@ -664,7 +667,7 @@ def _planes(tool: Tool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def ridges_between(
     corners: NDArray[np.float64], normals: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> NDArray[np.int32]:
-    """The two corners that each two planes share, -1 where they share no edge."""
+    """The two corners (P, P, 2) of the edge that each two planes share, -1 where they share none."""
     tolerance = ON_PLANE * float(np.ptp(corners, axis=0).max())
     on_plane = np.abs(corners @ normals.T - offsets) <= tolerance
     ridges = np.full((len(normals), len(normals), 2), -1, dtype=np.int32)
@@ -678,10 +681,10 @@ def ridges_between(
 
 
 class OrganRoom:
-    """Workspace for an organ of so many vertices and triangles; pairs that are queried one by one can share it."""
+    """Arrays of a `LocalOrgan`; pairs of a tool and an organ that are queried one after the other can share them."""
 
     def __init__(self, vertices: int, triangles: int) -> None:
-        """Make room."""
+        """Allocate them for an organ with these numbers of vertices and triangles."""
         self.ray_local: NDArray[np.float64] = np.zeros((3, vertices))
         self.codes: NDArray[np.uint8] = np.zeros(vertices, dtype=np.uint8)
         self.local: NDArray[np.float64] = np.zeros((3, vertices))
@@ -690,19 +693,19 @@ class OrganRoom:
 
 
 class Memory:
-    """The arrays of a `PairMemory`: what is remembered of a tool with so many nodes, and workspace for an organ.
+    """The arrays of a `PairMemory`: the memory of a tool's contact nodes, and workspace for an organ.
 
     Attributes:
-        states: (7, n) the first fields of `NodeMemory`, flags first.
-        triangle: (n,) see `NodeMemory`, as the next.
-        record: (n, 10).
-        vertices: How many the organ has.
-        triangles: How many the organ has.
-        structure: For kernels.
+        states: (7, n) the boolean fields of `NodeMemory`, flags first.
+        triangle: (n,) see `NodeMemory`.
+        record: (n, 10) see `NodeMemory`.
+        vertices: Number of vertices of the organ.
+        triangles: Number of triangles of the organ.
+        structure: The `PairMemory` for kernels.
     """
 
     def __init__(self, nodes: int, room: OrganRoom | None = None) -> None:
-        """Make them, with all flags clear."""
+        """Make the arrays for a tool with `nodes` contact nodes, with all flags clear."""
         self.states: NDArray[np.bool_] = np.zeros((STATES, nodes), dtype=np.bool_)
         self.triangle: NDArray[np.int32] = np.full(nodes, NO_HIT, dtype=np.int32)
         self.record: NDArray[np.float64] = np.zeros((nodes, 10))
@@ -711,7 +714,7 @@ class Memory:
         self.use(OrganRoom(0, 0) if room is None else room)
 
     def use(self, room: OrganRoom) -> None:
-        """Change the workspace, for an organ of another size; what is remembered stays."""
+        """Use another workspace, for an organ of another size; the memory of the nodes stays."""
         self.vertices, self.triangles = len(room.codes), len(room.candidates)
         nodes: tuple[Any, ...] = (*self.states, self.triangle, self.record, self._hits, self._distances)
         self.structure = _make_memory(
@@ -720,5 +723,5 @@ class Memory:
         )
 
     def resize(self, vertices: int, triangles: int) -> None:
-        """Make workspace for an organ of another size."""
+        """Make new workspace, for an organ of another size."""
         self.use(OrganRoom(vertices, triangles))

@@ -1,8 +1,8 @@
-"""Triangles of an organ that are in a tool although every contact that was found holds, and the way out of it.
+"""Constraints that push out triangles of an organ that are in a tool although the contacts found so far hold.
 
-Which face has met a point is told by the way that it came (`features`). What a solve could not keep, where an organ is
-stretched or folded so much that the rows contradict each other, has come by no face that can still be told. Then where
-the organ is tells: its outside is where the tool belongs.
+The face that has met a point is normally found from the point's path (`features`). Where an organ is stretched or
+folded so much that constraints contradict each other, a solve may leave it in a tool, and the face through which it
+came can no longer be told. Then the present position decides: the tool belongs on the outer side of the surface.
 """
 
 from __future__ import annotations
@@ -19,19 +19,29 @@ from spatula_env.contact.path import MARGIN
 from spatula_env.contact.rows import ON_SURFACE, append_constraint, constraint_name
 
 FACING = 0.1
-"""A face pushes a triangle only if its normal goes against the triangle's, or is within this sine across it. Of the two
-sides of a thin tool one does, however deep the triangle is."""
+"""Greatest cosine of the angle between the normals of a face and of a triangle at which the face pushes the triangle:
+they must point against each other, or nearly be perpendicular. Of the two sides of a thin tool one satisfies this,
+however deep the triangle is."""
 
 SHALLOW = 0.25
-"""A triangle that is less deep, in the tool's thickness, is where it came in. Then a face pushes it also if it is"""
+"""Depth, as a part of the tool's thickness, below which a triangle counts as still being where it came in. `TURNED`
+then takes the place of `FACING`."""
 
 TURNED = 0.7
-"""turned less than this, as a cosine, the way that the triangle is: at a rim that is so."""
+"""Greatest cosine of the angle between the normals at which a face pushes a shallow triangle, as is needed at a rim."""
 
 
 @array_kernel
 def _way_out(under: np.ndarray, facing: np.ndarray, weights: np.ndarray, count: int, shallow: float) -> int:
-    """The face, of those that may push a triangle, behind which a part of it is least deep; -1 if there is none."""
+    """Of the faces that may push a triangle, the one behind which it is least deep; -1 if there is none.
+
+    Args:
+        under: (P, 3) how deep the triangle's corners are under each face; see `depth.fill_under` [u].
+        facing: (P,) cosine of the angle between each face's normal and the triangle's.
+        weights: (., 3) weights of the corners of the part of the triangle that is in the tool.
+        count: Number of these corners.
+        shallow: Depth below which the part counts as shallow; see `SHALLOW` [u].
+    """
     best, least = -1, np.inf
     for p in range(under.shape[0]):
         deepest = 0.0
@@ -55,9 +65,10 @@ def gather_sunk_triangles(
     trial: Any,
     scratch: Any,
 ) -> int:
-    """Append a constraint for each triangle that is in the tool: its deepest point goes out. There is room for all.
+    """Append a constraint for each triangle that is in the tool, which pushes its deepest point out.
 
-    Arguments as in `features.gather_features`, whose candidates are looked at. Returns the new count.
+    Arguments as in `features.gather_features`; the table must have room for all triangles. Only triangles near the
+    tool, by the codes that `features.find_candidates` has written, are considered. Returns the new count.
     """
     local, last, extent, codes = organ.local, organ.last_local, tool.extent, organ.codes
     plane_normals, plane_offsets = tool.plane_normals, tool.plane_offsets

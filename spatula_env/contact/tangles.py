@@ -1,4 +1,4 @@
-"""Where organs cross themselves or each other: edges that go through triangles, and how such tangles are undone."""
+"""Crossings of organs with themselves or each other: find edges that go through triangles, and prevent new ones."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from spatula_env.contact.near import find_cross_pairs, follow_motion, has_turned
 from spatula_env.contact.skin import ASKED_FOR, CROSS_IS_KNOWN, CROSS_PAIRS, CROSSINGS, NEAR, SKIN
 
 MOST_ATTEMPTS = 12
-"""So often zones are let grow before all vertices stay where they were."""
+"""Most attempts to resolve crossings. In all but the last, impact zones move as a whole and may grow; in the last one,
+all vertices go back to where they were."""
 
 
 @array_kernel
 def crosses(points: np.ndarray, p: int, q: int, a: int, b: int, c: int) -> float:
-    """Where an edge p, q goes through a triangle, as a fraction of its way; negative if it does not."""
+    """Where an edge from p to q goes through a triangle, as a fraction of its length; negative if it does not."""
     ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
     ux, uy, uz = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
     vx, vy, vz = points[c, 0] - ax, points[c, 1] - ay, points[c, 2] - az
@@ -41,7 +42,7 @@ def crosses(points: np.ndarray, p: int, q: int, a: int, b: int, c: int) -> float
 
 @array_kernel
 def _root(parents: np.ndarray, vertex: int) -> int:
-    """The vertex that stands for a vertex's zone."""
+    """The root of a vertex's zone in the union-find forest `parents`."""
     while parents[vertex] != vertex:
         parents[vertex] = parents[parents[vertex]]
         vertex = parents[vertex]
@@ -50,17 +51,18 @@ def _root(parents: np.ndarray, vertex: int) -> int:
 
 @inline_kernel
 def join_crossing(skin: Any, near: Any, points: np.ndarray, parents: np.ndarray, involved: np.ndarray) -> int:
-    """Join the vertices of edges and triangles that cross into zones.
+    """Join the vertices of edges and triangles that cross each other into zones.
 
     Args:
         skin: `Skin`.
-        near: `Near`.
-        points: (V, 3) vertices, within reach and not farther than by their shifts [u].
-        parents: (V,) a vertex of the same zone for each one, itself at the root; changed.
-        involved: (V,) whether a vertex belongs to what crosses; entries are set.
+        near: `Near`, with the shifts of these vertices.
+        points: (V, 3) vertices, within reach and no farther from `Near.placed` than their shifts [u].
+        parents: (V,) union-find forest of the zones: a vertex of the same zone for each vertex, itself at the root;
+            changed.
+        involved: (V,) whether a vertex belongs to features that cross; entries are set.
 
     Returns:
-        How many of the edges and triangles that are near each other cross.
+        The number of pairs of an edge and a triangle that cross.
     """
     if near.counts[CROSS_IS_KNOWN] == 0:
         find_cross_pairs(skin, near)
@@ -94,7 +96,10 @@ def _move_zones(
     goal: np.ndarray,
     points: np.ndarray,
 ) -> None:
-    """Move the vertices of each zone alike: as its pushed ones go on the average, or else as all do."""
+    """Translate each zone by the mass-weighted mean displacement of its pushed vertices, or of all if none is pushed.
+
+    A zone that holds a fixed vertex stays where it was.
+    """
     count = points.shape[0]
     ways, weights, holds = np.zeros((count, 3)), np.zeros((count, 2)), np.zeros(count, np.bool_)
     for i in range(count):
@@ -121,7 +126,7 @@ def _move_zones(
 
 @inline_kernel
 def _note_crossings(near: Any, crossings: int, involved: np.ndarray) -> None:
-    """Write in how many places organs cross, and which vertices (V,) are involved."""
+    """Write into `near` the number of crossings, and which vertices (V,) are involved in them."""
     near.crossing[CROSSINGS] = crossings
     for i in range(involved.shape[0]):
         near.tangled[i] = involved[i]
@@ -129,11 +134,17 @@ def _note_crossings(near: Any, crossings: int, involved: np.ndarray) -> None:
 
 @kernel(types.boolean(SKIN, NEAR, ARRAYS["f8_2"], types.boolean))
 def place(skin: Any, near: Any, points: np.ndarray, is_free: bool) -> bool:
-    """Put vertices (V, 3) somewhere [u], of organs of which none is held if they are free, and find what crosses there.
+    """Find what crosses after vertices have been put somewhere, if the known near pairs are still valid there.
+
+    Args:
+        skin: `Skin`.
+        near: `Near`, written.
+        points: (V, 3) positions of the vertices [u].
+        is_free: Whether no node is held, so that organs may have moved as a whole.
 
     Returns:
-        Whether that is within reach of where they were when what is near was found, and nothing has folded since;
-        otherwise nothing is done.
+        Whether all vertices are within their reach and the surface has not folded since the pairs were found. If not,
+        crossings are not looked for.
     """
     if is_free:
         follow_motion(near, points)
@@ -145,7 +156,7 @@ def place(skin: Any, near: Any, points: np.ndarray, is_free: bool) -> bool:
 
 @inline_kernel
 def find_crossings(skin: Any, near: Any, points: np.ndarray) -> None:
-    """Find out where organs cross that have just been put somewhere: vertices (V, 3) within reach [u]."""
+    """Find the crossings of organs that have just been put somewhere, with vertices (V, 3) within reach [u]."""
     count = points.shape[0]
     involved = np.zeros(count, np.bool_)
     crossings = join_crossing(skin, near, points, np.arange(count), involved)
@@ -156,21 +167,22 @@ def find_crossings(skin: Any, near: Any, points: np.ndarray) -> None:
 def hold_back(
     skin: Any, near: Any, inverse_mass: np.ndarray, pushed: np.ndarray, start: np.ndarray, points: np.ndarray
 ) -> bool:
-    """Let no organ cross itself or another.
+    """Prevent organs from crossing themselves or each other.
 
-    A solve that has not converged, or was asked for what cannot be had, may leave surfaces crossed. Where they came
-    from they did not cross, so what crosses is moved from there all alike (a rigid impact zone: Provot, Graphics
-    Interface 1997; Bridson et al., ACM Transactions on Graphics 21(3), 2002, section 7.5), with what a tool pushes. If
-    zones keep meeting others, everything stays where it was. Displacements alone are changed, and no momentum.
+    A solve that has not converged, or whose constraints contradict each other, may leave surfaces crossed. At the
+    positions that they came from they did not cross, so the vertices that cross are moved from there together, as a
+    rigid impact zone (Provot, Graphics Interface 1997; Bridson et al., ACM Transactions on Graphics 21(3), 2002,
+    section 7.5). A zone follows those of its vertices that a tool pushes. If zones keep meeting others, all vertices
+    stay where they were. Only positions are changed, not momentum.
 
     Args:
         skin: `Skin`.
-        near: `Near`; all vertices are within reach, there and here. In how many places organs cross nevertheless is
-            written into it: in none, unless they crossed at the start already. Then nothing is changed.
+        near: `Near`; all vertices must be within reach at `start` and at `points`. The number of crossings that remain
+            is written into it: none, unless organs crossed at the start already. In that case nothing is moved.
         inverse_mass: (V,) [1/kg].
         pushed: (V,) vertices that a tool has pushed.
-        start: (V, 3) where nothing crosses [u].
-        points: (V, 3) where the vertices are; changed [u].
+        start: (V, 3) positions at which nothing crosses [u].
+        points: (V, 3) present positions of the vertices; changed [u].
 
     Returns:
         Whether anything was changed.
@@ -178,7 +190,7 @@ def hold_back(
     count = points.shape[0]
     parents, involved = np.arange(count), np.zeros(count, np.bool_)
     crossings = join_crossing(skin, near, points, parents, involved)
-    # What crossed already was put there: there is nothing to go back to.
+    # Organs that crossed already were put so: there are no positions without crossings to go back to.
     if crossings == 0 or near.crossing[CROSSINGS] > 0:
         _note_crossings(near, crossings, involved)
         return False
@@ -186,7 +198,7 @@ def hold_back(
     for attempt in range(MOST_ATTEMPTS):
         if attempt < MOST_ATTEMPTS - 1:
             _move_zones(parents, involved, pushed, inverse_mass, start, goal, points)
-        # A zone may take a vertex farther than it went by itself.
+        # A zone may take a vertex out of its reach; then, as in the last attempt, all vertices go back.
         if attempt == MOST_ATTEMPTS - 1 or not measure_shifts(near, points, points):
             copy_points(start, points)
         measure_shifts(near, start, points)

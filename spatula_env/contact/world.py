@@ -1,4 +1,4 @@
-"""What the contact kernels are given of one world of a scene, and what they remember of it."""
+"""One world of a scene for the contact kernels: its arrays, and what is remembered of its contacts."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
 FIRST_ROOM = 256
-"""Room for so many constraints to begin with."""
+"""Initial capacity of the arrays of constraints."""
 
 Multipliers = tuple["NDArray[Any]", "NDArray[Any]", "NDArray[Any]"]
-"""From which the next position solve starts: names, features and rows of constraints."""
+"""Multipliers from which the next position solve starts: names, features and rows of constraints."""
 
 
 class NearMemory(NamedTuple):
-    """What is remembered of organs that are near themselves or each other.
+    """Memory of organs that are near themselves or each other; see `skin.Near`.
 
     Attributes:
-        found_at: (3, V) where the nodes were when it was found what is near [u].
-        reach: (V,) how far they may get from there before it is found anew [u].
-        cones: (P, 4) around the normals of parts of the surfaces.
-        patch_pairs: Which of those parts may meet.
+        found_at: (3, V) positions of the nodes when the near pairs were found [u].
+        reach: (V,) how far they may get from there before the pairs are found anew [u].
+        cones: (P, 4) cones around the normals of patches of the surfaces.
+        patch_pairs: Pairs of patches that may meet.
         is_known: Whether any of this is known.
         crossed_for: For how long organs have crossed themselves or each other [s].
     """
@@ -67,15 +67,15 @@ ORGAN_FRICTION = 0.1
 
 @dataclass(frozen=True)
 class ContactMemory:
-    """What is remembered of the contacts of a world from one step to the next.
+    """Memory of the contacts of a world from one step to the next.
 
     Attributes:
-        flags: Of each tool (outer) and organ (inner).
-        multipliers: From which the position and the velocity solve start: names, features and rows of constraints.
-        ledger: (O, 5) of the energy that the tools put into each organ; see `energy`.
+        flags: Flags of the contact nodes, for each tool (outer) and organ (inner).
+        multipliers: Names, features and rows of the constraints from which the next solve starts.
+        ledger: (O, 5) ledger of the energy that the tools put into each organ; see `energy`.
         wrenches: (N, 6) force and torque on each tool, averaged over the last step [kg u/s2, kg u2/s2].
-        near: Of organs that are near themselves or each other.
-        pace: Part of their ways that the tools go in the next step.
+        near: Memory of organs that are near themselves or each other.
+        pace: Fraction of their motion that the tools carry out in the next step; see `step.slow_tools`.
     """
 
     flags: tuple[tuple[NDArray[np.bool_], ...], ...]
@@ -87,12 +87,12 @@ class ContactMemory:
 
 
 def _mean_edge(scene: Scene) -> float:
-    """Of the organ with the smallest [u]."""
+    """The smallest mean edge of any organ of a scene [u]."""
     return min(float(placed.organ.edge_lengths.mean()) for placed in scene.organs)
 
 
 def scene_skin(scene: Scene) -> Any:
-    """The `Skin` of a scene's organs, without pairs of features that touch in an organ's own shape."""
+    """The `Skin` of a scene's organs, with pairs of features that touch in the organs' initial shapes excluded."""
     organs = [placed.organ for placed in scene.organs]
     skin = make_skin([np.array(organ.triangles) for organ in organs], [len(organ.vertices) for organ in organs])
     vertices = np.concatenate([placed.vertices for placed in scene.organs])
@@ -101,17 +101,17 @@ def scene_skin(scene: Scene) -> Any:
 
 
 class Workspace:
-    """Room for one query at a time, which worlds that are queried one after the other can share.
+    """Workspace for one query at a time, which worlds that are queried one after the other can share.
 
     Attributes:
-        constraints: Of the query.
-        earlier: Of queries before it in the same step.
-        trial: Of the position solve before in the same query.
+        constraints: Constraints of the query.
+        earlier: Constraints of earlier queries in the same step.
+        trial: Constraints of the last position solve in the same query.
         room: `ScratchRoom` of kernels.
     """
 
     def __init__(self) -> None:
-        """Make room."""
+        """Allocate the arrays."""
         self.constraints = make_constraints(FIRST_ROOM)
         self.earlier = make_constraints(MOST_PASSED)
         self.trial = make_constraints(FIRST_ROOM)
@@ -122,14 +122,14 @@ class World:
     """The contact of one world: a `WorldContacts` and the arrays in it.
 
     Attributes:
-        memories: Of each tool (outer) and organ (inner).
+        memories: `Memory` of each tool (outer) and organ (inner).
         friction: (N,) coefficients of the tools.
-        settings: (10,) by the column names of `settings`.
+        settings: (10,) indexed by the column names of `settings`.
         inverse_masses: (V,) of the organs' nodes [1/kg].
-        ledger: (O, 5) of the energy that the tools put into each organ; see `energy`.
-        pace: (1,) part of their ways that the tools go in the next step; see `step.slow_tools`.
-        workspace: Of a query.
-        structure: For kernels.
+        ledger: (O, 5) ledger of the energy that the tools put into each organ; see `energy`.
+        pace: (1,) fraction of their motion that the tools carry out in the next step; see `step.slow_tools`.
+        workspace: `Workspace` of a query.
+        structure: The `WorldContacts` for kernels.
     """
 
     def __init__(
@@ -146,13 +146,13 @@ class World:
         """Prepare for a scene.
 
         Args:
-            scene: Its tools, organs and ground.
+            scene: The scene, with its tools, organs and ground.
             shapes: `ToolShape` of each tool.
-            memories: Of each tool (outer) and organ (inner).
+            memories: `Memory` of each tool (outer) and organ (inner).
             surfaces: List of the organs' triangles, for kernels.
             skin: `Skin` of all organs; see `scene_skin`.
             inverse_masses: (V,) of the organs' nodes [1/kg].
-            workspace: Of a query.
+            workspace: `Workspace` of a query.
             keeps_apart: Whether organs are kept apart from themselves and each other.
         """
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
@@ -205,19 +205,22 @@ class World:
         self.settings[settings.MEAN_INVERSE_MASS] = float(free.mean()) if len(free) else 0.0
 
     def forget_solves(self) -> None:
-        """Start the next step's solves from nothing, count energy anew, and let the tools go all of their ways."""
+        """Forget multipliers, ledger, pace and near pairs, so that the next step is solved as a first one.
+
+        Its solves then start from zero, energy is counted anew, and the tools carry out all of their motion.
+        """
         self._warm_count[0] = 0
         self.ledger[:] = 0.0
         self.pace[:] = 1.0
         forget_near(self._near)
 
     def copy_multipliers(self) -> Multipliers:
-        """From where the next step's solve starts, as arrays of their own."""
+        """Copy the multipliers from which the next step's solve starts."""
         copied: Multipliers = copy_constraints(self._warm, int(self._warm_count[0]))
         return copied
 
     def restore_multipliers(self, multipliers: Multipliers) -> None:
-        """Go back to what was copied."""
+        """Restore multipliers that `copy_multipliers` returned."""
         restore_constraints(self._warm, *(part.copy() for part in multipliers))
         self._warm_count[0] = len(multipliers[0])
 
@@ -227,17 +230,17 @@ class World:
         return float(crossed_for(self._near))
 
     def copy_near(self) -> NearMemory:
-        """What is near and has crossed, as arrays of its own."""
+        """Copy the memory of what is near and of how long organs have crossed."""
         found_at, reach, cones, patch_pairs, is_known = copy_near(self._near)
         return NearMemory(found_at, reach, cones, patch_pairs, bool(is_known), self.crossed_for)
 
     def restore_near(self, memory: NearMemory, vertices: FloatArray) -> None:
-        """Go back to what was copied.
+        """Restore a memory that `copy_near` returned.
 
         Args:
-            memory: What was copied.
-            vertices: (V, 3) where the organs' nodes have been put [u]. If that is out of reach of where they were, what
-                is near is found anew.
+            memory: The memory.
+            vertices: (V, 3) positions at which the organs' nodes have been put [u]. If one of them is out of its reach,
+                or the surface has folded, the near pairs are found anew in the next step.
         """
         forget_near(self._near)
         if memory.is_known:
@@ -247,7 +250,7 @@ class World:
         set_crossed_for(self._near, memory.crossed_for)
 
     def admit_energy(self, vertices: FloatArray, velocities: FloatArray) -> None:
-        """Count what energy the organs were given when they were put into a state; the ledger is that of the state.
+        """Count the energy that the organs were given when they were put into a state whose ledger has been restored.
 
         Args:
             vertices: (V, 3) [u].
@@ -256,5 +259,5 @@ class World:
         energy.admit_energy(self.structure, vertices, velocities)
 
     def set_tool(self, index: int, shape: Any) -> None:
-        """Give the world another tool, a `ToolShape` with as many nodes."""
+        """Replace a tool of the world by a `ToolShape` with as many contact nodes."""
         replace_tool(self.structure, index, shape)

@@ -19,25 +19,25 @@ from spatula_env.geometry.rings import Loft, loft
 from spatula_env.geometry.transforms import as_vector3
 
 SHOULDER = 2.5
-"""Exponent of the superellipse that the top and the sides are in profile: a flat top and a round shoulder."""
+"""Exponent of the superellipse that forms the profile of the top and the sides: a flat top with a round shoulder."""
 
 SAMPLES = 96
-"""Points on each part of a profile, but that of top and sides, which has four times as many."""
+"""Points on each part of a profile, except that of top and sides, which has four times as many."""
 
 LEAN_OF_DEPTH, LEAN_OF_LENGTH = 0.25, 0.1
-"""From its floor to its lips each end of a fissure leans outwards by these parts of its depth and length, by the lesser
-of the two: a fissure ends in a slope, not in a shaft."""
+"""From its floor to its lips each end of a fissure leans outwards by the lesser of these parts of its depth and of its
+length, so that a fissure ends in a slope, not in a shaft."""
 
 BASE_LINE = 0.25
-"""The line in the middle of the base, which its rings close in upon, is at least this part of the block's length."""
+"""Least length of the line in the middle of the base, to which the rings shrink, as a part of the block's length."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FissuredBlock(Organ):
-    """A rounded block with a fissure in its top, which :func:`fissured_block` makes.
+    """A rounded block with a fissure in its top, as made by :func:`fissured_block`.
 
-    Every node is in one of ``base``, ``walls``, ``lips``, ``floor``, or in none of them and then on the outer surface
-    or in the plane y = 0 at an end of the fissure. Indices ascend.
+    Every node is in at most one of ``base``, ``walls``, ``lips`` and ``floor``; a node in none of them is on the outer
+    surface or in the plane y = 0 at an end of the fissure. Indices are in ascending order.
 
     Attributes:
         base: Nodes of the flat base with its rim, int32.
@@ -58,9 +58,9 @@ class FissuredBlock(Organ):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RidgedBlock(Organ):
-    """A rounded block with a ridge on its top, which :func:`ridged_block` makes.
+    """A rounded block with a ridge on its top, as made by :func:`ridged_block`.
 
-    Indices ascend.
+    Indices are in ascending order.
 
     Attributes:
         base: Nodes of the flat base with its rim, int32.
@@ -90,27 +90,27 @@ def fissured_block(
     """A piece of an organ with a deep, narrow fissure in its top, as between two folds of a brain.
 
     Seen from above, block and fissure are rounded rectangles, so that the walls are nearly parallel. The fissure's
-    floor is half round and its ends lean outwards a little on the way up; rounded lips lead over to the top. The walls
-    may be as close as one likes: where the floor is narrower than its triangles are long, it is a line that both walls
-    stand on.
+    floor is a half circle in cross-section, its ends lean slightly outwards on the way up, and rounded lips lead over
+    to the top. The walls may be arbitrarily close: where the floor is narrower than its triangles are long, it becomes
+    a line on which both walls stand.
 
     Args:
         size: Extents of the block along x, y and z, shape (3,) [u].
-        depth: How far the lowest line of the floor is below the top [u].
-        length: Of the fissure along x, below the lips [u].
-        width: Distance of the walls at the middle of the fissure [u].
-        edge_length: Wanted length of the triangles' edges [u].
+        depth: Distance of the lowest line of the floor from the top [u].
+        length: Length of the fissure along x, below the lips [u].
+        width: Distance between the walls at the middle of the fissure [u].
+        edge_length: Target length of the triangles' edges [u].
         lip: Radius of the lips [u].
         base_edge_length: If given, edges grow from the lips to this length at the base, where little moves [u].
-        target_length: How long the target on the floor is [u].
-        name: What to call the organ.
+        target_length: Length of the target on the floor [u].
+        name: Name of the organ.
 
     Returns:
         The organ.
 
     Raises:
-        ValueError: If a length is not positive and finite, the fissure does not fit into the block or the lips and
-            the round floor not into the fissure, or there would be very many nodes.
+        ValueError: If a length is not positive and finite, the fissure does not fit into the block, the lips and the
+            round floor do not fit into the fissure, or there would be very many nodes.
     """
     extent = _as_size(size)
     for key, value in (("depth", depth), ("length", length), ("width", width), ("edge_length", edge_length)):
@@ -141,7 +141,7 @@ def fissured_block(
     surface = _complete(inside, extent, edge_length, base_edge_length)
 
     vertices, row = surface.vertices, surface.profile_index
-    # Of the profile's points, the floor has the first SAMPLES; wall and lip share one at each end with what is before.
+    # The floor has the first SAMPLES points of the profile; wall and lip each share a point with the part before.
     floor_end, wall_end, lip_end = SAMPLES - 1, 2 * SAMPLES - 2, 3 * SAMPLES - 3
     floor_row = row <= floor_end
     wall_row, lip_row = ~floor_row & (row < wall_end), (row >= wall_end) & (row <= lip_end)
@@ -174,27 +174,27 @@ def ridged_block(
     base_edge_length: float | None = None,
     name: str = "ridged block",
 ) -> RidgedBlock:
-    """A piece of an organ with a ridge on its top that two jaws can grip, as one fold of a brain.
+    """A piece of an organ with a ridge on its top that two jaws can grip, like one fold of a brain.
 
-    Seen from above, block and ridge are rounded rectangles, so that the flanks of the ridge are nearly parallel. Its
-    crest is half round, and a fillet leads from its foot over to the top of the block.
+    Seen from above, block and ridge are rounded rectangles, so that the flanks of the ridge are nearly parallel. The
+    crest is a half circle in cross-section, and a fillet leads from the foot of the ridge over to the top of the block.
 
     Args:
         size: Extents of the block along x, y and z, without the ridge, shape (3,) [u].
-        height: How far the ridge stands out above the block [u].
-        length: Of the ridge along x [u].
-        width: Of the ridge along y [u].
-        edge_length: Wanted length of the triangles' edges [u].
+        height: Height of the ridge above the block [u].
+        length: Length of the ridge along x [u].
+        width: Width of the ridge along y [u].
+        edge_length: Target length of the triangles' edges [u].
         fillet: Radius of the fillet [u].
         base_edge_length: If given, edges grow from the ridge's foot to this length at the base, where little moves [u].
-        name: What to call the organ.
+        name: Name of the organ.
 
     Returns:
         The organ.
 
     Raises:
-        ValueError: If a length is not positive and finite, the ridge does not fit onto the block or its crest and the
-            fillet not into its height, or there would be very many nodes.
+        ValueError: If a length is not positive and finite, the ridge does not fit onto the block, its crest and the
+            fillet do not fit into its height, or there would be very many nodes.
     """
     extent = _as_size(size)
     for key, value in (("height", height), ("length", length), ("width", width), ("edge_length", edge_length)):
@@ -230,9 +230,10 @@ def ridged_block(
 
 
 def _complete(start: FloatArray, extent: FloatArray, edge_length: float, base_edge_length: float | None) -> Loft:
-    """The surface through rings along a profile (m, 3) that goes on over the top of a block to its base.
+    """Complete a profile (m, 3) by the top, the sides and the base of a block, and loft the surface through its rings.
 
-    The profile given ends level, at the height of the top; the nodes' ``profile_index`` counts its points first.
+    The given profile must end horizontally, at the height of the top. The nodes' ``profile_index`` counts its points
+    first.
     """
     if base_edge_length is not None:
         check_positive(base_edge_length, "base_edge_length")
@@ -247,7 +248,7 @@ def _complete(start: FloatArray, extent: FloatArray, edge_length: float, base_ed
             height * upwards,
         ]
     )
-    # The rings of the base shrink to a line that is about as far from the rim at its ends as at its sides.
+    # The rings of the base shrink to a line whose ends are about as far from the rim as its sides are.
     line = max(half_length - half_width, BASE_LINE * half_length)
     inwards = np.linspace(0.0, 1.0, SAMPLES)[1:]
     base = np.column_stack(
@@ -264,7 +265,7 @@ def _complete(start: FloatArray, extent: FloatArray, edge_length: float, base_ed
 
 @lru_cache(maxsize=8)
 def _lofted(profile: bytes, edge_lengths: bytes, rim: int) -> Loft:
-    """`loft` of arrays told by their bytes, kept: scenes are made again and again of the same few blocks."""
+    """Cached `loft`, with arrays given by their bytes: scenes are made repeatedly from the same few blocks."""
     surface = loft(np.frombuffer(profile).reshape(-1, 3), np.frombuffer(edge_lengths), (rim,))
     for array in (surface.vertices, surface.triangles, surface.profile_index):
         array.setflags(write=False)
@@ -284,7 +285,7 @@ def _check_less(value: float, name: str, limit: float, what: str) -> None:
 
 
 def _indices(members: BoolArray) -> Int32Array:
-    """Where an array is true, as indices that cannot be written to."""
+    """Indices at which an array is true, as a read-only array."""
     indices = np.flatnonzero(members).astype(np.int32)
     indices.setflags(write=False)
     return indices

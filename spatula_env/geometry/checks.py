@@ -1,7 +1,7 @@
-"""Checks of plain numbers and truth values, shared by shapes, scenes and the options of environments.
+"""Checks of plain numbers and booleans, shared by shapes, scenes and the options of environments.
 
-Booleans, strings and lists are no numbers, and numbers are no booleans: each check refuses what is of another kind with
-the argument's name, what is allowed and what came.
+Booleans, strings and lists do not count as numbers, nor numbers as booleans. The errors give the name of the argument,
+the values that are allowed, and the value that was given.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Kind = TypeVar("Kind")
 
 
 def is_number(value: Any) -> bool:
-    """Whether something is a finite real number: Python's, NumPy's, or an array of NumPy without axes."""
+    """Whether a value is a finite real number: of Python, of NumPy, or a NumPy array without axes."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value[()]
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

@@ -1,4 +1,4 @@
-"""Where a triangle surface crosses or touches itself."""
+"""Self-intersections of a triangle surface."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IndexArray, Int32Array, IntArray
 
 MOST_PAIRS = 500_000
-"""Of how many pairs of an edge and a triangle the boxes are compared at once, which bounds the memory."""
+"""About how many pairs of an edge and a triangle have their boxes compared at once, which bounds the memory."""
 
 
 def self_crossings(vertices: FloatArray, triangles: IndexArray) -> Int32Array:
-    """Edges of a surface that go through triangles of it, with which they have no vertex in common.
+    """Find the edges of a surface that go through triangles with which they share no vertex.
 
-    Pairs are sorted out by their bounding boxes first, along the axis on which the surface is longest (sweep and
-    prune). An edge goes through a triangle if its ends are on different sides of the triangle's plane, an end on the
-    plane counting as below it, and the point between them is in the triangle or on its border. So a surface that
-    touches itself may be among those that cross, but two triangles of one plane never are.
+    Candidate pairs are found by their bounding boxes, along the axis on which the surface is longest (sweep and prune).
+    An edge goes through a triangle if its ends are on different sides of the triangle's plane, where an end on the
+    plane counts as below it, and if the point at which it meets the plane is in the triangle or on its border. A
+    surface that merely touches itself may therefore be reported as crossing, but two triangles in one plane never are.
 
     Args:
         vertices: (V, 3) positions [u].
@@ -42,9 +42,9 @@ def self_crossings(vertices: FloatArray, triangles: IndexArray) -> Int32Array:
 
 
 def _near_pairs(vertices: FloatArray, pairs: IndexArray, triangles: IndexArray) -> Iterator[tuple[IntArray, IntArray]]:
-    """Edges (n,) and triangles (n,) whose bounding boxes have a point in common, some at a time."""
+    """Yield the edges (n,) and triangles (n,) whose bounding boxes have a point in common, in batches."""
     axes = np.argsort(-np.ptp(vertices, axis=0))
-    # One row for each axis, the one along which is swept first.
+    # One row for each axis, beginning with the axis of the sweep.
     edge_low, edge_high, low, high = (
         np.ascontiguousarray(reduce(vertices[corners], axis=1)[:, axes].T)
         for corners in (pairs, triangles)
@@ -52,7 +52,7 @@ def _near_pairs(vertices: FloatArray, pairs: IndexArray, triangles: IndexArray) 
     )
     order = np.argsort(low[0], kind="stable")
     low, high = low[:, order], high[:, order]
-    # A triangle that reaches an edge begins no farther below it than the longest triangle is long.
+    # A triangle whose box overlaps that of an edge begins no farther below the edge than the longest box is long.
     longest = (high[0] - low[0]).max()
     first = np.searchsorted(low[0], np.nextafter(edge_low[0] - longest, -np.inf), side="left")
     counts = np.searchsorted(low[0], edge_high[0], side="right") - first

@@ -2,8 +2,8 @@
 
 The hull grows from a tetrahedron by the point that stands out farthest, as in Quickhull (C. B. Barber, D. P.
 Dobkin and H. Huhdanpaa, The Quickhull algorithm for convex hulls, ACM Transactions on Mathematical Software
-22(4), 1996). Points that stand out less than a tolerance are left out. Taking the farthest first keeps the
-triangles well shaped, which is what makes a tolerance safe; the result is checked all the same.
+22(4), 1996). Points that stand out less than a tolerance are left out. Taking the farthest point first keeps
+the triangles well shaped, which makes the use of a tolerance safe; the result is checked nevertheless.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.geometry.surface import canonical_order, triangle_normals
 
 FACTORS = (1.0, 0.1, 10.0, 0.01, 100.0, 0.001)
-"""Factors on the tolerance, tried in turn: where points stand out by just about one, another decides."""
+"""Factors on the tolerance, tried in turn: where points stand out by just about one tolerance, another one may work."""
 
 
 def convex_hull(points: ArrayLike, tolerance: float = 1e-10) -> Int32Array:
@@ -27,8 +27,8 @@ def convex_hull(points: ArrayLike, tolerance: float = 1e-10) -> Int32Array:
 
     Args:
         points: Positions, shape (n, 3) with n >= 4 [u].
-        tolerance: How far a point may stand out and be left out, as a fraction of the points' extent. Where
-            distances between points are of just that size, up to a hundred times as much.
+        tolerance: How far a point may stand out and still be left out, as a fraction of the points' extent. Up
+            to a hundred times as much is used where distances between points are of just that size.
 
     Returns:
         Indices into ``points`` of shape (T, 3), int32, counter-clockwise seen from outside, in the order of
@@ -59,7 +59,7 @@ def convex_hull(points: ArrayLike, tolerance: float = 1e-10) -> Int32Array:
 
 
 def _largest_tetrahedron(points: FloatArray, tolerance: float) -> NDArray[np.int64]:
-    """Four points far apart, shape (4,), the last one above the others; ValueError if the points are flat."""
+    """Four points far apart, shape (4,), the last above the plane of the others; ValueError if all are in a plane."""
     first = int(np.argmin(points[:, np.argmax(np.ptp(points, axis=0))]))
     offset = points - points[first]
     second = int(np.argmax(np.linalg.norm(offset, axis=1)))
@@ -81,8 +81,8 @@ def _grow(points: FloatArray, start: NDArray[np.int64], tolerance: float) -> NDA
     a, b, c, apex = start.tolist()
     triangles = np.array([[a, c, b], [a, b, apex], [b, c, apex], [c, a, apex]])
     normals, offsets = _planes(points, triangles)
-    # Every waiting point is assigned to the triangle it stands above the most. Only the points of triangles
-    # that are removed need to look again, and only at the triangles that replace them.
+    # Every waiting point is assigned to the triangle above which it is highest. Only the points of removed
+    # triangles must be assigned anew, and only to the triangles that replace these.
     waiting = np.setdiff1d(np.arange(len(points)), start)
     heights = points[waiting] @ normals.T - offsets
     owner, height = heights.argmax(axis=1), heights.max(axis=1)
@@ -112,7 +112,7 @@ def _grow(points: FloatArray, start: NDArray[np.int64], tolerance: float) -> NDA
 
 
 def _rim(triangles: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Directed edges (k, 2) of the triangles that no other of the triangles runs along backwards."""
+    """Directed edges (k, 2) of the triangles whose reverse is not an edge of another of the triangles."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     outer = ~np.isin(start * count + end, end * count + start)
     return np.column_stack([start[outer], end[outer]])
@@ -125,7 +125,7 @@ def _planes(points: FloatArray, triangles: NDArray[np.int64]) -> tuple[FloatArra
 
 
 def _is_hull(points: FloatArray, triangles: NDArray[np.int64], tolerance: float) -> bool:
-    """Whether the triangles close like a sphere, with every point inside within ten tolerances."""
+    """Whether the triangles form a closed surface like a sphere, with every point inside it to ten tolerances."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     forward = np.unique(start * len(points) + end)
     backward = np.unique(end * len(points) + start)

@@ -89,10 +89,10 @@ class Organ:
 def seed_sphere(radius: float = 3.0, node_count: int = 328) -> Organ:
     """The seed's organ: Hammersley points on a sphere and their convex hull.
 
-    With the defaults it has 328 nodes and 652 triangles, and is the body Bullet's own ellipsoid helper
+    With the defaults it has 328 nodes and 652 triangles, and is the body that Bullet's own ellipsoid helper
     builds. The points are those of T. T. Wong, W. S. Luk and P. A. Heng, Sampling with Hammersley and Halton
-    points, Journal of Graphics Tools 2(2), 1997: point i is at height 2 t - 1, where t is the binary digits
-    of i mirrored at the point, and at the angle (2 i + 1) pi / n.
+    points, Journal of Graphics Tools 2(2), 1997: point i is at the height 2 t - 1 (times the radius), where t
+    is i with its binary digits mirrored at the binary point, and at the angle (2 i + 1) pi / n.
 
     Args:
         radius: Radius of the sphere [u].
@@ -111,7 +111,7 @@ def seed_sphere(radius: float = 3.0, node_count: int = 328) -> Organ:
 
 @lru_cache(maxsize=8)
 def _seed_sphere(radius: float, node_count: int) -> Organ:
-    """`seed_sphere`, kept: its hull takes longer than all else of a scene that is made, and scenes are made again."""
+    """Cached `seed_sphere`: its hull takes longer than the rest of making a scene, and scenes are made repeatedly."""
     index = np.arange(node_count)
     mirrored = np.zeros(node_count)
     for bit in range(int(node_count - 1).bit_length()):
@@ -124,7 +124,7 @@ def _seed_sphere(radius: float, node_count: int) -> Organ:
 
 
 def icosphere(radius: float = 1.0, subdivisions: int = 2) -> Organ:
-    """A sphere of nearly equal triangles: an icosahedron whose triangles are divided in four again and again.
+    """A sphere of nearly equal triangles: an icosahedron whose triangles are repeatedly divided into four.
 
     Args:
         radius: Radius of the sphere [u].
@@ -230,19 +230,19 @@ def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | Non
     the extra ``mesh``.
 
     Args:
-        path: The file. Its suffix says the format.
+        path: The file. Its suffix determines the format.
         scale: Factor from the file's unit to scene units.
-        name: What to call the organ; the file's name if not given.
+        name: Name of the organ; the file's name if not given.
 
     Returns:
-        The organ, where the file puts it.
+        The organ, at the (scaled) coordinates of the file.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ImportError: If trimesh is not installed.
         ValueError: If the suffix is unknown, the scale is not positive and finite, the file cannot be read or
-            holds no single triangle mesh, or :func:`~spatula_env.geometry.surface.check_surface` finds a
-            defect.
+            does not hold exactly one triangle mesh, or :func:`~spatula_env.geometry.surface.check_surface`
+            finds a defect.
 
     Warns:
         SceneWarning: If the surface consists of several parts.
@@ -295,7 +295,7 @@ def _read_triangles(file: Path, suffix: str) -> tuple[FloatArray, Int32Array]:
 
 
 def _merge_equal(vertices: FloatArray, triangles: Int32Array) -> tuple[FloatArray, Int32Array]:
-    """Make vertices at exactly the same position one, in the order of their first appearance."""
+    """Merge vertices at exactly the same position, in the order of their first appearance."""
     _, first, inverse = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), dtype=np.int32)
@@ -304,7 +304,7 @@ def _merge_equal(vertices: FloatArray, triangles: Int32Array) -> tuple[FloatArra
 
 
 def _split_in_four(vertices: FloatArray, triangles: Int32Array) -> tuple[FloatArray, Int32Array]:
-    """Put a vertex in the middle of every edge and divide every triangle in four."""
+    """Put a vertex in the middle of every edge and divide every triangle into four."""
     pairs = edges(triangles)
     base = len(vertices)
     keys = pairs[:, 0].astype(np.int64) * base + pairs[:, 1]

@@ -1,4 +1,4 @@
-"""Whether a convex body and what a closed surface encloses have a point in common."""
+"""Test whether a convex body overlaps the volume that a closed surface encloses."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from spatula_env.geometry.surface import triangle_normals, winding_numbers
 def overlaps(
     vertices: FloatArray, triangles: IndexArray, corners: FloatArray, faces: IndexArray, tolerance: float = 0.0
 ) -> bool:
-    """Whether a convex body reaches into what a closed surface encloses.
+    """Whether a convex body reaches into the volume that a closed surface encloses.
 
-    Either the surface passes through the body, or the body is inside as a whole. So the triangles of the surface are
-    clipped by the half-spaces whose intersection the body is (I. Sutherland and G. Hodgman, Reentrant polygon clipping,
-    Communications of the ACM 17(1), 1974), and a point of the body is asked whether it is enclosed.
+    If it does, either the surface passes through the body, or the body is inside as a whole. So the triangles of the
+    surface are clipped by the half-spaces whose intersection is the body (I. Sutherland and G. Hodgman, Reentrant
+    polygon clipping, Communications of the ACM 17(1), 1974), and a point of the body is tested for being enclosed.
 
     Args:
         vertices: (V, 3) of the surface [u].
         triangles: (T, 3) of the surface, counter-clockwise from outside.
         corners: (K, 3) of the body [u].
         faces: (F, 3) triangles of the body's surface, counter-clockwise from outside.
-        tolerance: By how much the body may reach into the surface all the same [u].
+        tolerance: Depth by which the body may reach into the surface without counting as overlapping [u].
     """
     normals = triangle_normals(corners, faces)
     offsets = (normals * corners[faces[:, 0]]).sum(axis=1) - tolerance
@@ -39,7 +39,7 @@ def overlaps(
 
 
 def _reaches_into(polygon: FloatArray, normals: FloatArray, offsets: FloatArray) -> bool:
-    """Whether a plane polygon (n, 3) has a point with normals (F, 3) times it at most offsets (F,)."""
+    """Whether a plane polygon (n, 3) has a point p with ``normals @ p <= offsets``, normals (F, 3) and offsets (F,)."""
     for normal, offset in zip(normals, offsets, strict=True):
         beyond = polygon @ normal - offset
         if (beyond <= 0.0).all():

@@ -1,7 +1,7 @@
-"""The parts of an organ that nothing connects: each is a soft body of its own.
+"""The unconnected parts of an organ: each is a soft body of its own.
 
-A surface may have several components, and so may what links connect: a ball beside a ball, or the wall of a cavity
-inside an organ. Links follow edges, so components that meet in a vertex are one part.
+A surface may have several components, such as two balls side by side, or an organ and the wall of a cavity inside it.
+Links follow the edges, so components that meet in a vertex are connected and form one part.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 NAMED_PARTS = 8
-"""Of how many parts a message tells the size."""
+"""Most parts whose sizes a message gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +30,10 @@ class Part:
     """A part of an organ.
 
     Attributes:
-        nodes: (n,) the organ's nodes in it, ascending.
-        triangles: (t, 3) which of these nodes each of its triangles has, in the organ's order, int32.
-        volume: What it encloses [u3]; negative for the wall of a cavity.
-        sheets: How many components of the surface it has: more than one if they meet in a vertex.
+        nodes: (n,) indices of its nodes among the organ's, ascending.
+        triangles: (t, 3) its triangles as indices into `nodes`, in the organ's order, int32.
+        volume: Volume that it encloses [u3]; negative for the wall of a cavity.
+        sheets: Number of components of the surface in it: more than one if they meet in a vertex.
     """
 
     nodes: IntArray
@@ -43,25 +43,25 @@ class Part:
 
 
 class Surface(Protocol):
-    """What an organ has, as far as it matters here."""
+    """The attributes of an organ that are needed here."""
 
     @property
     def vertices(self) -> FloatArray:
-        """(V, 3) of the nodes [u]."""
+        """(V, 3) positions of the nodes [u]."""
 
     @property
     def triangles(self) -> NDArray[np.int32]:
-        """(T, 3) which nodes each has."""
+        """(T, 3) node indices of the triangles."""
 
 
 def organ_parts(organ: Surface) -> tuple[Part, ...]:
-    """The parts of an organ, by their first nodes.
+    """Divide an organ into its unconnected parts.
 
     Args:
         organ: The organ.
 
     Returns:
-        One part for most organs.
+        The parts, in the order of their first nodes; most organs have just one.
     """
     pairs = edges(organ.triangles)
     label = label_components(len(organ.vertices), pairs[:, 0], pairs[:, 1])
@@ -78,7 +78,7 @@ def organ_parts(organ: Surface) -> tuple[Part, ...]:
 
 
 def describe_parts(parts: Sequence[Part]) -> str:
-    """How large parts are, in words."""
+    """The sizes of parts in words, for a message."""
     sizes = [
         f"{len(part.nodes)} nodes {'around' if part.volume < 0.0 else 'and'} "
         f"{'a cavity of ' if part.volume < 0.0 else ''}{abs(part.volume):.3g} u3"

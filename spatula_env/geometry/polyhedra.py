@@ -12,14 +12,14 @@ from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.geometry.surface import triangle_areas, triangle_normals
 
 COPLANAR = 1e-6
-"""Triangles are one face when they leave its plane by at most this fraction of the extent.
+"""Triangles belong to one face if they deviate from its plane by at most this fraction of the extent.
 
-Coordinates from files are often in single precision, which rounds by a tenth of that.
+Coordinates from files are often in single precision, whose rounding is a tenth of that.
 """
 
 
 def cell_count(length: float, spacing: float) -> int:
-    """Fewest equal cells, none longer than ``spacing`` but by a millionth, that a length divides into.
+    """The least number of equal cells, none longer than ``spacing`` by more than a millionth, that make up a length.
 
     Args:
         length: The length to divide [u].
@@ -28,7 +28,7 @@ def cell_count(length: float, spacing: float) -> int:
     Returns:
         The number of cells, at least 1.
     """
-    # So that 1 / 0.2 is five cells whichever way it rounds, and in single precision too.
+    # The factor makes 1 / 0.2 five cells whichever way it rounds, in single precision, too.
     return max(1, math.ceil(length / spacing * (1.0 - 1e-6)))
 
 
@@ -66,7 +66,7 @@ class Face:
         """
         direction = self.rim[:, 1] - self.rim[:, 0]
         length = np.linalg.norm(direction, axis=1)
-        # Of edges of equal length the first, whatever rounding made of them.
+        # Among edges of equal length, up to rounding, take the first.
         longest = int(np.argmax(length >= length.max() * (1.0 - COPLANAR)))
         along = direction[longest] / length[longest]
         across = np.cross(self.normal, along)
@@ -93,14 +93,14 @@ class Face:
 
 
 def polyhedron_faces(vertices: FloatArray, triangles: Int32Array) -> list[Face]:
-    """Join the triangles of a convex polyhedron to its flat faces.
+    """Join the triangles of a convex polyhedron into its flat faces.
 
     Args:
         vertices: Positions, shape (K, 3) [u].
         triangles: Vertex indices, shape (M, 3), of the polyhedron's surface, wound outwards.
 
     Returns:
-        The faces from the largest to the smallest; those of equal area in the order of their vertices.
+        The faces from the largest to the smallest, those of equal area in the order of their vertices.
     """
     normals, areas = triangle_normals(vertices, triangles), triangle_areas(vertices, triangles)
     label = _face_labels(vertices, triangles, normals, areas)
@@ -138,9 +138,9 @@ def _face_labels(
     near = COPLANAR * float(np.ptp(vertices, axis=0).max())
     label = np.full(len(triangles), -1)
     count = 0
-    # The largest triangle left defines a plane, and its face is all that lies in that. Joining neighbours one
-    # by one instead would join two faces of a box across a sliver at their common edge, which lies in both
-    # planes.
+    # The largest remaining triangle defines a plane, and its face consists of all triangles in that plane.
+    # Joining neighbours one by one instead would join two faces of a box across a sliver at their common edge,
+    # which lies in both planes.
     for seed in np.argsort(-areas, kind="stable"):
         if label[seed] < 0:
             heights = (vertices - vertices[triangles[seed, 0]]) @ normals[seed]

@@ -1,9 +1,9 @@
 """Surfaces lofted through rings: horizontal closed curves, stacked along a profile and joined by triangles.
 
-A ring is a superellipse |x / a|^p + |y / b|^p = 1, which with p = 3 is a rounded rectangle, and a slit with nearly
-parallel sides where b is much less than a. Nodes are spread along every ring, rows of them at equal distances along the
-profile, and each strip between two rings is filled with triangles. As many nodes are put on a ring as its length asks
-for, so the triangles keep their size and shape where the rings shrink or grow.
+A ring is a superellipse |x / a|^p + |y / b|^p = 1. With p = 3 it is a rounded rectangle, or, where b is much less than
+a, a slit with nearly parallel sides. Rings are placed evenly along the profile, nodes are spread along each of them as
+a row, and the strip between two rows is filled with triangles. The number of nodes on a ring follows its length, so the
+triangles keep their size and shape where the rings shrink or grow.
 """
 
 from __future__ import annotations
@@ -22,19 +22,21 @@ ROUNDNESS = 3.0
 """Exponent p of the superellipses. A slit keeps four fifths of its width over four fifths of its length."""
 
 ANGLES = 721
-"""Points at which half a ring is measured: an odd number, so that one is at the middle."""
+"""Number of points that represent half a ring when it is measured: odd, so that one is at the middle."""
 
 NARROWEST, WIDEST = 0.6, 1.6
-"""Limits of the distance of nodes along a ring, in wanted ones, where its neighbours are closer or farther away."""
+"""Limits of the distance of nodes along a ring, relative to its mean, where neighbouring rings are closer or farther
+away."""
 
 LEAST_EDGES = 2
 """Edges on half a ring: with one, the two halves would be the same edge."""
 
 MOST_NODES = 100_000
-"""More nodes than this are refused: they are a mistaken edge length rather than a wish."""
+"""Greatest number of nodes: more are refused, as the edge length is then probably mistaken."""
 
 TIE = 1e-9
-"""Two diagonals are equally long within this part, and then the choice is the same on every machine."""
+"""Two diagonals whose lengths differ by less than this part count as equal, so that the choice between them is the same
+on every machine."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Loft:
     Attributes:
         vertices: Positions of the nodes, shape (V, 3) [u], row by row.
         triangles: Node indices, shape (T, 3), wound outwards.
-        profile_index: Which point of the profile each node's row goes through, shape (V,), with a fraction.
+        profile_index: Fractional index of the point of the profile that each node's row goes through, shape (V,).
     """
 
     vertices: FloatArray
@@ -53,18 +55,18 @@ class Loft:
 
 
 def loft(profile: FloatArray, edge_lengths: FloatArray, creases: tuple[int, ...] = ()) -> Loft:
-    """Join rings along a profile to a closed surface.
+    """Join rings along a profile into a closed surface.
 
-    The profile begins and ends with a ring of no width, a line: it leads from the line in a hollow or on a crest
+    The profile begins and ends with a ring of zero width, a line. It leads from the line in a hollow or on a crest
     outwards, over the top, down to the base, and inwards to the line in the middle of the base. Drawn with the half
-    width to the right and z upwards, the surface's outside is on its left. The surface is its own mirror image in the
-    plane y = 0.
+    width to the right and z upwards, the outside of the surface is on the left of the profile. The surface is its own
+    mirror image in the plane y = 0.
 
     Args:
-        profile: Half length a, half width b and height z of rings, shape (m, 3) [u]; so many that the profile is
-            smooth. The half width is zero at both ends and only there.
-        edge_lengths: Wanted length of edges at each of the points, shape (m,) [u].
-        creases: Points of the profile that a row of nodes must go through, ascending.
+        profile: Half length a, half width b and height z of rings, shape (m, 3) [u]; enough of them for a smooth
+            profile. The half width is zero at both ends and only there.
+        edge_lengths: Target length of the edges at each of these points, shape (m,) [u].
+        creases: Indices of points of the profile that a row of nodes must go through, ascending.
 
     Returns:
         The surface, its nodes in rows along the profile, each row counter-clockwise from the positive x axis.
@@ -112,7 +114,7 @@ def _unit_half_ring() -> FloatArray:
 
 
 def _measure(profile: FloatArray, unit: FloatArray, edge_lengths: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far apart rings are: along the profile in rows (m,), and around each ring relative to its mean (m - 1, n)."""
+    """Distances of rings: along the profile, counted in rows (m,), and around each, relative to its mean (m - 1, n)."""
     rings = np.empty((len(profile), len(unit), 3))
     rings[:, :, :2] = profile[:, None, :2] * unit
     rings[:, :, 2] = profile[:, 2:]
@@ -120,7 +122,8 @@ def _measure(profile: FloatArray, unit: FloatArray, edge_lengths: FloatArray) ->
     length = np.linalg.norm(along, axis=2)
     tangent = along / np.maximum(length, np.finfo(np.float64).tiny)[:, :, None]
     across = np.diff(rings, axis=0)
-    # At the middles of the rings' segments, between neighbouring rings; only what is square to the rings counts.
+    # Taken at the middles of the rings' segments, between neighbouring rings; only the part perpendicular to the rings
+    # counts.
     tangent = 0.5 * (tangent[1:] + tangent[:-1])
     length = 0.5 * (length[1:] + length[:-1])
     across = 0.5 * (across[:, 1:] + across[:, :-1])
@@ -133,7 +136,7 @@ def _measure(profile: FloatArray, unit: FloatArray, edge_lengths: FloatArray) ->
 
 
 def _place_rows(distance: FloatArray, stops: tuple[int, ...]) -> FloatArray:
-    """Where rows are, in the unit of the distances (m,): at all stops, and evenly between them."""
+    """Positions of the rows, in the unit of the distances (m,): at all stops, and evenly spaced between them."""
     rows = [0.0]
     for start, end in pairwise(distance[list(stops)].tolist()):
         rows += np.linspace(start, end, max(1, round(end - start)) + 1)[1:].tolist()
@@ -141,10 +144,11 @@ def _place_rows(distance: FloatArray, stops: tuple[int, ...]) -> FloatArray:
 
 
 def _spread_nodes(ring: FloatArray, wanted: FloatArray, before: int) -> FloatArray:
-    """Nodes on half a ring (n, 3), as far apart as wanted at each of its segments; ``before``: edges of the last ring.
+    """Spread nodes on half a ring (n, 3), at the target distances ``wanted`` (n - 1,) along its segments.
 
-    Rings with the same number of nodes would have them side by side, and triangles with right angles between them. One
-    node more or less shifts them against each other.
+    Two neighbouring rings with the same number of nodes would have them side by side, with right-angled triangles in
+    between. So if the number of edges would equal that of the last ring, ``before``, there is one more or one less,
+    which shifts the nodes against each other.
     """
     local = wanted.clip(NARROWEST * wanted.mean(), WIDEST * wanted.mean())
     position = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1) / local)])
@@ -159,7 +163,7 @@ def _spread_nodes(ring: FloatArray, wanted: FloatArray, before: int) -> FloatArr
 
 
 def _mirror(halves: list[FloatArray]) -> tuple[FloatArray, list[NDArray[np.int64]], list[NDArray[np.int64]]]:
-    """Complete rings: the nodes (V, 3), and for each row the indices of its upper half and of the mirrored one."""
+    """Complete the half rings: all nodes (V, 3), and the indices of each row's upper half and of its mirror image."""
     parts: list[FloatArray] = []
     upper: list[NDArray[np.int64]] = []
     lower: list[NDArray[np.int64]] = []
@@ -181,12 +185,12 @@ def _mirror(halves: list[FloatArray]) -> tuple[FloatArray, list[NDArray[np.int64
 
 
 def _zip_strip(inner: FloatArray, outer: FloatArray) -> list[tuple[int, int, bool]]:
-    """Divide the strip between two half rows (n, 3) and (k, 3) into triangles, by the shorter diagonal if it may be.
+    """Divide the strip between two half rows (n, 3) and (k, 3) into triangles, by the shorter diagonal where allowed.
 
     The ends of a row are in the plane y = 0, and so are all nodes of a line. A diagonal between two such nodes would be
-    in that plane too and the same as its mirror image, an edge of four triangles. Where the walls of a fissure are
-    nearly in the plane it can be the shorter one, but it is never drawn. As a half row has an interior node, unless it
-    is a line, there always is another way.
+    in that plane, too. It would coincide with its mirror image and be an edge of four triangles. Where the walls of a
+    fissure are nearly in that plane, such a diagonal can be the shorter one, but it is never used. There always is an
+    alternative, as a half row that is not a line has an interior node.
 
     Returns:
         For each triangle the node of the inner row and the node of the outer row that it begins with, and whether its

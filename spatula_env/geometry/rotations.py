@@ -1,4 +1,4 @@
-"""Many rotations at once: quaternions xyzw in arrays whose last axis is theirs; other axes broadcast."""
+"""Vectorised rotations: quaternions xyzw along the last axis of arrays, whose other axes broadcast."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from spatula_env.arrays import FloatArray
 
 SMALL_ANGLE = 1e-6
-"""Below this half angle a quotient of sines is taken from its series [rad]."""
+"""Below this half angle the quotient of sine and angle is computed by its series [rad]."""
 
 
 def multiply(first: ArrayLike, second: ArrayLike) -> FloatArray:

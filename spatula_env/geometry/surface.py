@@ -32,8 +32,8 @@ def check_surface(
 
     Nothing is repaired. The surface may have several components. Each must be wound outwards, with a positive
     volume, unless it lies inside another one, where it bounds a cavity and must be wound inwards: the surface
-    then encloses every point of space once or not at all. Whether it crosses itself is not looked at here, but when
-    a simulation is made of it; see :func:`~spatula_env.geometry.crossings.self_crossings`.
+    then encloses every point of space once or not at all. Whether it crosses itself is not checked here, but when
+    a simulation is made with it; see :func:`~spatula_env.geometry.crossings.self_crossings`.
 
     Args:
         vertices: Positions, shape (V, 3) [u].
@@ -62,7 +62,7 @@ def check_surface(
 
 
 def triangle_normals(vertices: FloatArray, triangles: IndexArray) -> FloatArray:
-    """Unit normals of the triangles, outwards where the winding is.
+    """Unit normals of the triangles, which point outwards if the surface is wound outwards.
 
     Args:
         vertices: Positions, shape (V, 3) [u].
@@ -178,7 +178,7 @@ def connected_components(triangles: IndexArray) -> Int32Array:
 
 
 def shared_edges(triangles: IndexArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which triangles meet along an edge.
+    """Pairs of triangles that meet along an edge.
 
     A triangle's edges are numbered like the elements of ``triangles.ravel()``: edge ``3 t + k`` runs from
     corner k of triangle t to its next corner.
@@ -187,8 +187,8 @@ def shared_edges(triangles: IndexArray) -> tuple[NDArray[np.int64], NDArray[np.i
         triangles: Vertex indices, shape (T, 3).
 
     Returns:
-        Two arrays of the same length of such numbers, of edges between the same two vertices. On a closed
-        surface every edge appears in exactly one place.
+        Two arrays of such numbers, of the same length: at each index two edges between the same two vertices.
+        On a closed surface every number appears exactly once.
     """
     keys = _edge_keys(triangles)[0]
     order = np.argsort(keys, kind="stable")
@@ -209,8 +209,8 @@ def label_components(count: int, left: IndexArray, right: IndexArray) -> Int32Ar
     """
     label = np.arange(count)
     while True:
-        # Neighbours take the smaller label; following labels to the end then spreads it over whole chains at
-        # once.
+        # Connected members take the smaller label; following labels to their end then spreads it over whole
+        # chains at once.
         lower = np.minimum(label[left], label[right])
         spread = label.copy()
         for side in (left, right):
@@ -232,7 +232,7 @@ def winding_numbers(points: FloatArray, vertices: FloatArray, triangles: IndexAr
     triangle, IEEE Transactions on Biomedical Engineering 30(2), 1983).
 
     Args:
-        points: Where to ask, shape (m, 3) [u]; on the surface itself the result is meaningless.
+        points: The points, shape (m, 3) [u]; for a point on the surface itself the result is meaningless.
         vertices: Positions, shape (V, 3) [u].
         triangles: Vertex indices, shape (T, 3), of a closed surface.
 
@@ -256,7 +256,7 @@ def winding_numbers(points: FloatArray, vertices: FloatArray, triangles: IndexAr
 
 
 def _as_surface(vertices: ArrayLike, triangles: ArrayLike, name: str) -> tuple[FloatArray, Int32Array]:
-    """Copy a surface into arrays of the right types; raise ValueError for what does not fit."""
+    """Copy a surface into arrays of the right types; raise ValueError if its arrays are not valid."""
     try:
         points = np.array(vertices, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -392,20 +392,21 @@ def _check_winding(points: FloatArray, faces: Int32Array, name: str, diagonal: f
 def _is_inside_others(points: FloatArray, faces: Int32Array, own: BoolArray) -> bool:
     """Whether the triangles ``own`` (T,) lie in the material that the others enclose."""
     corners = np.unique(faces[own])
-    # A vertex where two components touch says nothing; the median over a few vertices passes over it.
+    # The winding number is meaningless at a vertex where two components touch; the median over a few vertices
+    # ignores it.
     sample = corners[np.linspace(0, len(corners) - 1, min(len(corners), 9)).astype(int)]
     return bool(np.median(winding_numbers(points[sample], points, faces[~own])) > 0.5)
 
 
 def _area_vectors(vertices: FloatArray, triangles: IndexArray) -> FloatArray:
-    """Normals of twice the triangles' areas, shape (T, 3) [u2]."""
+    """Normals of the triangles with lengths of twice their areas, shape (T, 3) [u2]."""
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a)
 
 
 def _volume_shares(vertices: FloatArray, triangles: IndexArray) -> FloatArray:
     """Signed volumes of the tetrahedra from the surface's middle to the triangles, shape (T,) [u3]."""
-    # Measured from the middle, a surface far from the origin loses no digits.
+    # Measured from the middle, so that a surface far from the origin loses no digits.
     centred = vertices - vertices.mean(axis=0)
     return _row_dot(centred[triangles[:, 0]], _area_vectors(centred, triangles)) / 6.0
 
@@ -417,7 +418,7 @@ def _row_dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _edge_keys(triangles: IndexArray) -> tuple[NDArray[np.int64], BoolArray, int]:
-    """Per triangle edge a number for its vertices (3 T,) and whether it runs upwards (3 T,); their base."""
+    """Keys (3 T,) of the triangles' edges, whether each runs from a smaller to a larger index (3 T,), and the base."""
     start = triangles.astype(np.int64).ravel()
     end = np.roll(triangles.astype(np.int64), -1, axis=1).ravel()
     base = int(start.max(initial=0)) + 1
@@ -425,7 +426,7 @@ def _edge_keys(triangles: IndexArray) -> tuple[NDArray[np.int64], BoolArray, int
 
 
 def _edge_uses(triangles: IndexArray) -> tuple[Int32Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Edges (E, 2), how many triangles use each (E,), and how many of these run along it upwards (E,)."""
+    """Edges (E, 2), the number of triangles at each (E,), and how many of these run from its first vertex (E,)."""
     keys, upwards, base = _edge_keys(triangles)
     unique, inverse = np.unique(keys, return_inverse=True)
     uses = np.bincount(inverse, minlength=len(unique))

@@ -1,11 +1,11 @@
-"""Tetrahedra inside an organ's surface, whose nodes and triangles they keep.
+"""Tetrahedral meshes that fill an organ's surface and keep its nodes and triangles.
 
-Presets' organs come filled, from files that `scripts/fill_presets.py` has written, so that nothing need be installed.
-Other organs are filled by Netgen (J. Schöberl, NETGEN: an advancing front 2D/3D-mesh generator based on abstract rules,
-Computing and Visualization in Science 1, 1997), with the extra ``tissue``: it keeps the surface exactly, its smallest
-altitudes are two to five times those of TetGen on three of the presets' organs and half of them on the fourth, it has
-wheels for Linux, macOS and Windows, and its licence is the LGPL, where TetGen's is the AGPL and Gmsh's the GPL.
-fTetWild, of the MPL, moves the surface.
+The organs of the presets come filled, from files that `scripts/fill_presets.py` has written, so that nothing needs to
+be installed for them. Other organs are filled by Netgen (J. Schöberl, NETGEN: an advancing front 2D/3D-mesh generator
+based on abstract rules, Computing and Visualization in Science 1, 1997), with the extra ``tissue``. Netgen keeps the
+surface exactly; its smallest altitudes are two to five times those of TetGen on three of the presets' organs and half
+of them on the fourth; it has wheels for Linux, macOS and Windows; and its licence is the LGPL, where TetGen's is the
+AGPL and Gmsh's the GPL. fTetWild, under the MPL, moves the surface.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ PRESETS = ("seed", "fissure", "clamp", "retract")
 """The preset scenes whose organs come filled."""
 
 GRADING = 0.1
-"""How fast tetrahedra grow from the surface inwards, as Netgen counts: 0 for not at all, 1 for fast."""
+"""How fast tetrahedra grow from the surface inwards, in Netgen's measure: 0 for not at all, 1 for fast."""
 
 SAME = 1e-6
-"""Nodes closer together than this are the same, of organs that are computed on different machines [u]."""
+"""Nodes of an organ that was computed on different machines count as the same if no coordinate differs by more [u]."""
 
 FLATTEST = 1e-3
-"""Of a tetrahedron's longest edge, which its least altitude must not fall short of. Flatter ones say nothing of the
-tissue around them that would survive rounding to single precision."""
+"""Least altitude of a tetrahedron as a part of its longest edge. In a flatter one, nothing that is computed of the
+tissue around it would survive rounding to single precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class TetrahedralMesh:
     """An organ filled with tetrahedra: the nodes of its surface come first, in the organ's order.
 
-    Construction checks that all tetrahedra are of positive volume and copies the arrays, which cannot be written to
-    afterwards.
+    Construction checks the arrays with :func:`check_tetrahedra`, among other things that all volumes are positive, and
+    copies them; they cannot be written to afterwards.
 
     Attributes:
         nodes: Positions at rest, shape (N, 3), float64 [u].
@@ -68,17 +68,17 @@ class TetrahedralMesh:
 
     @property
     def volumes(self) -> FloatArray:
-        """(M,) of the tetrahedra [u3]."""
+        """(M,) volumes of the tetrahedra [u3]."""
         return tetrahedron_volumes(self.nodes, self.tetrahedra)
 
     @property
     def altitudes(self) -> FloatArray:
-        """(M,) the least of each tetrahedron's four [u]."""
+        """(M,) the least of each tetrahedron's four altitudes [u]."""
         return _least_altitudes(self.nodes, self.tetrahedra)
 
     @property
     def qualities(self) -> FloatArray:
-        """(M,) 12 (3 V)^(2/3) by the sum of the six squared edges: 1 for a regular tetrahedron, 0 for a flat one.
+        """(M,) 12 (3 V)^(2/3) over the sum of the six squared edges: 1 for a regular tetrahedron, 0 for a flat one.
 
         The mean ratio of A. Liu and B. Joe, Relationship between tetrahedron shape measures, BIT 34, 1994.
         """
@@ -89,7 +89,7 @@ class TetrahedralMesh:
 
     @property
     def boundary(self) -> Int32Array:
-        """(T, 3) the triangles that belong to one tetrahedron alone, counter-clockwise from outside."""
+        """(T, 3) the triangles that belong to only one tetrahedron, counter-clockwise from outside."""
         faces = self.tetrahedra[:, np.array(FACES)].reshape(-1, 3)
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         boundary: Int32Array = faces[np.sort(first[count == 1])]
@@ -99,10 +99,10 @@ class TetrahedralMesh:
         """Check that the tetrahedra fill an organ: its nodes come first, and its triangles are the boundary.
 
         Args:
-            organ: What is to be filled.
+            organ: The organ to be filled.
 
         Raises:
-            ValueError: If they do not; says what is amiss, and of how many.
+            ValueError: If they do not; the message says what is wrong, and how often.
         """
         count = len(organ.vertices)
         if len(self.nodes) < count:
@@ -122,7 +122,7 @@ class TetrahedralMesh:
 
 
 def check_tetrahedra(nodes: ArrayLike, tetrahedra: ArrayLike) -> tuple[FloatArray, IntArray]:
-    """Check that tetrahedra are what a solid can be made of.
+    """Check that a solid can be made of tetrahedra.
 
     Args:
         nodes: (N, 3) [u].
@@ -132,8 +132,8 @@ def check_tetrahedra(nodes: ArrayLike, tetrahedra: ArrayLike) -> tuple[FloatArra
         Both as arrays, float64 and int64.
 
     Raises:
-        ValueError: If they have another shape, positions are not finite, indices name no node, a node is in no
-            tetrahedron, or tetrahedra are inside out or flat; says how many.
+        ValueError: If arrays have another shape, positions are not finite, indices name no node, a node is in no
+            tetrahedron, or tetrahedra are inside out or flat; the message says how many.
     """
     places, corners = np.asarray(nodes, dtype=np.float64), np.asarray(tetrahedra)
     if places.ndim != 2 or places.shape[1] != 3 or not np.isfinite(places).all():
@@ -164,7 +164,7 @@ def check_tetrahedra(nodes: ArrayLike, tetrahedra: ArrayLike) -> tuple[FloatArra
 
 
 def tetrahedron_volumes(nodes: FloatArray, tetrahedra: IntArray | Int32Array) -> FloatArray:
-    """(..., M) volumes of tetrahedra (M, 4), negative for those inside out, of nodes (..., N, 3) [u3]."""
+    """Volumes (..., M) of tetrahedra (M, 4) with nodes (..., N, 3), negative for those inside out [u3]."""
     corners = nodes[..., tetrahedra, :]
     edges = corners[..., 1:, :] - corners[..., :1, :]
     volumes: FloatArray = np.linalg.det(edges) / 6.0
@@ -172,16 +172,17 @@ def tetrahedron_volumes(nodes: FloatArray, tetrahedra: IntArray | Int32Array) ->
 
 
 def fill_organ(organ: Organ) -> TetrahedralMesh:
-    """Tetrahedra inside an organ: those that come with the presets' organs, else Netgen's.
+    """Fill an organ with tetrahedra: those that come with the organs of the presets, or else Netgen's.
 
     Args:
-        organ: Its surface; of several parts too, with cavities or without.
+        organ: The organ; it may have several parts and cavities.
 
     Returns:
-        The mesh, the same object for the same organ where that was filled lately.
+        The mesh; results are cached, so an organ that was filled recently gives the same object.
 
     Raises:
-        ImportError: If the organ is none of the presets' and Netgen is not installed; says what to install.
+        ImportError: If the organ is not that of a preset and Netgen is not installed; the message says what to
+            install.
         ValueError: If the organ cannot be filled.
     """
     return _fill_organ(organ)
@@ -196,21 +197,21 @@ def tetrahedralize(organ: Organ, grading: float = GRADING, max_edge: float | Non
     """Fill an organ by Netgen. Needs the extra ``tissue``.
 
     Args:
-        organ: Its surface.
+        organ: The organ.
         grading: How fast tetrahedra grow from the surface inwards: 0 for not at all, 1 for fast.
-        max_edge: Length that edges inside should not exceed [u]; as long as the grading lets them grow by default.
+        max_edge: Length that edges inside should not exceed [u]; by default the grading alone limits it.
 
     Returns:
         The mesh.
 
     Raises:
-        ImportError: If Netgen is not installed; says what to install.
+        ImportError: If Netgen is not installed; the message says what to install.
         ValueError: If an argument is not allowed, or the organ cannot be filled.
     """
     check_positive(grading, "grading")
     check_positive(max_edge, "max_edge", or_none=True)
     meshing = _load_netgen(organ)
-    # Netgen thinks in absolute lengths here and there: all organs are of the same size to it.
+    # Netgen has some absolute lengths built in, so all organs are scaled to the same size for it.
     scale = 1.0 / float(np.ptp(organ.bounds, axis=0).max())
     mesh = meshing.Mesh(dim=3)
     for vertex in (organ.vertices * scale).tolist():
@@ -221,13 +222,13 @@ def tetrahedralize(organ: Organ, grading: float = GRADING, max_edge: float | Non
     options = meshing.MeshingParameters(maxh=10.0 if max_edge is None else max_edge * scale, grading=grading)
     try:
         mesh.GenerateVolumeMesh(options)
-    except Exception as error:  # Netgen's own kind, which is not among Python's
+    except Exception as error:  # Netgen raises a type of its own
         raise ValueError(f"organ {organ.name!r} cannot be filled with tetrahedra: {error}") from error
     nodes = np.array([point.p for point in mesh.Points()]) / scale
     elements = [[corner.nr - 1 for corner in element.vertices] for element in mesh.Elements3D()]
     if not elements:
         raise ValueError(f"organ {organ.name!r} cannot be filled with tetrahedra: Netgen has made none")
-    # The surface's nodes to the last bit; and Netgen counts corners the other way round.
+    # Restore the surface's nodes to the last bit; and Netgen orders corners the other way round.
     nodes[: len(organ.vertices)] = organ.vertices
     filled = TetrahedralMesh(nodes, np.array(elements)[:, [0, 2, 1, 3]])
     filled.check_fills(organ)
@@ -235,7 +236,7 @@ def tetrahedralize(organ: Organ, grading: float = GRADING, max_edge: float | Non
 
 
 def _load_netgen(organ: Organ) -> Any:
-    """The module `netgen.meshing`."""
+    """Import the module `netgen.meshing`, or raise an ImportError that says what to install."""
     try:
         from netgen import meshing
     except ImportError as error:
@@ -262,14 +263,14 @@ def find_preset(organ: Organ) -> TetrahedralMesh | None:
 
 @lru_cache(maxsize=len(PRESETS))
 def _read_preset(name: str) -> tuple[Int32Array, TetrahedralMesh]:
-    """The surface's triangles (T, 3) of a preset's organ, and what fills it."""
+    """The triangles (T, 3) of the surface of a preset's organ, and the mesh that fills it."""
     place = resources.files("spatula_env.geometry").joinpath("filled", f"{name}.npz")
     with resources.as_file(place) as path, np.load(path) as file:
         return file["triangles"].astype(np.int32), TetrahedralMesh(file["nodes"], file["tetrahedra"])
 
 
 def _least_altitudes(nodes: FloatArray, tetrahedra: IntArray | Int32Array) -> FloatArray:
-    """(M,) thrice a tetrahedron's volume by its largest face."""
+    """Least altitudes (M,) of tetrahedra: three times the volume, over the area of the largest face [u]."""
     corners = nodes[tetrahedra]
     areas = [
         0.5 * np.linalg.norm(np.cross(corners[:, b] - corners[:, a], corners[:, c] - corners[:, a]), axis=1)
@@ -280,12 +281,12 @@ def _least_altitudes(nodes: FloatArray, tetrahedra: IntArray | Int32Array) -> Fl
 
 
 def _cyclic(triangles: Int32Array) -> set[tuple[int, ...]]:
-    """Triangles, each beginning with its least corner."""
+    """The set of triangles, each rotated so that it begins with its least index."""
     first = np.argmin(triangles, axis=1)[:, None]
     turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
     return set(map(tuple, turned.tolist()))
 
 
 def inverted(nodes: FloatArray, tetrahedra: Int32Array) -> BoolArray:
-    """(..., M) which tetrahedra are inside out, of nodes (..., N, 3)."""
+    """Whether each tetrahedron (..., M) with nodes (..., N, 3) is inside out or flat."""
     return np.asarray(tetrahedron_volumes(nodes, tetrahedra) <= 0.0)

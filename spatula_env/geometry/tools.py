@@ -1,7 +1,7 @@
 """Rigid tools: their contact nodes, and their surface.
 
 A tool senses an organ through *contact nodes* spread over its flat faces. They come in pairs of *opposites*:
-the ray that starts at one of them and runs inwards, along minus its face's normal, leaves it at the other.
+the ray that starts at one of them and runs inwards, along minus its face's normal, leaves the tool at the other.
 On parallel faces that holds both ways. All coordinates are in the tool's own frame.
 """
 
@@ -29,7 +29,7 @@ PARALLEL = 1e-4
 """Two faces are parallel, and sampled as a pair, when their normals are opposite within this angle [rad]."""
 
 MOST_NODES = 100_000
-"""More nodes than this are refused: they are a mistaken unit of length rather than a wish."""
+"""Greatest number of nodes: more are refused, as the unit of length is then probably mistaken."""
 
 SMALLEST_SIZE = 1e-6
 LARGEST_SIZE = 1e6
@@ -89,14 +89,14 @@ class Tool:
         node_spacing: float | None = None,
         name: str = "box",
     ) -> Tool:
-        """A box centred at the origin, its edges along the axes: the seed's spatula.
+        """A box centred at the origin, its edges along the axes: by default the seed's spatula.
 
-        The two largest faces carry the same lattice of nodes, which reaches from rim to rim; a node's share
-        of the area is that of the trapezoidal rule, so a corner counts a quarter of a node in the middle.
+        The two largest faces carry the same lattice of nodes, which reaches from rim to rim. A node's share of
+        the area follows the trapezoidal rule, so a corner has a quarter of the share of a node in the middle.
         With ``faces="all"`` the other four faces carry nodes too, in the middles of the cells of a grid.
 
-        The nodes are ordered by face, and the faces thus: the largest pair first, then the others by axis; of
-        each pair the face towards the negative axis first. Opposite nodes are mirror images of each other.
+        The nodes are ordered by face. The largest pair of faces comes first, then the others by axis; of each
+        pair the face towards the negative axis comes first. Opposite nodes are mirror images of each other.
         Among equally large pairs, z counts as the largest before y, and y before x.
 
         Args:
@@ -135,8 +135,8 @@ class Tool:
             for axis, along in ((u, v), (v, u)):
                 # Middles of cells in both directions, not rim to rim. A node on the rim of a side face would
                 # lie on the rim of a largest face, whose lattice has nodes there already, and its inward ray
-                # would run in the plane of the largest face, which is just where an organ in contact has its
-                # surface.
+                # would run in the plane of the largest face, exactly where the surface of an organ in contact
+                # is.
                 rows = cells.copy()
                 rows[thin] = cell_count(float(lengths[thin]), float(lengths[along] / cells[along]))
                 first, second = sorted((along, thin))
@@ -171,18 +171,18 @@ class Tool:
     def convex(cls, vertices: ArrayLike, node_spacing: float, name: str = "convex") -> Tool:
         """A convex polyhedron, the hull of some points, with nodes on all of its faces.
 
-        Every face carries a lattice of nodes, at least one. The opposite of a lattice node is a further node
-        on the face where the inward ray leaves the tool. Two parallel faces face each other node by node as
-        on a box, so that region is sampled once: by the lattice of the larger face. The nodes on a face share
-        its area equally. Nodes are ordered by face, faces from the largest to the smallest.
+        Every face carries a lattice of at least one node. The opposite of a lattice node is an additional node
+        on the face where the inward ray leaves the tool. Two parallel faces face each other node by node, as
+        on a box, so the region between them is sampled only once: by the lattice of the larger face. The nodes
+        on a face share its area equally. Nodes are ordered by face, faces from the largest to the smallest.
 
         Args:
-            vertices: Points, shape (K, 3); those inside the hull of the others do not matter [u].
+            vertices: Points, shape (K, 3); those inside the hull of the others are ignored [u].
             node_spacing: Greatest distance between neighbouring nodes of a lattice [u].
             name: What to call the tool.
 
         Returns:
-            The tool, its origin where that of the points is.
+            The tool; its frame is that of the points.
 
         Raises:
             ValueError: If there are fewer than four points, or they are not finite, or lie in a plane, or the
@@ -213,7 +213,7 @@ class Tool:
         )
 
     def scaled(self, factor: float) -> Tool:
-        """The same tool with all lengths times a factor, about its origin; itself where that is one.
+        """The tool with all lengths multiplied by a factor, about its origin; the tool itself if the factor is 1.
 
         Raises:
             ValueError: If the factor is not positive and finite.
@@ -287,7 +287,7 @@ class Tool:
         return normals, np.einsum("ij,ij->i", normals, self.vertices[self.triangles[:, 0]])
 
     def _check(self) -> None:
-        """Raise ValueError where the arrays do not fit together."""
+        """Raise ValueError if the arrays do not fit together."""
         count, faces = len(self.nodes), len(self.face_normals)
         shapes = {
             "nodes": (count, 3),
@@ -329,7 +329,7 @@ def _check_node_count(count: float) -> None:
 
 
 def _rim_to_rim(lengths: FloatArray, cells: NDArray[np.int64], axis: int) -> tuple[FloatArray, FloatArray]:
-    """Ends of the cells along an axis, and their trapezoidal weights; both of shape (cells + 1,) [u]."""
+    """Boundaries of the cells along an axis, and their trapezoidal weights; both of shape (cells + 1,) [u]."""
     count, length = int(cells[axis]), float(lengths[axis])
     weights = np.full(count + 1, length / count)
     weights[[0, -1]] *= 0.5
@@ -371,18 +371,18 @@ def _convex_nodes(faces: list[Face], spacing: float) -> tuple[FloatArray, Int32A
     for index, face in enumerate(faces):
         start = face.lattice(spacing)
         exit_face, end = _leave(start, face.normal, normals, offsets)
-        # The larger of two parallel faces came first and its rays have sampled this one.
+        # The larger of two parallel faces came first, and its rays have sampled this one already.
         antiparallel = np.abs(normals + face.normal).max(axis=1) <= PARALLEL
         fresh = ~(antiparallel[exit_face] & (exit_face < index))
         if not fresh.any() and not any((label == index).any() for label in labels):
-            # Its rays may all have missed a small face, which would then have no node at all.
+            # The rays of the larger face may all have missed a small face, which would then have no node at all.
             start = face.centroid[None, :]
             exit_face, end = _leave(start, face.normal, normals, offsets)
             fresh = np.array([True])
         nodes.append(np.stack([start[fresh], end[fresh]], axis=1).reshape(-1, 3))
         labels.append(np.column_stack([np.full(fresh.sum(), index), exit_face[fresh]]).ravel())
     node, label = np.concatenate(nodes), np.concatenate(labels)
-    # So far nodes 2 k and 2 k + 1 are opposite. Order by face and carry that along.
+    # So far nodes 2 k and 2 k + 1 are opposite. Order the nodes by face, and renumber their opposites.
     order = np.argsort(label, kind="stable")
     rank = np.empty(len(order), dtype=np.int32)
     rank[order] = np.arange(len(order))
@@ -392,7 +392,7 @@ def _convex_nodes(faces: list[Face], spacing: float) -> tuple[FloatArray, Int32A
 def _leave(
     start: FloatArray, normal: FloatArray, normals: FloatArray, offsets: FloatArray
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Where rays from points (m, 3) along ``-normal`` leave a polyhedron: faces (m,) and points (m, 3)."""
+    """Faces (m,) and points (m, 3) at which rays from points (m, 3) along ``-normal`` leave a polyhedron."""
     slope = -normals @ normal
     ahead = slope > 1e-12
     distance = np.full((len(start), len(normals)), math.inf)

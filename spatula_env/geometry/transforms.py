@@ -1,4 +1,4 @@
-"""Rotations and the checks every pose passes at the door.
+"""Rotations, and the checks of vectors and quaternions that users give.
 
 Quaternions are unit quaternions in the order ``(x, y, z, w)``, the order PyBullet uses. A quaternion rotates
 vectors from the body's frame to the world's: ``world = rotate(orientation, body) + position``. ``q`` and
@@ -19,7 +19,7 @@ from spatula_env.arrays import FloatArray
 from spatula_env.geometry.checks import as_floats
 
 UNIT_TOLERANCE = 1e-6
-"""How far from 1 the length of a quaternion given by a user may be."""
+"""Greatest deviation from 1 of the length of a quaternion given by a user."""
 
 
 def as_vector3(value: ArrayLike, name: str) -> FloatArray:
@@ -150,7 +150,7 @@ def quaternion_from_axis_angle(axis: ArrayLike, angle: float) -> FloatArray:
 def quaternion_from_two_vectors(start: ArrayLike, end: ArrayLike) -> FloatArray:
     """Quaternion of the smallest rotation that turns one direction into another.
 
-    For opposite directions, where every perpendicular axis serves, one is chosen that depends on ``start``
+    For opposite directions, where any perpendicular axis is possible, one is chosen that depends on ``start``
     alone.
 
     Args:
@@ -189,8 +189,8 @@ def quaternion_from_two_vectors(start: ArrayLike, end: ArrayLike) -> FloatArray:
 def quaternion_from_matrix(matrix: ArrayLike) -> FloatArray:
     """Quaternion of a rotation matrix.
 
-    The largest component is computed from the diagonal and the others from it, so that no small number is
-    divided by (S. W. Shepperd, Quaternion from rotation matrix, Journal of Guidance and Control 1(3), 1978).
+    The largest component is computed from the diagonal, and the others from it, which avoids division by a
+    small number (S. W. Shepperd, Quaternion from rotation matrix, Journal of Guidance and Control 1(3), 1978).
 
     Args:
         matrix: Rotation matrix of shape (3, 3), orthogonal within 1e-6.
@@ -224,7 +224,7 @@ def quaternion_from_matrix(matrix: ArrayLike) -> FloatArray:
 def integrate_rotation(quaternion: FloatArray, angular_velocity: FloatArray, dt: float) -> FloatArray:
     """Turn an orientation at a constant angular velocity for some time.
 
-    This is the exact solution of ``dq/dt = (omega, 0) q / 2``, whatever the angle turned through.
+    This is the exact solution of ``dq/dt = (omega, 0) q / 2``, for turns by any angle.
 
     Args:
         quaternion: Unit quaternion of shape (4,).
@@ -261,7 +261,7 @@ def slerp(start: FloatArray, end: FloatArray, fraction: float) -> FloatArray:
     target = end if float(start @ end) >= 0.0 else -end
     angle = 2.0 * math.atan2(float(np.linalg.norm(start - target)), float(np.linalg.norm(start + target)))
     if angle < 1e-9:
-        # The great arc is straight to rounding, and sin(angle) below would be lost.
+        # The arc is straight up to rounding, and sin(angle) below would lose its precision.
         blend = (1.0 - fraction) * start + fraction * target
     else:
         blend = math.sin((1.0 - fraction) * angle) * start + math.sin(fraction * angle) * target
@@ -295,7 +295,7 @@ def _as_finite(value: ArrayLike, name: str, count: int) -> FloatArray:
         raise ValueError(f"{name} must be {count} numbers, got {value!r}") from error
     if array.shape != (count,):
         raise ValueError(f"{name} must have shape ({count},), got shape {array.shape}")
-    # A plain loop over three or four floats costs less than NumPy's isfinite and all.
+    # A plain loop over three or four floats is cheaper than NumPy's isfinite and all.
     if not all(map(math.isfinite, array.tolist())):
         raise ValueError(f"{name} must be finite, got {array.tolist()}")
     return array
