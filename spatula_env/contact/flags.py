@@ -213,7 +213,8 @@ def lead_by_motion(tool: Any, memory: Any, organ: Any, triangles: np.ndarray) ->
     leading, came_through, record = memory.leading, memory.came_through, memory.record
     local, last = organ.local, organ.last_local
     for i in range(nodes.shape[0]):
-        came_through[i] = False
+        # What was true at an earlier query must not count: a restored state does not know it.
+        leading[i] = came_through[i] = False
         if hits[i, 0, 1] <= 0:
             continue
         t = hits[i, 0, 0]
