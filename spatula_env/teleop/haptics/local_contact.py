@@ -33,7 +33,8 @@ class LocalContact:
             scaled.
         force: Filtered force on the tool, scaled as it is to be rendered [N].
         direction: Unit vector in which the organ pushes: the direction of the recent mean force, which a sideways
-            tremor does not turn. shift: Offset that comes from how hand and tool are matched; see `Contact` [m].
+            tremor does not turn.
+        shift: Offset that comes from how hand and tool are matched; see `Contact` [m].
         work: Work of the tool on the organ since contact began, scaled as forces are [J].
     """
 
