@@ -4,8 +4,8 @@ The end of an episode takes away what the rest of it would have paid. With posit
 to stay just short of success for ever; with negative ones, to damage the organ at once. Two rules prevent both, for any
 discount, and whether or not the learner looks beyond the time limit:
 
-- If success ends episodes, each step of the dense reward pays the task's reward minus that of the best step. This is zero
-  at best, and zero is what a finished episode goes on to pay: success is worth as much as the best way of staying.
+- If success ends episodes, each step of the dense reward pays the task's reward minus that of the best step. This is
+  zero at best, and zero is what a finished episode goes on to pay: success is worth as much as the best way of staying.
 - An end by damage or by a tangle pays minus the cost of a whole episode in which nothing is achieved, and nothing else.
 """
 

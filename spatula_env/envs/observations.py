@@ -118,8 +118,8 @@ class ObservationBuilder:
     - "dict": a dictionary of the parts.
     - "rgb": a dictionary of a picture, "image" (height, width, 3) uint8, and "state", the vector of `ROBOT_PARTS`.
     - "rgbd": as "rgb", with "depth" (height, width, 1), the distance from the camera's plane [m].
-    - "pointcloud": a dictionary of points on the organ's surface, "organ" (P, 3), on the tools' surfaces, "tool" (Q, 3),
-      always the same ones, in the workspace frame [m], and "state".
+    - "pointcloud": a dictionary of points on the organ's surface, "organ" (P, 3), on the tools' surfaces, "tool" (Q,
+      3), always the same ones, in the workspace frame [m], and "state".
 
     With the goal interface, "achieved_goal" and "desired_goal" are entries of a dictionary, beside "observation" or
     beside the other entries; parts that depend on the goal are then left out, because hindsight replay replaces goals.
