@@ -44,7 +44,7 @@ TOUCHING = 0.0175
 """Free width between the jaws below which they may touch the ridge [m]."""
 
 ABOVE, BESIDE = 0.024, 0.02
-"""Heights of the grip above the ridge's middle [m]: where it waits for alignment, and below which it descends on."""
+"""Heights of the grip above the ridge's middle [m]: where it waits until aligned, and below which it goes on down."""
 
 AT, LOW = 0.006, 0.0025
 """Heights of the grip above the ridge's middle [m]: below which the jaws close, and where they grip."""

@@ -14,7 +14,7 @@ LEVELS = (150.0, 500.0, 1000.0, 1500.0, 2100.0, PRESSURE_LIMITS[0], 3300.0, PRES
 """Pressures at which the colour changes [Pa]; they include the limits for warnings."""
 
 REACH = 0.42
-"""Distance around a contact node within which the organ is coloured [u]; more than the tools hide from view."""
+"""Distance around a contact node within which the organ is coloured [u]: large, as tools hide what lies under them."""
 
 
 def pressure_field(
