@@ -173,7 +173,7 @@ class TeleopDevice(ABC):
 
         Raises:
             NotCalibrated: If calibration was not completed in time.
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
         """
 
     @abstractmethod
@@ -182,7 +182,7 @@ class TeleopDevice(ABC):
 
         Raises:
             NotCalibrated: If the device does not know yet where its grip is.
-            DeviceLost: If it no longer answers.
+            DeviceLost: If it does not answer any more.
             DeviceError: If it is not open.
         """
 
@@ -196,7 +196,7 @@ class TeleopDevice(ABC):
 
         Raises:
             ValueError: If the force has another shape or is not finite.
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         check_force(force)

@@ -68,7 +68,7 @@ def run_episode(
         Result of the episode.
 
     Raises:
-        DeviceLost: If the device no longer answers. The recorder holds the episode up to that point.
+        DeviceLost: If the device does not answer any more. The recorder holds the episode up to that point.
     """
     chosen = None if options is None else dict(options)
     observation, info = env.reset(seed=seed, options=chosen)
@@ -136,7 +136,7 @@ def play(
 
     Raises:
         ValueError: If a number is out of range.
-        DeviceLost: If the device no longer answers.
+        DeviceLost: If the device does not answer any more.
     """
     if episodes is not None and episodes < 1:
         raise ValueError(f"episodes must be None, or 1 or more, got {episodes!r}")

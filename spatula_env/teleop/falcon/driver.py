@@ -180,7 +180,7 @@ class Falcon(TeleopDevice):
             Whether it answered.
 
         Raises:
-            DeviceLost: If it is no longer there.
+            DeviceLost: If it is not there any more.
             DeviceError: If it is not open, or if a thread already makes the exchanges.
         """
         loop = self._checked_loop()
@@ -199,7 +199,7 @@ class Falcon(TeleopDevice):
         Waits at most a few hundredths of a second; also returns if the Falcon did not answer.
 
         Raises:
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         if self._threaded:
@@ -219,7 +219,7 @@ class Falcon(TeleopDevice):
 
         Raises:
             NotCalibrated: If homing was not completed within `homing_timeout`.
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         loop = self._checked_loop()
@@ -268,7 +268,7 @@ class Falcon(TeleopDevice):
 
         Raises:
             ValueError: If the force has another shape or is not finite.
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         loop = self._checked_loop()
@@ -286,7 +286,7 @@ class Falcon(TeleopDevice):
             lights: Lights to turn on; None for red until the Falcon is homed, then green.
 
         Raises:
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         self._checked_loop().set_lights(lights)
@@ -298,7 +298,7 @@ class Falcon(TeleopDevice):
             The state.
 
         Raises:
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         return self._checked_loop().state

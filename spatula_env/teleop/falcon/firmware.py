@@ -89,7 +89,7 @@ def upload(
 
     Raises:
         FirmwareError: If no attempt succeeded; the message gives the reason of the last one.
-        DeviceLost: If the device is no longer there.
+        DeviceLost: If the device is not there any more.
     """
     reason = "no try was made"
     for attempt in range(1, tries + 1):
@@ -114,7 +114,7 @@ def enter_normal_mode(transport: Transport) -> None:
         transport: The connection.
 
     Raises:
-        DeviceLost: If the device is no longer there.
+        DeviceLost: If the device is not there any more.
     """
     ftdi.request(transport, ftdi.SET_LATENCY_TIMER, ftdi.LATENCY_NORMAL)
     ftdi.request(transport, ftdi.SET_DATA_FORMAT, ftdi.EIGHT_BITS_NO_PARITY)

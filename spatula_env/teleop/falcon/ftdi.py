@@ -69,7 +69,7 @@ def request(transport: ControlTransfers, number: int, value: int) -> None:
         value: Its value.
 
     Raises:
-        DeviceLost: If the device is no longer there.
+        DeviceLost: If the device is not there any more.
     """
     transport.control_transfer(REQUEST_TYPE, number, value, 0)
 
@@ -81,7 +81,7 @@ def purge(transport: ControlTransfers) -> None:
         transport: The connection.
 
     Raises:
-        DeviceLost: If the device is no longer there.
+        DeviceLost: If the device is not there any more.
     """
     request(transport, RESET, PURGE_RECEIVED)
     request(transport, RESET, PURGE_TO_SEND)

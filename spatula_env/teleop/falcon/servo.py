@@ -160,7 +160,7 @@ class ServoLoop:
             Whether it answered with a plausible packet.
 
         Raises:
-            DeviceLost: If it is no longer there, or has not answered for `REPLY_TIMEOUT`.
+            DeviceLost: If it is not there any more, or has not answered for `REPLY_TIMEOUT`.
         """
         start = self._clock()
         self._record_period(start)

@@ -34,7 +34,7 @@ class Transport(Protocol):
             Number of bytes that the device accepted; fewer than given if the time is over.
 
         Raises:
-            DeviceLost: If the device is no longer there.
+            DeviceLost: If the device is not there any more.
         """
 
     def bulk_read(self, size: int, timeout: float) -> bytes:
@@ -48,7 +48,7 @@ class Transport(Protocol):
             The bytes; empty if the time is over.
 
         Raises:
-            DeviceLost: If the device is no longer there.
+            DeviceLost: If the device is not there any more.
         """
 
     def control_transfer(self, request_type: int, request: int, value: int, index: int) -> None:
@@ -61,7 +61,7 @@ class Transport(Protocol):
             index: wIndex.
 
         Raises:
-            DeviceLost: If the device is no longer there, or does not accept the request.
+            DeviceLost: If the device is not there any more, or does not accept the request.
         """
 
     def close(self) -> None:

@@ -138,7 +138,7 @@ class HapticDevice(TeleopDevice):
 
         Raises:
             ValueError: If one has another shape or is not finite.
-            DeviceLost: If the device no longer answers.
+            DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
         runner = self._open_runner()
