@@ -1,5 +1,5 @@
-"""The scripts that train, clone, export and evaluate policies: `python -m agents.NAME` in a checkout.
+"""Scripts that train, clone, export and evaluate policies: `python -m agents.NAME` in a checkout.
 
-What they call is `spatula_env.learning`, which is installed; `cleanrl_ppo` and `cleanrl_sac` are whole algorithms in a
-file each.
+They call `spatula_env.learning`, which is installed with the package; `cleanrl_ppo` and `cleanrl_sac` are complete
+algorithms in one file each.
 """

@@ -1,13 +1,13 @@
-"""Proximal policy optimisation in one file, on many worlds at once: to read, to copy and to change.
+"""Proximal policy optimisation in one file, on many worlds at once: to read, copy and change.
 
     python -m agents.cleanrl_ppo
     python -m agents.cleanrl_ppo --env-id Spatula/Clamp-v0 --total-steps 2000000 --seed 1
 
-The environment begins episodes anew in the step after the one that ends them (`autoreset_mode="next_step"`, which is
-Gymnasium's default and what its normalising wrappers ask for). So the observation after a truncation is what was seen
-last, from which its worth is estimated; and the step that begins an episode, which ignores its action, is no
-transition to learn from and is left out. The last line of the output is one JSON object. Needs the
-extra "train".
+The environment begins a new episode in the step after the one that ends an episode (`autoreset_mode="next_step"`,
+Gymnasium's default, which its normalising wrappers require). So the observation after a truncation is the episode's
+last one, from which the value of the rest is estimated; and the step that begins an episode, which ignores its action,
+is not a transition and is left out of learning. The last line of the output is one JSON object. Needs the extra
+"train".
 
 Algorithm: J. Schulman et al., Proximal policy optimization algorithms, arXiv:1707.06347 (2017), with generalised
 advantages, arXiv:1506.02438 (2015).
@@ -37,49 +37,49 @@ class Arguments:
     """Proximal policy optimisation on many worlds at once."""
 
     env_id: str = "Spatula/Press-v0"
-    """Which task."""
+    """Id of the task."""
     num_envs: int = 64
-    """How many worlds are stepped together."""
+    """Number of worlds that are stepped together."""
     max_episode_steps: int = 100
-    """Episodes are cut then; the press takes 30 at best, and shorter episodes see more goals."""
+    """Length at which episodes are truncated; the press takes 30 at best, and shorter episodes show more goals."""
     leave_out: tuple[str, ...] = ("landmarks",)
-    """Parts of the observation that the task does not need: the organ's landmarks tell nothing of the press."""
+    """Parts of the observation that the task does not need: the organ's landmarks carry no information on the press."""
     seed: int = 0
     """World k's first episode is drawn from seed + k."""
     total_steps: int = 512_000
-    """Of all worlds together."""
+    """Number of steps of all worlds together."""
     rollout_steps: int = 50
-    """Steps of each world between updates."""
+    """Number of steps of each world between updates."""
     batch_size: int = 800
-    """Transitions in a step of the optimiser."""
+    """Number of transitions per optimiser step."""
     epochs: int = 10
-    """How often a rollout is gone through."""
+    """Number of passes over a rollout."""
     learning_rate: float = 1e-3
-    """Of Adam, at the beginning; it falls to nothing on a line."""
+    """Initial learning rate of Adam; decreases linearly to zero."""
     gamma: float = 0.95
-    """Discount."""
+    """Discount factor."""
     gae_lambda: float = 0.9
-    """Of generalised advantages: 0 trusts the critic, 1 what was seen."""
+    """Parameter of generalised advantage estimation: 0 trusts the critic, 1 the observed rewards."""
     clip: float = 0.2
-    """How far the probability of an action may move in an update."""
+    """Clipping range of the probability ratio in an update."""
     initial_log_std: float = -0.7
-    """Of actions, which reach from -1 to 1: it leaves room for steering."""
+    """Initial log standard deviation of actions, which range from -1 to 1: small enough to leave room for steering."""
     max_grad_norm: float = 0.5
-    """Longer gradients are cut to this."""
+    """Longer gradients are clipped to this norm."""
     hidden: int = 64
-    """Units in each of two layers."""
+    """Number of units in each of the two layers."""
     success_target: float | None = None
-    """Training ends when so many of the last 100 episodes have succeeded, as a share; None: not before total_steps."""
+    """Training ends when this share of the last 100 episodes has succeeded; None to train for all of total_steps."""
     eval_episodes: int = 100
-    """Episodes with the mean action at the end, each in a world of its own."""
+    """Number of final episodes with the mean action, each in a world of its own."""
     device: str = "cpu"
-    """Where networks are."""
+    """Device of the networks."""
     output: Path | None = None
-    """File for the policy's weights and the normalisation, as `torch.save` writes them."""
+    """File for the policy's weights and the normalisation, written by `torch.save`."""
 
 
 def layers(inputs: int, hidden: int, outputs: int, last_gain: float) -> nn.Sequential:
-    """Two hidden layers, begun with orthogonal weights."""
+    """Two hidden layers with orthogonal initial weights."""
     net = nn.Sequential(
         nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, outputs)
     )
@@ -91,22 +91,22 @@ def layers(inputs: int, hidden: int, outputs: int, last_gain: float) -> nn.Seque
 
 
 class Agent(nn.Module):
-    """A normal distribution of actions, whose deviation does not depend on what is seen, and a critic."""
+    """A normal distribution of actions, whose standard deviation does not depend on the observation, and a critic."""
 
     def __init__(self, observation_size: int, action_size: int, hidden: int, log_std: float) -> None:
-        """Begin with actions close to none."""
+        """Initialise so that the first actions are close to zero."""
         super().__init__()
         self.actor = layers(observation_size, hidden, action_size, last_gain=0.01)
         self.critic = layers(observation_size, hidden, 1, last_gain=1.0)
         self.log_std = nn.Parameter(torch.full((action_size,), log_std))
 
     def distribution(self, observations: Tensor) -> torch.distributions.Distribution:
-        """Of the actions (n, A)."""
+        """Distribution of the actions (n, A)."""
         normal = torch.distributions.Normal(self.actor(observations), self.log_std.exp())
         return torch.distributions.Independent(normal, 1)
 
     def value(self, observations: Tensor) -> Tensor:
-        """What the rest of the episode is worth (n,), discounted."""
+        """Discounted value (n,) of the rest of the episode."""
         return self.critic(observations).squeeze(-1)
 
 
@@ -120,7 +120,7 @@ def entries(envs: Any, leave_out: tuple[str, ...]) -> np.ndarray:
 
 
 def make(arguments: Arguments, num_envs: int) -> Any:
-    """Worlds whose observations are what the agent sees, normalised."""
+    """Make worlds with the observations that the agent sees, normalised."""
     envs: Any = gym.make_vec(
         arguments.env_id,
         num_envs=num_envs,
@@ -139,14 +139,14 @@ def make(arguments: Arguments, num_envs: int) -> Any:
 def advantages(
     rewards: Tensor, values: Tensor, terminations: Tensor, ended: Tensor, gamma: float, gae_lambda: float
 ) -> Tensor:
-    """Generalised advantages (T, W).
+    """Generalised advantage estimates (T, W).
 
     Args:
-        rewards: (T, W).
-        values: (T + 1, W) of the observations before each step, and of those after the last.
-        terminations: (T, W) one where what follows is worth nothing.
-        ended: (T, W) one where the episode is over: nothing that follows counts for this step.
-        gamma: Discount.
+        rewards: (T, W) rewards.
+        values: (T + 1, W) values of the observations before each step, and of those after the last.
+        terminations: (T, W) one where the episode was terminated, so that what follows has no value.
+        ended: (T, W) one where the episode is over, so that nothing that follows counts for this step.
+        gamma: Discount factor.
         gae_lambda: See `Arguments`.
     """
     result, later = torch.zeros_like(rewards), torch.zeros_like(rewards[0])
@@ -158,7 +158,7 @@ def advantages(
 
 
 def evaluate(arguments: Arguments, agent: Agent, trained: Any) -> tuple[float, float]:
-    """Success rate and mean return of episodes that the agent has not seen, with the mean action."""
+    """Success rate and mean return of unseen episodes, with the mean action."""
     envs = make(arguments, arguments.eval_episodes)
     envs.obs_rms, envs.update_running_mean = trained.obs_rms, False
     observations, _ = envs.reset(seed=1_000_000)
@@ -177,7 +177,7 @@ def evaluate(arguments: Arguments, agent: Agent, trained: Any) -> tuple[float, f
 
 
 def main(arguments: Arguments) -> dict[str, float]:
-    """Train an agent; what is returned is also the last line of the output."""
+    """Train an agent; the returned results are also the last line of the output."""
     torch.manual_seed(arguments.seed)
     device = arguments.device
     normalized = make(arguments, arguments.num_envs)
@@ -195,7 +195,7 @@ def main(arguments: Arguments) -> dict[str, float]:
         return torch.as_tensor(array, dtype=torch.float32, device=device)
 
     def roll_out(observation: Tensor, over: Tensor) -> tuple[Tensor, Tensor]:
-        """Fill the tensors above; (W, size) what is seen next, and (W,) where an episode is over."""
+        """Fill the tensors above; return the next observation (W, size), and (W,) where an episode is over."""
         for t in range(arguments.rollout_steps):
             with torch.no_grad():
                 distribution = agent.distribution(observation)

@@ -1,11 +1,11 @@
-"""Soft actor-critic in one file, on many worlds at once: to read, to copy and to change.
+"""Soft actor-critic in one file, on many worlds at once: to read, copy and change.
 
     python -m agents.cleanrl_sac
     python -m agents.cleanrl_sac --env-id Spatula/Retract-v0 --total-steps 500000 --seed 1
 
-The environment begins episodes anew in the step that ends them (`autoreset_mode="same_step"`), so every transition is
-a real one: what was seen last comes in `infos["final_obs"]`, and only a termination, not a truncation, makes what
-follows worth nothing. The last line of the output is one JSON object. Needs the extra "train".
+The environment begins a new episode in the step that ends the previous one (`autoreset_mode="same_step"`), so every
+transition is a real one: the last observation comes in `infos["final_obs"]`, and only a termination, not a truncation,
+sets the value of the following state to zero. The last line of the output is one JSON object. Needs the extra "train".
 
 Algorithm: T. Haarnoja et al., Soft actor-critic algorithms and applications, arXiv:1812.05905 (2018).
 """
@@ -34,54 +34,54 @@ class Arguments:
     """Soft actor-critic on many worlds at once."""
 
     env_id: str = "Spatula/Press-v0"
-    """Which task."""
+    """Id of the task."""
     num_envs: int = 64
-    """How many worlds are stepped together."""
+    """Number of worlds that are stepped together."""
     max_episode_steps: int = 100
-    """Episodes are cut then; the press takes 30 at best, and shorter episodes see more goals."""
+    """Length at which episodes are truncated; the press takes 30 at best, and shorter episodes show more goals."""
     leave_out: tuple[str, ...] = ("landmarks",)
-    """Parts of the observation that the task does not need: the organ's landmarks tell nothing of the press."""
+    """Parts of the observation that the task does not need: the organ's landmarks carry no information on the press."""
     seed: int = 0
     """World k's first episode is drawn from seed + k."""
     total_steps: int = 51_200
-    """Of all worlds together."""
+    """Number of steps of all worlds together."""
     learning_starts: int = 6_400
-    """Steps with random actions first."""
+    """Number of initial steps with random actions."""
     gradient_steps: int = 8
-    """Updates for each step of all worlds."""
+    """Number of updates per step of all worlds."""
     buffer_size: int = 400_000
-    """Transitions that are remembered."""
+    """Number of transitions that are kept."""
     batch_size: int = 256
-    """Transitions in an update."""
+    """Number of transitions per update."""
     learning_rate: float = 1e-3
-    """Of Adam, for all networks."""
+    """Learning rate of Adam for all networks."""
     gamma: float = 0.95
-    """Discount."""
+    """Discount factor."""
     tau: float = 0.01
-    """How fast the target critics follow the critics."""
+    """Rate at which the target critics follow the critics."""
     initial_temperature: float = 0.1
-    """Of the policy; it is then tuned so that the entropy is minus the number of action's entries."""
+    """Initial temperature; it is then tuned so that the entropy is minus the number of action components."""
     hidden: int = 128
-    """Units in each of two layers."""
+    """Number of units in each of the two layers."""
     success_target: float | None = None
-    """Training ends when so many of the last 100 episodes have succeeded, as a share; None: not before total_steps."""
+    """Training ends when this share of the last 100 episodes has succeeded; None to train for all of total_steps."""
     eval_episodes: int = 100
-    """Episodes with the mean action at the end, each in a world of its own."""
+    """Number of final episodes with the mean action, each in a world of its own."""
     device: str = "cpu"
-    """Where networks are."""
+    """Device of the networks."""
     output: Path | None = None
-    """File for the actor's weights and the normalisation, as `torch.save` writes them."""
+    """File for the actor's weights and the normalisation, written by `torch.save`."""
 
 
 class RunningNorm:
-    """Shifts and scales observations by the mean and standard deviation of all that were seen."""
+    """Normalises observations by the mean and standard deviation of all that were seen."""
 
     def __init__(self, size: int) -> None:
-        """Nothing seen yet of vectors of a size."""
+        """Start without observations, for vectors of a given size."""
         self.mean, self.variance, self.count = np.zeros(size), np.ones(size), 1e-4
 
     def update(self, batch: np.ndarray) -> None:
-        """Take in a batch (n, size), by the parallel formula of Chan, Golub and LeVeque (1979)."""
+        """Update with a batch (n, size), by the parallel formula of Chan, Golub and LeVeque (1979)."""
         delta, total = batch.mean(axis=0) - self.mean, self.count + len(batch)
         squares = self.variance * self.count + batch.var(axis=0) * len(batch)
         self.variance = (squares + delta**2 * self.count * len(batch) / total) / total
@@ -94,10 +94,10 @@ class RunningNorm:
 
 
 class Replay:
-    """The last transitions, in the order of their coming; observations are kept as they came."""
+    """Ring buffer of the latest transitions; observations are stored without normalisation."""
 
     def __init__(self, size: int, observation_size: int, action_size: int) -> None:
-        """Room for so many."""
+        """Allocate space for a number of transitions."""
         self.observations = np.zeros((size, observation_size), np.float32)
         self.next_observations = np.zeros((size, observation_size), np.float32)
         self.actions = np.zeros((size, action_size), np.float32)
@@ -112,14 +112,14 @@ class Replay:
         rewards: np.ndarray,
         terminations: np.ndarray,
     ) -> None:
-        """Remember a transition of each world."""
+        """Add a transition of each world."""
         rows = (self.added + np.arange(len(rewards))) % self.size
         self.observations[rows], self.next_observations[rows] = observations, next_observations
         self.actions[rows], self.rewards[rows], self.terminations[rows] = actions, rewards, terminations
         self.added += len(rewards)
 
     def sample(self, rng: np.random.Generator, count: int, norm: RunningNorm, device: str) -> tuple[Tensor, ...]:
-        """Draw transitions, with replacement."""
+        """Sample transitions, with replacement."""
         rows = rng.integers(min(self.added, self.size), size=count)
         batch = (
             norm(self.observations[rows]),
@@ -139,19 +139,19 @@ def layers(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
 
 
 class Actor(nn.Module):
-    """A normal distribution, squashed into [-1, 1] by the hyperbolic tangent."""
+    """A normal distribution, squashed to [-1, 1] by the hyperbolic tangent."""
 
     def __init__(self, observation_size: int, action_size: int, hidden: int) -> None:
-        """Two numbers for each entry of an action: mean, and logarithm of the standard deviation."""
+        """Make a network with two outputs per action component: mean and log standard deviation."""
         super().__init__()
         self.net = layers(observation_size, hidden, 2 * action_size)
 
     def forward(self, observations: Tensor) -> tuple[Tensor, Tensor]:
-        """Actions (n, A) drawn at random, and the logarithms of their densities (n,)."""
+        """Random actions (n, A), and their log densities (n,)."""
         mean, log_std = self.net(observations).chunk(2, dim=-1)
         normal = torch.distributions.Normal(mean, log_std.clamp(-20.0, 2.0).exp())
         drawn = normal.rsample()
-        # log(1 - tanh(x)^2), in a form that keeps its precision where the tangent is flat.
+        # log(1 - tanh(x)^2), in a form that stays accurate where tanh is flat.
         squash = 2.0 * (np.log(2.0) - drawn - functional.softplus(-2.0 * drawn))
         return torch.tanh(drawn), (normal.log_prob(drawn) - squash).sum(dim=-1)
 
@@ -161,10 +161,10 @@ class Actor(nn.Module):
 
 
 class Critics(nn.Module):
-    """Two estimates of what an action is worth."""
+    """Two estimates of the value of an action."""
 
     def __init__(self, observation_size: int, action_size: int, hidden: int) -> None:
-        """Two networks that share nothing."""
+        """Make two networks that share nothing."""
         super().__init__()
         self.nets = nn.ModuleList(layers(observation_size + action_size, hidden, 1) for _ in range(2))
 
@@ -184,7 +184,7 @@ def entries(envs: Any, leave_out: tuple[str, ...]) -> np.ndarray:
 
 
 def evaluate(arguments: Arguments, actor: Actor, norm: RunningNorm) -> tuple[float, float]:
-    """Success rate and mean return of episodes that the agent has not seen, with the mean action."""
+    """Success rate and mean return of unseen episodes, with the mean action."""
     envs = gym.make_vec(
         arguments.env_id,
         num_envs=arguments.eval_episodes,
@@ -209,7 +209,7 @@ def evaluate(arguments: Arguments, actor: Actor, norm: RunningNorm) -> tuple[flo
 
 
 def main(arguments: Arguments) -> dict[str, float]:
-    """Train an agent; what is returned is also the last line of the output."""
+    """Train an agent; the returned results are also the last line of the output."""
     torch.manual_seed(arguments.seed)
     rng = np.random.default_rng(arguments.seed)
     device = arguments.device
@@ -250,7 +250,7 @@ def main(arguments: Arguments) -> dict[str, float]:
         actor_loss.backward()
         actor_optimizer.step()
 
-        # The entropy is to be minus the action's size: a greater one lowers the temperature.
+        # The target entropy is minus the number of action components: a greater entropy lowers the temperature.
         temperature_loss = log_temperature.exp() * (action_size - densities.detach().mean())
         temperature_optimizer.zero_grad()
         temperature_loss.backward()
@@ -274,7 +274,8 @@ def main(arguments: Arguments) -> dict[str, float]:
         following, rewards, terminations, truncations, infos = envs.step(actions)
         following = following[:, seen]
         steps += arguments.num_envs
-        # Where an episode has ended, `following` is the next one's beginning; what was seen last is kept apart.
+        # Where an episode has ended, `following` is the first observation of the next one; the last one is kept
+        # separately.
         reached = following.copy()
         ended = terminations | truncations
         for world in np.flatnonzero(ended):

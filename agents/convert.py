@@ -1,9 +1,9 @@
-"""Converts runs of earlier versions, which kept pickles, to files that are read without running what they hold.
+"""Converts runs of earlier versions, which used pickles, to files that are read without running code in them.
 
     python -m agents.convert runs/press_sac
 
-To convert is to read the pickles once, and that runs whatever they hold. Convert what is your own, or from somebody
-whom you would let run programs on this machine; nothing else does that.
+Conversion reads the pickles once, which runs whatever code they hold. Convert only your own runs, or those of people
+whose programs you would run on this machine; nothing else reads pickles.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Evaluates a policy, and says how well it does.
+"""Evaluates a policy and reports the results.
 
     python -m agents.evaluate --env Spatula/Press-v0 --policy expert --engine batch --episodes 100 --seed 0 --json
 
-The last line of the output is one JSON object with `--json`.
+With `--json`, the last line of the output is one JSON object.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Writes policies as a few arrays, which act without torch.
+"""Exports policies as a few arrays that act without torch.
 
     python -m agents.export RUN OUTPUT.npz --episodes 100
 
-`export_policy` makes what Stable-Baselines3 has trained, with its normalisation, into a
+`export_policy` converts a policy trained by Stable-Baselines3, with its normalisation, to a
 `spatula_env.policies.ExportedPolicy`. Its actions are those that `model.predict(..., deterministic=True)` gives, up to
 rounding.
 """

@@ -1,4 +1,4 @@
-"""Moved to `spatula_env.learning.policies` and `finding`; what imports it from here goes on to work."""
+"""Moved to `spatula_env.learning.policies` and `finding`; importing from here still works."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Moved to `spatula_env.learning.replay`; models that earlier versions saved name it here."""
+"""Moved to `spatula_env.learning.replay`; models saved by earlier versions refer to this module."""
 
 from __future__ import annotations
 

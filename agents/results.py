@@ -1,10 +1,10 @@
-"""What the documentation says of training: runs, evaluations, and the page that is made of them.
+"""The documentation's training results: makes the runs, evaluates them, and writes the page.
 
-    python -m agents.results                                             what `configs/results.yaml` plans
+    python -m agents.results                                             everything that `configs/results.yaml` plans
     python -m agents.results --tasks press --algorithms sac --seeds 0 1  a part of it
-    python -m agents.results --page                                      the page alone, of what there is
+    python -m agents.results --page                                      only the page, from existing results
 
-What is finished is not done again; a run that was killed is gone on with.
+Finished work is not repeated; an interrupted run is resumed.
 """
 
 from __future__ import annotations

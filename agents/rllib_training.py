@@ -1,4 +1,4 @@
-"""Moved to `spatula_env.learning.rllib_training`; checkpoints of earlier versions name it here."""
+"""Moved to `spatula_env.learning.rllib_training`; checkpoints of earlier versions refer to this module."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@
     python -m agents.train --resume runs/press_sac
     python -m agents.train --resume runs/press_sac --set total_steps=1_000_000
 
-Everything is checked before anything is written. The last line of the output is where the run is.
+Everything is checked before anything is written. The last line of the output is the folder of the run.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Gymnasium environments, put together from worlds, a control, a task and an observation.
+"""Gymnasium environments, each composed of worlds, a control, a task and an observation.
 
 Make them by id, with `gymnasium.make("Spatula/Press-v0")` for one agent and `gymnasium.make_vec` for many;
 `import spatula_env` registers the ids. `spatula_env.envs.sb3` makes them for Stable-Baselines3.
 
-What is named here is imported when it is first asked for: who makes one task waits for no other.
+The names of this package are imported on first access, so that making one task does not load the others.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for."""
+    """Import a name on first access."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

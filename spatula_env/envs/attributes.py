@@ -1,4 +1,4 @@
-"""Attributes of single worlds of a vector environment, read and set: Gymnasium's `call`, `get_attr` and `set_attr`."""
+"""Access to attributes of single worlds in a vector environment: Gymnasium's `call`, `get_attr` and `set_attr`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 Worlds: TypeAlias = Any
-"""A `SpatulaVectorEnv`, whose module builds on this one."""
+"""A `SpatulaVectorEnv`; not named because its module imports this one."""
 
 ABOUT_ALL = frozenset(
     {
@@ -29,7 +29,7 @@ ABOUT_ALL = frozenset(
         "worlds",
     }
 )
-"""What a vector environment has as a whole, and no world of it."""
+"""Attributes of the vector environment as a whole that no single world has."""
 
 READ: dict[str, Callable[[Worlds], Iterable[Any]]] = {
     "_max_episode_steps": lambda env: [env.max_episode_steps] * env.num_envs,
@@ -41,23 +41,23 @@ READ: dict[str, Callable[[Worlds], Iterable[Any]]] = {
     "observation_space": lambda env: [env.single_observation_space] * env.num_envs,
     "render": lambda env: env.render() or [None] * env.num_envs,
 }
-"""What differs from world to world, or has another name for one of them."""
+"""Attributes that differ from world to world, or have another name in the environment for one agent."""
 
 
 def call_worlds(env: Worlds, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
     """Call a method of every world, or read an attribute, as `gymnasium.vector.SyncVectorEnv.call` does.
 
     Args:
-        env: With W worlds.
-        name: Of a method or an attribute of the environment for one agent.
-        *args: For the method.
-        **kwargs: For the method.
+        env: Environment with W worlds.
+        name: Name of a method or an attribute of the environment for one agent.
+        *args: Arguments of the method.
+        **kwargs: Keyword arguments of the method.
 
     Returns:
-        (W,) what it returns, or what it is, in each world.
+        (W,) result of the method, or value of the attribute, in each world.
 
     Raises:
-        AttributeError: If worlds have no such thing, or it is nothing that one world could do alone.
+        AttributeError: If worlds have no such attribute, or it is one that a single world cannot have alone.
     """
     if name == "save":
         return tuple(env.save([world], *args, **kwargs) for world in range(env.num_envs))
@@ -70,17 +70,17 @@ def call_worlds(env: Worlds, name: str, *args: Any, **kwargs: Any) -> tuple[Any,
 
 
 def read_in_worlds(env: Worlds, name: str) -> tuple[Any, ...]:
-    """What worlds have under a name, methods as they are.
+    """Read an attribute of every world; methods are not called.
 
     Args:
-        env: With W worlds.
-        name: Of an attribute or a method of the environment for one agent.
+        env: Environment with W worlds.
+        name: Name of an attribute or a method of the environment for one agent.
 
     Returns:
-        (W,).
+        (W,) values.
 
     Raises:
-        AttributeError: If worlds have no such thing, or it is nothing that one world has alone.
+        AttributeError: If worlds have no such attribute, or it is one that a single world does not have alone.
     """
     if name in READ:
         return tuple(READ[name](env))
@@ -90,7 +90,7 @@ def read_in_worlds(env: Worlds, name: str) -> tuple[Any, ...]:
         value = getattr(env, name)
     except AttributeError:
         if hasattr(type(env), name):
-            # A property, which says itself why it has nothing here.
+            # A property that raises its own error, which says why it is not available.
             raise
         raise AttributeError(_missing(env, name)) from None
     worlds: int = env.num_envs
@@ -101,12 +101,12 @@ def set_in_worlds(env: Worlds, name: str, values: Any) -> None:
     """Set an attribute in all worlds, as `gymnasium.vector.SyncVectorEnv.set_attr` does.
 
     Args:
-        env: With W worlds.
-        name: "_max_episode_steps", a property that has a setter, or an attribute that a subclass has of its own.
-        values: A list or tuple of W values, which must be the same: worlds share their attributes. Or one value.
+        env: Environment with W worlds.
+        name: "_max_episode_steps", a property with a setter, or an attribute that a subclass has added.
+        values: One value, or a list or tuple of W values, which must be equal because worlds share their attributes.
 
     Raises:
-        AttributeError: If there is no such attribute, or setting it has no effect.
+        AttributeError: If there is no such attribute, or setting it would have no effect.
         ValueError: If there are not W values, or they differ.
     """
     if isinstance(values, list | tuple):
@@ -136,7 +136,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _missing(env: Worlds, name: str) -> str:
-    """Why a world has no attribute, with what may be meant."""
+    """Error message for an attribute that a world does not have, with suggestions."""
     known = sorted({*READ, *(each for each in dir(env) if not each.startswith("_"))} - ABOUT_ALL)
     near = difflib.get_close_matches(name, known, 1)
     hint = f"; did you mean {near[0]!r}?" if near else ""

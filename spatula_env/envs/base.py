@@ -1,4 +1,4 @@
-"""The base of environments for one agent and of vector environments, beside their episodes."""
+"""Common base of environments for one agent and of vector environments, apart from running their episodes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 COPIED = ("action_space", "observation_space", "single_action_space", "single_observation_space")
-"""Attributes that a copy has of its own: sampling from a space draws from random numbers of its own."""
+"""Attributes of which a copy has its own: spaces contain random generators for sampling."""
 
 
 def _make_again(kind: type[Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
@@ -35,11 +35,11 @@ def _make_again(kind: type[Any], args: tuple[Any, ...], kwargs: dict[str, Any]) 
 
 
 class EpisodesEnv:
-    """What environments for one agent and for many tell of their episodes.
+    """Base of the environments for one agent and for many.
 
     Attributes:
-        definition: Scene and task; subclasses with an id have one.
-        constructed_names: Of attributes that are decided when the environment is made.
+        definition: Scene and task; set by subclasses that have an id.
+        constructed_names: Names of attributes that are fixed on construction.
     """
 
     definition: ClassVar[Definition]
@@ -54,50 +54,51 @@ class EpisodesEnv:
     _horizon: int | None
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Any:
-        """Remember the arguments, from which a copy is made."""
+        """Store the arguments, with which copies are made."""
         made = super().__new__(cls)
         made._made_with = (copy.deepcopy(args), copy.deepcopy(kwargs))
         return made
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Make Gymnasium's class a direct base of every subclass: libraries look there for what an environment is."""
+        """Make Gymnasium's class a direct base of every subclass, where libraries look for the kind of environment."""
         super().__init_subclass__(**kwargs)
         kind = getattr(cls, "_gymnasium_class", None)
         if kind is not None and kind not in cls.__bases__:
             cls.__bases__ = (*cls.__bases__, kind)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy, for `copy.deepcopy` and `pickle`: an environment of its own in exactly the same state.
+        """Support `copy.deepcopy` and `pickle`: a copy is a separate environment in exactly the same state.
 
-        It is made with the same arguments, and put to the state of this one: also what is drawn next is the same. It
-        has no window and no listeners.
+        It is constructed with the same arguments and then set to this one's state, random generators included, so that
+        what is drawn next is the same. It has no window and no listeners.
         """
         state = {name: value for name, value in vars(self).items() if name in self._copied_names()}
         return _make_again, (type(self), *self._made_with), {"attributes": state, **self._whole_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Put a copy that has just been made to the state of the original."""
+        """Set a copy that has just been constructed to the original's state."""
         vars(self).update(state["attributes"])
         self._set_horizon(self._horizon)
         self._set_whole_state(state)
 
     def _copied_names(self) -> set[str]:
-        """Names of what is copied as it is: spaces with their random numbers, settings, and what a subclass adds."""
+        """Names of attributes that are copied directly: spaces with their generators, settings, and subclasses' own."""
         return {"_horizon", "_spec", "_step_limit", "settings", *COPIED} | (set(vars(self)) - self.constructed_names)
 
     def _whole_state(self) -> dict[str, Any]:
-        """What else a copy needs: the state, and whether all is closed."""
+        """The rest of the state of a copy: the episodes' state, and whether the environment is closed."""
         raise NotImplementedError
 
     def _set_whole_state(self, state: dict[str, Any]) -> None:
         raise NotImplementedError
 
-    # A property, for Gymnasium's class attribute: what is recorded is to be written to a file and compared.
+    # A property that replaces Gymnasium's class attribute, because the recorded spec has to be comparable and
+    # serialisable.
     @property
     def spec(self) -> EnvSpec | None:
-        """How the environment was made, in Python's own numbers, lists and names, and when its episodes are cut.
+        """How the environment was made, in Python's own numbers, lists and names, including its time limit.
 
-        It names the engine, whose default is another one where PyBullet is missing.
+        It names the engine, as the default differs if PyBullet is missing.
         """
         return self._spec
 
@@ -108,14 +109,14 @@ class EpisodesEnv:
             if self.settings.material is not None:
                 kwargs["material"] = as_recorded(asdict(self.settings.material))
             if "episode_time" in kwargs:
-                # None where a number of steps was told.
+                # `episode_time` is None if a number of steps was given.
                 kwargs["episode_time"] = self.settings.episode_time
             value = replace(value, kwargs=kwargs, max_episode_steps=self._max_episode_steps)
         self._spec = value
 
     @property
     def _max_episode_steps(self) -> int | None:
-        """After how many control steps episodes are cut, under the name that Gymnasium's `TimeLimit` has for it."""
+        """Number of control steps after which episodes are truncated, under the name in Gymnasium's `TimeLimit`."""
         return self._step_limit
 
     @_max_episode_steps.setter
@@ -126,46 +127,46 @@ class EpisodesEnv:
         self._set_horizon(limit)
 
     def _set_horizon(self, steps: int | None) -> None:
-        """Let the ends of episodes know after how many control steps they are cut, by whomever."""
+        """Set the number of control steps of an episode, whoever truncates it, for the payments at ends of episodes."""
         self._horizon = self._episodes.horizon = steps
 
     @property
     def workspace(self) -> Workspace:
-        """The cube that the grip is kept in."""
+        """The cube within which the grip is kept."""
         return self._episodes.workspace
 
     @property
     def task(self) -> Task:
-        """What is asked."""
+        """The task."""
         return self._episodes.task
 
     @property
     def task_description(self) -> str:
-        """What is asked, as a sentence that instructs; for policies that read one."""
+        """Instruction to the agent in one sentence, for policies that read one."""
         return self.task.description or f"Solve the task {self.definition.name}."
 
     @property
     def control(self) -> VelocityControl:
-        """What an action means."""
+        """The control, which defines the meaning of actions."""
         return self._episodes.control
 
     @property
     def observation_builder(self) -> ObservationBuilder:
-        """How observations are laid out."""
+        """The layout of observations."""
         return self._episodes.observation_builder
 
     @property
     def steps_per_action(self) -> int:
-        """Physics steps in a control step."""
+        """Number of physics steps per control step."""
         return self._episodes.steps_per_action
 
     @property
     def compute_reward(self) -> Callable[[NDArray[Any], NDArray[Any], Any], NDArray[np.float32]]:
-        """The sparse reward of goals, for hindsight replay: of (achieved_goal, desired_goal, info).
+        """The sparse reward as a function of (achieved_goal, desired_goal, info), for hindsight replay.
 
-        Goals are (..., G) and the result is (...). `info`, of one step or of each, tells which step ended by damage or
-        by a tangle; where it tells nothing, none did. There is no such attribute with `reward="dense"`, because
-        libraries tell by it which environments have the goal interface.
+        Goals are (..., G) and the result is (...). `info`, of one step or of each step, tells which steps ended by
+        damage or by a tangle; where it does not tell, none did. With `reward="dense"` this attribute does not exist,
+        because libraries detect the goal interface by it.
         """
         if self._episodes.settings.reward != "sparse":
             raise AttributeError("compute_reward needs the goal interface: make the environment with reward='sparse'")

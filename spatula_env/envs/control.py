@@ -1,4 +1,4 @@
-"""Velocity control: an agent's action becomes the tools' motion."""
+"""Velocity control: converts an agent's action to the tools' motion."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ControlLayout:
-    """What an action moves, besides the grip along x, y and z.
+    """The degrees of freedom that an action controls, besides translation of the grip along x, y and z.
 
     Attributes:
-        rotations: The axes of the workspace frame about which it turns the tools, some of "xyz".
+        rotations: Axes of the workspace frame about which it turns the tools; a subset of "xyz".
         jaws: Whether it opens and closes two tools along the line from one to the other.
-        max_turn: By how much the tools can be turned away from how the scene has them [rad].
+        max_turn: Greatest angle by which tools can be turned from their orientation in the scene [rad].
         opening_range: Least and greatest free width between the jaws [m].
     """
 
@@ -45,28 +45,29 @@ class ControlLayout:
 
 
 TRANSLATION = ControlLayout()
-"""Three velocities."""
+"""Three translational velocities."""
 
 ALL_SIX = ControlLayout(rotations="xyz")
-"""Three velocities and three rates of rotation."""
+"""Three translational velocities and three rates of rotation."""
 
 
 class VelocityControl:
     """The action is the grip's velocity, its rates of rotation and the jaws' speed, as fractions of the greatest.
 
-    Tools turn about the grip, like a rigid body; jaws move along the line between them, and the grip stays in the
-    middle. All comes to rest at a limit: the grip at the workspace's faces, a turn at `max_turn`, jaws where they are
-    open or closed. What would lead beyond is cut to what just reaches it by the end of the control step. No point of a
-    tool gets lower than a stop above the ground, as if a guard were on it: turning lifts a tool that stands on it.
+    Tools turn about the grip like a rigid body; jaws move along the line between them, with the grip staying in the
+    middle. Every motion stops at a limit: the grip at the workspace's faces, a turn at `max_turn`, jaws where they are
+    fully open or closed. A motion that would exceed a limit is reduced so that it just reaches it at the end of the
+    control step. No point of a tool gets below a stop above the ground, as if a guard were attached to it: turning
+    lifts a tool that stands on it.
 
     Attributes:
-        layout: What an action moves.
-        max_speed: Of the grip along each axis [m/s].
-        max_rotation_rate: About each axis [rad/s].
-        max_jaw_speed: At which the free width between jaws changes [m/s].
-        names: Of the A numbers in an action.
-        units: Of what their greatest value stands for.
-        parts: Pieces of the observation that tell of what the control turns and opens.
+        layout: Degrees of freedom of an action.
+        max_speed: Greatest speed of the grip along each axis [m/s].
+        max_rotation_rate: Greatest rate of rotation about each axis [rad/s].
+        max_jaw_speed: Greatest rate of change of the free width between jaws [m/s].
+        names: Names of the A components of an action.
+        units: Units of the quantities that the components stand for.
+        parts: Parts of the observation that describe the tools' rotation and the jaws' opening.
     """
 
     def __init__(
@@ -81,15 +82,15 @@ class VelocityControl:
         """Set up the control.
 
         Args:
-            layout: What an action moves.
-            setting: The tools, and where they may move.
-            max_speed: Of the grip along each axis [m/s].
-            max_rotation_rate: About each axis [rad/s].
-            max_jaw_speed: At which the free width between jaws changes [m/s].
-            stop_height: Above the ground, below which no point of a tool gets [m].
+            layout: Degrees of freedom of an action.
+            setting: The tools, and the region in which they may move.
+            max_speed: Greatest speed of the grip along each axis [m/s].
+            max_rotation_rate: Greatest rate of rotation about each axis [rad/s].
+            max_jaw_speed: Greatest rate of change of the free width between jaws [m/s].
+            stop_height: Height of the stop above the ground, below which no point of a tool gets [m].
 
         Raises:
-            ValueError: If a number is not positive and finite, or there are no two tools to be jaws.
+            ValueError: If a number is not positive and finite, or jaws are configured without two tools.
         """
         for name, value in (
             ("max_speed", max_speed),
@@ -120,12 +121,12 @@ class VelocityControl:
 
     @property
     def size(self) -> int:
-        """A."""
+        """Number A of components of an action."""
         return len(self.names)
 
     @property
     def coordinates(self) -> int:
-        """K, how many further coordinates there are: 1 with jaws, the free width between them [m]."""
+        """Number K of further coordinates: 1 with jaws, the free width between them [m]."""
         return int(self.layout.jaws)
 
     def place(
@@ -135,13 +136,13 @@ class VelocityControl:
         coordinates: FloatArray | None = None,
         tool_scale: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Where the tools are at the beginning of episodes.
+        """Poses of the tools at the beginning of episodes.
 
         Args:
-            grip: (W, 3) [m].
-            orientation: (W, 4) of the first tool; None: as the scene has it.
-            coordinates: (W, K); None: as the scene has them.
-            tool_scale: (W,) how large the tools are; ones by default.
+            grip: (W, 3) positions of the grip [m].
+            orientation: (W, 4) orientation of the first tool; None for that of the scene.
+            coordinates: (W, K) further coordinates; None for those of the scene.
+            tool_scale: (W,) factor on the tools' lengths; ones by default.
 
         Returns:
             Positions (W, N, 3) [m] and orientations (W, N, 4).
@@ -159,32 +160,32 @@ class VelocityControl:
         return grip[:, None] + turn(turned, offsets), multiply(turned, self._orientations)
 
     def opening(self, positions: FloatArray, tool_scale: FloatArray) -> FloatArray:
-        """(W, K) further coordinates of tools at positions (W, N, 3), `tool_scale` (W,) large [m]."""
+        """(W, K) further coordinates of tools at positions (W, N, 3) with scale `tool_scale` (W,) [m]."""
         if not self.layout.jaws:
             return np.zeros((len(positions), 0))
         apart = np.sqrt(((positions[:, 1] - positions[:, 0]) ** 2).sum(axis=1))
         return np.asarray(apart - self._reach * tool_scale)[:, None]
 
     def height_above_stop(self, positions: FloatArray, orientations: FloatArray, tool_scale: FloatArray) -> FloatArray:
-        """How far the lowest point of tools is above the stop above the ground (W,); below it, negative [m].
+        """Height of the tools' lowest point above the stop (W,); negative below it [m].
 
         Args:
-            positions: (W, N, 3) of the tools [m].
-            orientations: (W, N, 4) of the tools.
-            tool_scale: (W,) how large they are.
+            positions: (W, N, 3) positions of the tools [m].
+            orientations: (W, N, 4) orientations of the tools.
+            tool_scale: (W,) factor on the tools' lengths.
         """
         return self._lowest(positions, orientations, tool_scale) - self._stop
 
     def reach(
         self, grip: FloatArray, positions: FloatArray, orientations: FloatArray, tool_scale: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Where the grip can be with tools turned and opened as they are: two corners (W, 3) of boxes [m].
+        """Region that the grip can reach with the tools' present rotation and opening: two corners (W, 3) of boxes [m].
 
         Args:
-            grip: (W, 3) [m].
-            positions: (W, N, 3) of the tools [m].
-            orientations: (W, N, 4) of the tools.
-            tool_scale: (W,) how large they are.
+            grip: (W, 3) positions of the grip [m].
+            positions: (W, N, 3) positions of the tools [m].
+            orientations: (W, N, 4) orientations of the tools.
+            tool_scale: (W,) factor on the tools' lengths.
         """
         low, high = (np.repeat(corner[None], len(grip), axis=0) for corner in (self._low, self._high))
         low[:, 2] = np.maximum(
@@ -201,18 +202,18 @@ class VelocityControl:
         period: float,
         tool_scale: FloatArray | None = None,
     ) -> Motion:
-        """What tools do in the coming control step.
+        """Motion of the tools in the coming control step.
 
         Args:
-            actions: (W, A) in [-1, 1].
-            grip: (W, 3) [m].
-            positions: (W, N, 3) of the tools [m].
-            orientations: (W, N, 4) of the tools.
+            actions: (W, A) actions in [-1, 1].
+            grip: (W, 3) positions of the grip [m].
+            positions: (W, N, 3) positions of the tools [m].
+            orientations: (W, N, 4) orientations of the tools.
             period: Length of a control step [s].
-            tool_scale: (W,) how large the tools are; ones by default.
+            tool_scale: (W,) factor on the tools' lengths; ones by default.
 
         Returns:
-            Constant velocities that take the tools where they are to be at its end.
+            Constant velocities that bring the tools to their target poses at the end of the step.
         """
         count = len(grip)
         rate = np.zeros((count, 3))
@@ -229,7 +230,7 @@ class VelocityControl:
                 opening = self.opening(positions, scale)[:, 0]
                 wanted = opening + actions[:, -1] * self.max_jaw_speed * period
                 low, high = self.layout.opening_range
-                # Jaws that are beyond a limit already do not jump back to it.
+                # Jaws that are beyond a limit already must not jump back to it.
                 wanted = np.minimum(np.maximum(wanted, np.minimum(low, opening)), np.maximum(high, opening))
                 away = ends[:, 1] - ends[:, 0]
                 away /= np.sqrt((away**2).sum(axis=1, keepdims=True))
@@ -254,23 +255,23 @@ class VelocityControl:
         tool_scale: FloatArray,
         held: NDArray[np.bool_] | None = None,
     ) -> Motion:
-        """What has become of a motion where tools did not simply do what was asked for all the time.
+        """The motion carried out where tools did not follow the requested motion all the time.
 
         Args:
-            motion: What was asked for.
-            restrained: (W,) share of the time in which they were kept from it.
-            before: (W, N, 3) of the tools, before the control step [m].
-            after: (W, N, 3) after it [m].
+            motion: The requested motion.
+            restrained: (W,) share of the time in which the tools were kept from it.
+            before: (W, N, 3) positions of the tools before the control step [m].
+            after: (W, N, 3) positions after it [m].
             period: Length of a control step [s].
-            tool_scale: (W,) how large the tools are.
-            held: (W,) where that is so; None: where too great a force kept them from pushing on.
+            tool_scale: (W,) factor on the tools' lengths.
+            held: (W,) where to replace the motion; None: where too great a force kept the tools from moving on.
 
         Returns:
-            Mean velocities in the control step; the motion asked for elsewhere.
+            Mean velocities of the control step in these worlds; the requested motion in the others.
         """
         held = restrained > 0.0 if held is None else held
         linear = np.where(held[:, None, None], (after - before) / period, motion.linear)
-        # Tools either turn as they are asked to, or not at all.
+        # In each physics step, tools turn as requested or not at all.
         turning = 1.0 - restrained
         coordinate_rate = motion.coordinate_rate.copy()
         if self.layout.jaws:
@@ -285,7 +286,7 @@ class VelocityControl:
         )
 
     def observe(self, situation: Situation) -> list[FloatArray]:
-        """The values (W, k) of `parts`."""
+        """The values (W, k) of each of `parts`."""
         values = []
         if self._axes:
             turned = to_rotation_vector(self._turned(situation.tool_orientation))
@@ -295,7 +296,7 @@ class VelocityControl:
         return values
 
     def _lowest(self, arms: FloatArray, orientations: FloatArray, scale: FloatArray) -> FloatArray:
-        """(W,) height over the grip of the lowest point of tools at `arms` (W, N, 3) from it [m]."""
+        """(W,) height above the grip of the lowest point of tools at `arms` (W, N, 3) from it [m]."""
         heights = [
             arms[:, tool, 2]
             + (turn(orientations[:, tool, None], corners[None]) * scale[:, None, None])[..., 2].min(axis=1)
@@ -304,22 +305,22 @@ class VelocityControl:
         return np.asarray(np.min(heights, axis=0))
 
     def _turned(self, orientation: FloatArray) -> FloatArray:
-        """By what rotation (W, 4) tools are turned away from the scene's, from the first one's orientation (W, 4)."""
+        """Rotation (W, 4) of the tools from the scene's orientation, given the first tool's orientation (W, 4)."""
         return multiply(orientation, conjugate(self._orientations[0]))
 
     def _kept_within_limits(self, rate: FloatArray, orientation: FloatArray, period: float) -> FloatArray:
-        """Rates of rotation (W, 3) that do not lead beyond the greatest turn."""
+        """Reduce rates of rotation (W, 3) so that they do not exceed the greatest turn."""
         now = self._turned(orientation)
         after = to_rotation_vector(multiply(from_rotation_vector(rate * period), now))
         angle = np.sqrt((after**2).sum(axis=1))
         beyond = np.flatnonzero(angle > self.layout.max_turn)
         if len(beyond):
             target = from_rotation_vector(after[beyond] * (self.layout.max_turn / angle[beyond])[:, None])
-            # Only about the axes that the control has.
+            # Rotate only about the axes that the control has.
             allowed = np.zeros((len(beyond), 3))
             back = to_rotation_vector(multiply(target, conjugate(now[beyond]))) / period
             allowed[:, self._axes] = back[:, self._axes]
-            # All together: part of the way to a place within the limit is within it too.
+            # Scale all components together: a part of the way to an allowed rotation is allowed, too.
             fastest = np.abs(allowed).max(axis=1, keepdims=True)
             rate[beyond] = allowed * np.minimum(1.0, self.max_rotation_rate / np.maximum(fastest, 1e-12))
         return rate
@@ -345,14 +346,14 @@ class VelocityControl:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How tools move during a control step.
+    """Motion of the tools during a control step.
 
     Attributes:
         linear: (W, N, 3) velocities of the tools [m/s].
-        angular: (W, N, 3) [rad/s].
-        velocity: (W, 3) of the grip [m/s].
-        rate: (W, 3) of rotation about the grip [rad/s].
-        coordinate_rate: (W, K) of the further coordinates [m/s].
+        angular: (W, N, 3) rates of rotation of the tools [rad/s].
+        velocity: (W, 3) velocity of the grip [m/s].
+        rate: (W, 3) rate of rotation about the grip [rad/s].
+        coordinate_rate: (W, K) rates of change of the further coordinates [m/s].
     """
 
     linear: FloatArray
@@ -363,7 +364,7 @@ class Motion:
 
 
 def _line_between(tools: tuple[ToolShape, ...]) -> tuple[FloatArray, float]:
-    """The direction (3,) from the first of two tools to the second, and how far they reach towards each other [m]."""
+    """Direction (3,) from the first of two tools to the second, and how far they extend towards each other [m]."""
     away = tools[1].offset - tools[0].offset
     away = away / np.sqrt(away @ away)
     first, second = ((turn(tool.orientation, tool.vertices) @ away) for tool in tools)
@@ -371,14 +372,14 @@ def _line_between(tools: tuple[ToolShape, ...]) -> tuple[FloatArray, float]:
 
 
 def as_action(value: Any, size: int) -> FloatArray:
-    """Check an action.
+    """Validate an action.
 
     Args:
-        value: What the agent gave.
-        size: How many numbers it must hold.
+        value: The agent's action.
+        size: Number of components that it must have.
 
     Returns:
-        (size,) clipped to [-1, 1], as an actuator would.
+        (size,) the action clipped to [-1, 1], as an actuator would do.
 
     Raises:
         ValueError: If it is not `size` finite numbers.
@@ -390,19 +391,19 @@ def as_action(value: Any, size: int) -> FloatArray:
 
 
 def as_actions(value: Any, count: int, size: int, ignored: NDArray[np.bool_] | None = None) -> FloatArray:
-    """Check the actions of many worlds.
+    """Validate the actions of many worlds.
 
     Args:
-        value: What the agents gave.
-        count: How many worlds there are, W.
-        size: How many numbers an action must hold.
-        ignored: (W,) whose action does not count; it becomes zero, whatever it is.
+        value: The agents' actions.
+        count: Number of worlds, W.
+        size: Number of components that an action must have.
+        ignored: (W,) worlds whose actions are ignored; they become zero, whatever was given.
 
     Returns:
-        (W, size) clipped to [-1, 1].
+        (W, size) the actions clipped to [-1, 1].
 
     Raises:
-        ValueError: If it is not that many finite numbers.
+        ValueError: If they are not that many finite numbers.
     """
     actions = _as_numbers(value, (count, size), "actions", f"{count} times {size} numbers")
     if ignored is not None:

@@ -1,4 +1,4 @@
-"""Sums over an episode: return, length, cost and others, in every autoreset mode."""
+"""Sums over an episode, such as return, length and cost, in every autoreset mode."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from spatula_env.envs.vector_wrapper import TransparentVectorWrapper
 
 
 def values_of_step(infos: Mapping[str, Any], name: str) -> NDArray[Any]:
-    """What a step of a vector environment led to, whether or not an episode ended in it.
+    """The values of a step of a vector environment, whether or not episodes ended in it.
 
-    In the mode "same_step" `infos[name]` is of the next episode's beginning where one has ended: there it says
-    nothing of the step that was taken, a cost is zero and a success is forgotten. What belongs to the step is in
-    `infos["final_info"]`.
+    In the mode "same_step", `infos[name]` belongs to the beginning of the next episode where one has ended: it says
+    nothing about the step that was taken, so that its cost reads zero and its success is lost. The values of the step
+    are in `infos["final_info"]`.
 
     Args:
-        infos: Of a step, of an environment in any autoreset mode.
-        name: Such as "cost".
+        infos: Infos of a step of an environment in any autoreset mode.
+        name: Name of a value, such as "cost".
 
     Returns:
-        (W,) an array of its own.
+        (W,) values, as a new array.
 
     Raises:
-        KeyError: If there is no such name.
+        KeyError: If there is no value of this name.
     """
     if "final_info" not in infos:
         return np.array(infos[name])
@@ -39,13 +39,12 @@ def values_of_step(infos: Mapping[str, Any], name: str) -> NDArray[Any]:
 
 
 class RecordEpisodeSums(TransparentVectorWrapper, RecordConstructorArgs):
-    """Adds up return, length and any numbers of info over each episode, in every autoreset mode.
+    """Sums return, length and any values of info over each episode, in every autoreset mode.
 
     In the step that ends an episode, `infos["episode"]` holds "r" (the return), "l" (the number of steps) and the sum
     under each name, (W,) each, and `infos["_episode"]` tells for which worlds: the layout of Gymnasium's
-    `RecordEpisodeStatistics`, which knows of no cost. The step that begins an episode in the mode "next_step" counts
-    for neither the old one nor the new one, and in the mode "same_step" the last step's numbers are taken from
-    `infos["final_info"]`.
+    `RecordEpisodeStatistics`, which does not sum costs. In the mode "next_step", the step that begins an episode counts
+    for neither episode, and in the mode "same_step" the values of the last step are taken from `infos["final_info"]`.
 
     Example:
         >>> import gymnasium as gym
@@ -60,9 +59,9 @@ class RecordEpisodeSums(TransparentVectorWrapper, RecordConstructorArgs):
         """Wrap an environment.
 
         Args:
-            env: In any autoreset mode; one of this package, or Gymnasium's own of several.
-            names: Of numbers in info to add up.
-            stats_key: Where the sums are in `infos`.
+            env: Environment in any autoreset mode, of this package or Gymnasium's own.
+            names: Names of the values of info to sum.
+            stats_key: Key of the sums in `infos`.
 
         Raises:
             ValueError: If a name is used twice, or is "r" or "l".
@@ -81,19 +80,19 @@ class RecordEpisodeSums(TransparentVectorWrapper, RecordConstructorArgs):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin new episodes, and sums of them; see the environment."""
+        """Begin new episodes and their sums; see the environment."""
         mask = (options or {}).get("reset_mask")
-        # Gymnasium's vector environments take the mask out of the options that they are given.
+        # Copied because Gymnasium's vector environments remove the mask from the options that they are given.
         result = self.env.reset(seed=seed, options=None if options is None else dict(options))  # type: ignore[arg-type]
         self._begin(np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask))
         return result
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step all worlds; see the environment, and the class for what infos tell besides.
+        """Step all worlds; see the environment, and the class for the additional infos.
 
         Raises:
-            KeyError: If a name is not in infos.
-            ValueError: If another wrapper has put something where the sums are to be.
+            KeyError: If a name is missing in infos.
+            ValueError: If another wrapper has already used the key of the sums.
         """
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         if self._key in infos:
@@ -116,7 +115,7 @@ class RecordEpisodeSums(TransparentVectorWrapper, RecordConstructorArgs):
         return observations, rewards, terminations, truncations, infos
 
     def _begin(self, worlds: NDArray[np.bool_]) -> None:
-        """Forget the sums of some worlds (W,)."""
+        """Reset the sums of some worlds (W,)."""
         for values in (*self._sums.values(), self._lengths):
             values[worlds] = 0
         self._over = self._over & ~worlds

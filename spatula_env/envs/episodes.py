@@ -1,4 +1,4 @@
-"""Episodes in W worlds: physics, control, task and observation, shared by one environment and by many."""
+"""Runs episodes in W worlds, from physics, control, task and observation; shared by single and vector environments."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting
 
 Info = dict[str, NDArray[Any]]
-"""What there is to tell of W worlds: (W,) each, under keys that never change."""
+"""Further information on W worlds: arrays (W,), whose keys never change."""
 
 Pictures = Callable[[IntArray], Mapping[str, NDArray[Any]]]
-"""Makes the pictures of some worlds (n,): "image" (n, height, width, 3), and "depth" (n, height, width, 1) [m]."""
+"""Draws the pictures of some worlds (n,): "image" (n, height, width, 3), and "depth" (n, height, width, 1) [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What a control step led to, beside observation and info.
+    """Result of a control step, besides observation and info.
 
     Attributes:
-        reward: (W,) zero where physics has diverged.
-        terminated: (W,) whether the episode ends, by success or by damage.
-        diverged: (W,) whether physics has broken down: the episode cannot go on.
+        reward: (W,) rewards; zero where physics has diverged.
+        terminated: (W,) whether the episode ends by success, damage or a tangle.
+        diverged: (W,) whether physics has diverged, so that the episode cannot go on.
     """
 
     reward: FloatArray
@@ -62,44 +62,44 @@ class Outcome:
 
 
 class Episodes:
-    """Runs an episode in each of W worlds.
+    """Runs one episode in each of W worlds.
 
-    It knows neither when an episode is cut nor when a new one begins: environments decide that.
+    It does not decide when an episode is truncated or when a new one begins: the environments do.
 
     Attributes:
         worlds: The physics.
-        workspace: The cube that the grip is kept in, if nothing is shifted.
-        frames: Where it is and in what units, world by world.
-        setting: What all episodes have in common, as far as nothing of it is drawn at random.
-        task: What is asked.
-        control: What an action means.
-        observation_builder: How observations are laid out.
-        action_space: Of one world.
-        incentives: What the ends of episodes pay.
-        horizon: After how many control steps environments cut episodes; None: never.
-        steps_per_action: Physics steps in a control step.
+        workspace: The cube within which the grip is kept, without any randomised shift.
+        frames: Position and units of each world's workspace.
+        setting: What all episodes have in common, without anything drawn at random.
+        task: The task.
+        control: The control, which defines the meaning of actions.
+        observation_builder: The layout of observations.
+        action_space: Action space of one world.
+        incentives: Payments at the ends of episodes.
+        horizon: Number of control steps after which environments truncate episodes; None for no limit.
+        steps_per_action: Number of physics steps per control step.
         period: Length of a control step [s].
-        goals: (W, G) what is asked in each world's episode.
-        achieved: (W, G) what has been achieved of it.
-        elapsed: (W,) control steps since each episode began.
-        situation: Of all worlds, as it was last looked at; None before anything has begun. Where episodes begin its
-            rows are written, in place.
+        goals: (W, G) goal of each world's episode.
+        achieved: (W, G) what has been achieved towards it.
+        elapsed: (W,) number of control steps since each episode began.
+        situation: Latest situation of all worlds; None before any episode has begun. Its rows are overwritten in place
+            where episodes begin.
     """
 
     def __init__(
         self, definition: Definition, settings: EnvSettings, load: Callable[[Scene], Worlds], pictures: Any = None
     ) -> None:
-        """Put the parts together.
+        """Compose the parts.
 
         Args:
             definition: Scene and task.
             settings: From `Definition.read`.
-            load: Makes worlds of the scene in which all is at rest; they are closed by `close`, and if the rest of
-                the construction fails.
-            pictures: Makes what draws observed pictures, from these episodes; see `Pictures`.
+            load: Makes worlds of the scene, with everything at rest; they are closed by `close`, or if the rest of the
+                construction fails.
+            pictures: Makes the function that draws observed pictures of these episodes; see `Pictures`.
 
         Raises:
-            ValueError: If an option is not one of those allowed, or a number is out of its range.
+            ValueError: If an option is invalid, or a number is out of its range.
         """
         scene = definition.scene()
         if settings.material is not None:
@@ -168,96 +168,96 @@ class Episodes:
         self._safety = Safety(count, len(scene.tools), self.task.loading_limit)
         self._node_pressures = [np.zeros((count, len(tool.nodes))) for tool in self.setting.tools]
         longest = round(settings.randomization.get("action_delay", (0.0, 0.0))[1] / self.period)
-        # By physics step: who steers changes its mind between two of them.
+        # Stored per physics step, as a pilot may change its action between two of them.
         self._asked: FloatArray = np.zeros((count, longest + 1, self.steps_per_action, self.control.size))
         self._frames = FrameMemory(round(settings.observation.delay / self.period), settings.observation.history)
-        # Gymnasium's return type covers all spaces; of these it is an array, or a dictionary of arrays.
+        # Gymnasium's return type covers all spaces; for these it is an array, or a dictionary of arrays.
         self._observation = cast("Observation", create_empty_array(self.observation_builder.space, count))
         self._info: Info = {}
 
     @property
     def has_goal_interface(self) -> bool:
-        """Whether goals are entries of their own, which hindsight replay may exchange."""
+        """Whether goals are separate entries of the observation, which hindsight replay may exchange."""
         return self._sparse and self.task.hindsight
 
     @property
     def count(self) -> int:
-        """W."""
+        """Number of worlds, W."""
         return len(self.elapsed)
 
     @property
     def forces(self) -> FloatArray:
-        """(W, N, 3) on the tools of each world, averaged over the last control step [N]."""
+        """(W, N, 3) forces on the tools of each world, averaged over the last control step [N]."""
         shape = (self.count, len(self.setting.tools), 3)
         return np.zeros(shape) if self.situation is None else self.situation.contact_forces.copy()
 
     @property
     def grips(self) -> FloatArray:
-        """(W, 3) where the middle of the tools is now, workspace frames [m]."""
+        """(W, 3) present positions of the grips, workspace frames [m]."""
         positions = self.frames.points_from_scene(self.worlds.tool_positions, np.arange(self.count))
         return np.asarray(positions.mean(axis=1))
 
     @property
     def reach(self) -> tuple[FloatArray, FloatArray]:
-        """Two corners (W, 3) of where the grips can be now, workspace frames [m]."""
+        """Two corners (W, 3) of the regions that the grips can reach now, workspace frames [m]."""
         positions, orientations = self._poses()
         return self.control.reach(positions.mean(axis=1), positions, orientations, self._variation.tool_scale)
 
     @property
     def pressures(self) -> tuple[FloatArray, ...]:
-        """(W, n) for each tool: on its contact nodes in the last physics step [Pa]."""
+        """(W, n) for each tool: pressures on its contact nodes in the last physics step [Pa]."""
         return tuple(pressures.copy() for pressures in self._node_pressures)
 
     @property
     def observation(self) -> Observation:
-        """The observations of all worlds, as Gymnasium batches them; arrays of their own."""
+        """The observations of all worlds, batched as by Gymnasium, in new arrays."""
         if isinstance(self._observation, dict):
             return {name: values.copy() for name, values in self._observation.items()}
         return self._observation.copy()
 
     @property
     def info(self) -> Info:
-        """What else there is to tell of all worlds; arrays of their own."""
+        """The info of all worlds, in new arrays."""
         return {name: values.copy() for name, values in self._info.items()}
 
     def info_of(self, worlds: IntArray) -> Info:
-        """The same of some worlds (n,): (n,) each."""
+        """The info of some worlds (n,): arrays (n,)."""
         return {name: values[worlds] for name, values in self._info.items()}
 
     def observations_of(self, worlds: IntArray) -> list[Observation]:
-        """The observations of some worlds (n,), one by one; arrays of their own."""
+        """The observations of some worlds (n,), one by one, in new arrays."""
         if isinstance(self._observation, dict):
             whole = self._observation
             return [{name: values[world].copy() for name, values in whole.items()} for world in worlds.tolist()]
         return [self._observation[world].copy() for world in worlds.tolist()]
 
     def to_scene(self, points: FloatArray, world: int) -> FloatArray:
-        """Points (K, 3) in the workspace frame of a world [m] in the scene [u]."""
+        """Convert points (K, 3) in the workspace frame of a world [m] to the scene [u]."""
         scene_points: FloatArray = self.frames.points_to_scene(points[None], np.array([world]))[0]
         return scene_points
 
     def marks(self, world: int) -> tuple[Mark, ...]:
-        """What shows the goal of a world in a picture, in its workspace frame [m]."""
+        """Marks that show the goal of a world in a picture, in its workspace frame [m]."""
         row = np.array([world])
         situation = None if self.situation is None else self.situation.rows(row)
         memory = {name: values[row] for name, values in self._memory.items()}
         return self.task.marks(self.goals[world], situation, memory)
 
     def choose(self, options: Mapping[str, Any], worlds: IntArray) -> dict[str, FloatArray]:
-        """Check what is chosen of an episode's beginning in worlds (n,); see `chosen_starts`."""
+        """Validate the chosen beginnings of episodes in worlds (n,); see `chosen_starts`."""
         return chosen_starts(options, worlds, self.count, self.task, self.workspace)
 
     def check_begin(self, generators: Mapping[int, np.random.Generator], chosen: Mapping[str, FloatArray]) -> None:
-        """Check that `begin` would put no tool into an organ, nor below the stop; nothing changes.
+        """Check that `begin` would put no tool into an organ or below the stop. Changes nothing.
 
-        Only where a position is chosen: the tasks' own are free.
+        Only checked where a position was chosen: the positions that tasks draw are free.
 
         Args:
-            generators: As for `begin`; copies are drawn from.
+            generators: As for `begin`; copies of them are used for drawing.
             chosen: As for `begin`.
 
         Raises:
-            ValueError: If it would; names the world.
+            ValueError: If it would; the message names the world.
         """
         if "tool_position" not in chosen:
             return
@@ -274,9 +274,9 @@ class Episodes:
         settings: Sequence[Setting],
         chosen: Mapping[str, FloatArray] | None,
     ) -> Start:
-        """How episodes begin in some worlds, with what is chosen of it."""
-        # Drawn in any case, so that choices do not change the episodes after this one; and one by one, so that a
-        # world's episodes depend on its own generator only.
+        """Beginnings of episodes in some worlds, with the chosen values inserted."""
+        # Always draw, so that choices do not affect later episodes; and draw one by one, so that a world's episodes
+        # depend on its own generator only.
         start = Start.joined(
             [
                 self.task.sample(generator, 1, setting)
@@ -288,11 +288,11 @@ class Episodes:
     def begin(
         self, generators: Mapping[int, np.random.Generator], chosen: Mapping[str, FloatArray] | None = None
     ) -> None:
-        """Begin an episode in some worlds: the organ at rest, a new goal, the tools at a new place.
+        """Begin episodes in some worlds: with the organ at rest, a new goal, and the tools at a new place.
 
         Args:
-            generators: The worlds, and where the randomness of each comes from.
-            chosen: What is not left to chance, from `choose`.
+            generators: The worlds, and the source of randomness of each.
+            chosen: Values that replace the drawn ones, from `choose`.
         """
         worlds = np.fromiter(generators, dtype=np.int64)
         self._variation.draw(generators)
@@ -337,13 +337,13 @@ class Episodes:
         """Move all tools for one control step.
 
         Args:
-            actions: (W, A) in [-1, 1].
-            pilot: Who is asked before every physics step instead, for one world only.
+            actions: (W, A) actions in [-1, 1].
+            pilot: Called before every physics step to replace the action; for one world only.
             after_step: Called after every physics step.
 
         Returns:
-            What that led to. Where physics has diverged, observation and info stay those of the step before, but for
-            what info tells of the divergence.
+            Result of the step. Where physics has diverged, observation and info stay those of the step before, except
+            for info on the divergence itself.
         """
         worlds, frames = self.worlds, self.frames
         every = np.arange(self.count)
@@ -392,7 +392,7 @@ class Episodes:
         return Outcome(reward, badly | (self._succeeded & self.settings.terminate_on_success), lost)
 
     def save(self, worlds: IntArray) -> tuple[Physics, EpisodesState]:
-        """All that the next step depends on in some worlds (n,) in which episodes have begun, as copies."""
+        """Copy everything that the next step depends on in some worlds (n,), in which episodes have begun."""
         assert self.situation is not None
         drawn, generators = self._variation.save(worlds)
         physics = save_physics(self.worlds, worlds)
@@ -410,8 +410,8 @@ class Episodes:
         )
 
     def restore(self, physics: Physics, state: EpisodesState, worlds: IntArray) -> None:
-        """Go back, in some worlds (n,), to what `save` returned for n worlds."""
-        # Tools before contact: exchanging them clears its memory.
+        """Restore in some worlds (n,) what `save` returned for n worlds."""
+        # Restore the tools before contact, because exchanging them clears the contact memory.
         self._variation.restore(state.drawn, state.generators, worlds)
         self.worlds.restore(joined(physics), worlds)
         every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
@@ -432,11 +432,11 @@ class Episodes:
         self._keep(state.situation.rows(np.arange(len(worlds))), worlds, every=every)
 
     def close(self) -> None:
-        """Free the engine. Closing twice is allowed."""
+        """Close the engine. Closing twice is allowed."""
         self.worlds.close()
 
     def _counters(self) -> dict[str, NDArray[Any]]:
-        """What is counted and what waits, (W, ...) by name."""
+        """Counters and delayed actions, arrays (W, ...) by name."""
         return {
             "goals": self.goals,
             "elapsed": self.elapsed,
@@ -447,11 +447,11 @@ class Episodes:
         }
 
     def _seen(self) -> dict[str, NDArray[Any]]:
-        """The observation's entries; a vector alone has the name ""."""
+        """The observation's entries; an observation that is one vector has the name ""."""
         return self._observation if isinstance(self._observation, dict) else {"": self._observation}
 
     def _delayed(self, actions: FloatArray) -> FloatArray:
-        """What is carried out now (W, A), after what is asked now (W, A)."""
+        """Actions carried out now (W, A), given those requested now (W, A)."""
         if self._asked.shape[1] == 1:
             return actions
         self._asked[:, :-1] = self._asked[:, 1:]
@@ -459,7 +459,7 @@ class Episodes:
         return mean_of_track(self._asked[np.arange(self.count), self._asked.shape[1] - 1 - self._lateness()])
 
     def delayed_within(self, action: FloatArray, step: int) -> FloatArray:
-        """What is carried out in a physics step of a control step (A,), after what is asked in it (A,); one world."""
+        """Action carried out in a physics step of a control step (A,), given the requested one (A,); for one world."""
         if self._asked.shape[1] == 1:
             return action
         if step == 0:
@@ -468,11 +468,11 @@ class Episodes:
         return np.asarray(self._asked[0, self._asked.shape[1] - 1 - self._lateness()[0], step].copy())
 
     def _lateness(self) -> IntArray:
-        """(W,) by how many control steps actions are late."""
+        """(W,) delay of actions in control steps."""
         return np.asarray(np.rint(self._variation.drawn["action_delay"] / self.period).astype(np.int64))
 
     def motion_now(self, action: FloatArray) -> Motion:
-        """What the tools do in the coming physics step for an action (A,); for one world."""
+        """Motion of the tools in the coming physics step for an action (A,); for one world."""
         positions, orientations = self._poses()
         return self.control.motion(
             action[None],
@@ -484,7 +484,7 @@ class Episodes:
         )
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
-        """Where the tools are, workspace frames: positions (W, N, 3) [m] and orientations (W, N, 4)."""
+        """Poses of the tools in workspace frames: positions (W, N, 3) [m] and orientations (W, N, 4)."""
         every = np.arange(self.count)
         return (
             self.frames.points_from_scene(self.worlds.tool_positions, every),
@@ -497,7 +497,7 @@ class Episodes:
         grip = positions.mean(axis=1)
         forces = frames.vectors_from_scene(loads.forces, frames.force)
         torques = frames.vectors_from_scene(loads.torques, frames.torque)
-        # With the lever arms at the end of the step: tools turn little about the grip in one.
+        # Use the lever arms at the end of the step: tools turn little about the grip within a step.
         torque = (torques + np.cross(positions - grip[:, None], forces)).sum(axis=1)
         return Situation(
             tool_position=grip,
@@ -526,14 +526,14 @@ class Episodes:
         )
 
     def _judge(self, situation: Situation, worlds: IntArray) -> FloatArray:
-        """The reward (n,) of some worlds (n,), after counting how long each has fulfilled its goal."""
+        """The reward (n,) of some worlds (n,); also counts how long each has fulfilled its goal."""
         evaluation = self._show(situation, worlds, first=False)
         if self._sparse:
             return self.task.compute_reward(evaluation.achieved, self.goals[worlds]).astype(np.float64)
         return weighted_sum(evaluation.terms, self.task.weights)
 
     def _show(self, situation: Situation, worlds: IntArray, *, first: bool) -> Evaluation:
-        """Judge the situation of some worlds (n,), and renew their observation and info."""
+        """Evaluate the situation of some worlds (n,), and update their observation and info."""
         goals = self.goals[worlds]
         every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
         memory = self._memory if every else {name: values[worlds] for name, values in self._memory.items()}
@@ -577,7 +577,7 @@ class Episodes:
         return evaluation
 
     def _keep(self, situation: Situation, worlds: IntArray, *, every: bool) -> None:
-        """Remember the situation of some worlds (n,)."""
+        """Store the situation of some worlds (n,)."""
         if every:
             self.situation = situation
             return
@@ -591,7 +591,7 @@ class Episodes:
                 continue
             if not whole.flags.writeable:
                 whole = changes[name] = whole.copy()
-            # In place: others must not be copied for the sake of a few.
+            # In place, to avoid copying all worlds for the sake of a few.
             whole[worlds] = values
         if changes:
             self.situation = replace(self.situation, **changes)
@@ -599,7 +599,7 @@ class Episodes:
     def _observe(
         self, situation: Situation, goals: FloatArray, evaluation: Evaluation, worlds: IntArray, *, first: bool
     ) -> None:
-        """Renew the observations of some worlds (n,)."""
+        """Update the observations of some worlds (n,)."""
         builder = self.observation_builder
         noise = self._variation.sensor_noise(worlds, sum(part.size for part in builder.parts))
         pictures = None if self._draw_pictures is None else self._draw_pictures(worlds)
@@ -617,12 +617,12 @@ class Episodes:
 
 
 def _share_of_face(face: NDArray[np.int32]) -> FloatArray:
-    """(n, F) what each contact node adds to the share of each face's nodes that are in contact."""
+    """(n, F) contribution of each contact node to the share of each face's nodes that are in contact."""
     return np.asarray((face[:, None] == np.arange(face.max() + 1)) / np.bincount(face))
 
 
 def _count_steps(control_frequency: float, dt: float) -> int:
-    """How many physics steps make a control step."""
+    """Number of physics steps per control step."""
     steps = 1.0 / (control_frequency * dt)
     if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
         raise ValueError(

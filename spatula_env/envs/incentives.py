@@ -1,12 +1,12 @@
-"""What the ends of episodes pay, so that no end is worth more than going on, and success is worth all that staying is.
+"""Payments at the ends of episodes, so that ending badly never pays, and ending by success loses nothing.
 
-An end takes away what the rest of the episode would have paid. Where rewards are positive, an agent then does best to
-stay short of success for ever; where they are negative, to damage the organ at once. Two rules keep that from paying,
-whatever the learner's discount, and whether or not it thinks beyond the time limit:
+The end of an episode takes away what the rest of it would have paid. With positive rewards, an agent would then do best
+to stay just short of success for ever; with negative ones, to damage the organ at once. Two rules prevent both, for any
+discount, and whether or not the learner looks beyond the time limit:
 
-- Where success ends an episode, each step of the dense reward pays what it falls short of the best step by. That is
-  zero at best, and zero is what an episode that is over goes on to pay: success is worth what the best of stays is.
-- An end by damage or by a tangle pays what a whole episode costs in which nothing is achieved, and nothing else.
+- If success ends episodes, each step of the dense reward pays the task's reward minus that of the best step. This is
+  zero at best, and zero is what a finished episode goes on to pay: success is worth as much as the best way of staying.
+- An end by damage or by a tangle pays minus the cost of a whole episode in which nothing is achieved, and nothing else.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 
 class Incentives:
-    """What steps pay in which episodes may end.
+    """Rewards of steps if episodes may end early.
 
     Attributes:
-        offset: What is taken from the dense reward of each step, so that it is zero at best; zero where success does
-            not end episodes, and in the sparse reward, which is zero at best anyway.
+        offset: Subtracted from the dense reward of each step to make it zero at best; zero if success does not end
+            episodes, and for the sparse reward, which is zero at best anyway.
     """
 
     def __init__(self, settings: EnvSettings, task: Task) -> None:
-        """Weigh the ends.
+        """Compute the payments.
 
         Args:
-            settings: Which reward there is, and what ends an episode.
-            task: For the best reward of a step.
+            settings: Kind of reward, and what ends an episode.
+            task: Task, for the best reward of a step.
 
         Raises:
-            ValueError: If damage or a tangle ends episodes, and no term of the dense reward can be gained.
+            ValueError: If damage or a tangle ends episodes, and no term of the dense reward has a positive weight.
         """
         sparse = settings.reward == "sparse"
         self.offset = task.best_reward if settings.terminate_on_success and not sparse else 0.0
@@ -52,57 +52,57 @@ class Incentives:
             )
 
     def charge(self, horizon: int | None) -> float:
-        """What an end by damage or a tangle costs, zero or more, in an episode of so many control steps."""
+        """Cost of an end by damage or a tangle, zero or more, in an episode of a number of control steps."""
         return 0.0 if horizon is None else horizon * self._forfeit
 
     def pay(self, reward: FloatArray, badly: BoolArray, horizon: int | None) -> FloatArray:
-        """What a step pays.
+        """Compute the reward of a step.
 
         Args:
-            reward: (W,) of what was reached in it.
-            badly: (W,) whether it ends the episode by damage or by a tangle.
-            horizon: Control steps of an episode.
+            reward: (W,) task rewards.
+            badly: (W,) whether the step ends the episode by damage or by a tangle.
+            horizon: Number of control steps of an episode.
 
         Returns:
-            (W,).
+            (W,) rewards paid.
         """
         return np.where(badly, -self.charge(horizon), reward - self.offset)
 
     def charged(self, info: Any) -> BoolArray:
-        """In which of some steps the charge was paid.
+        """Tell in which of some steps the charge was paid.
 
         Args:
-            info: What the environment told in them: a mapping, of one step or of many at once, or a sequence of
-                mappings of one each. None, or without what tells of damage: in none.
+            info: Info of the steps: a mapping, of one step or of many, or a sequence of mappings of one step each.
+                None, or info without entries on damage, means in none.
 
         Returns:
-            (...) as `info` has it.
+            (...) in the shape of `info`.
         """
         if info is None:
             return np.zeros((), dtype=np.bool_)
         if not isinstance(info, Mapping):
             return np.array([bool(self.charged(each)) for each in info], dtype=np.bool_)
-        # Without a limit nothing is ever told to be damaged.
+        # Without a damage limit, "is_damaged" is never set.
         badly = np.asarray(info.get("is_damaged", False), dtype=np.bool_)
         return badly | (np.asarray(info.get("tangled", False), dtype=np.bool_) & self._ends_by_tangle)
 
 
 def ends_badly(settings: EnvSettings) -> str:
-    """By which option an episode can end that is not to end so; "" if by none."""
+    """Name of the option by which an episode can end badly; "" if there is none."""
     if settings.damage_limit is not None:
         return "damage_limit"
     return "terminate_on_tangle" if settings.terminate_on_tangle else ""
 
 
 def check_horizon(settings: EnvSettings, *, limited: bool) -> None:
-    """Check that there is a time limit where an end costs what an episode does.
+    """Check that there is a time limit if an end costs as much as a whole episode.
 
     Args:
         settings: What ends an episode.
-        limited: Whether episodes are cut.
+        limited: Whether episodes are truncated.
 
     Raises:
-        ValueError: If there is none.
+        ValueError: If there is no time limit.
     """
     ending = ends_badly(settings)
     if ending and not limited:

@@ -1,4 +1,4 @@
-"""Indices and masks as indices."""
+"""Validation of indices, and conversion of masks to indices."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
 
 
 def indices_below(count: int, value: Any) -> IntArray | None:
-    """Indices (n,) of some of `count` things, one at least; they may be repeated.
+    """Indices (n,) of at least one of `count` items; they may be repeated.
 
     Args:
-        count: How many there are.
+        count: Number of items.
         value: One index, several of them, or a mask of `count` booleans.
 
     Returns:
-        The indices; None if `value` is anything else, nothing, or not all are from 0 to `count` - 1.
+        The indices; None if `value` is anything else, is empty, or has an index outside 0 to `count` - 1.
     """
     try:
         array = np.atleast_1d(np.asarray(value))

@@ -1,4 +1,4 @@
-"""Observations: their parts, and the spaces they fill."""
+"""Observations: their parts, and their spaces."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting, Situation
 
 Observation = NDArray[Any] | dict[str, NDArray[Any]]
-"""Of one world, or of many with a first axis that counts them."""
+"""Observation of one world, or of many with a leading axis for the worlds."""
 
 LANDMARKS = 16
-"""Number of the organ's nodes that are followed."""
+"""Number of the organ's nodes whose displacement is observed."""
 
 GREATEST_PLACE = 0.2
-"""Observed places of points are clipped to this along each axis [m]."""
+"""Bound to which observed positions of points are clipped along each axis [m]."""
 
 FARTHEST = 1.0
-"""Observed distances from the camera are clipped to this [m]."""
+"""Bound to which observed distances from the camera are clipped [m]."""
 
 NOISE: Mapping[str, float] = MappingProxyType(
     {
@@ -47,10 +47,10 @@ NOISE: Mapping[str, float] = MappingProxyType(
         "1": 0.01,
     }
 )
-"""Standard deviation of what is measured, by unit, at `noise=1`: 0.1 mm, 0.02 N and so on."""
+"""Standard deviations of measurement noise by unit, at `noise=1`: 0.1 mm, 0.02 N and so on."""
 
 EXACT_PARTS = ("goal", "hold_progress")
-"""Parts that are told, not measured: they have no noise and are not late."""
+"""Parts that are not measured: they have neither noise nor delay."""
 
 ROBOT_PARTS = (
     "tool_position",
@@ -67,7 +67,7 @@ ROBOT_PARTS = (
     "normal_force",
     "goal",
 )
-"""What is known without looking at the organ: "state" where pictures or points are observed."""
+"""Parts that are known without looking at the organ: the entry "state" if pictures or points are observed."""
 
 LEROBOT_KEYS: Mapping[str, str] = MappingProxyType(
     {
@@ -84,19 +84,18 @@ LEROBOT_KEYS: Mapping[str, str] = MappingProxyType(
         "action": "action",
     }
 )
-"""What LeRobot's datasets call the entries of observations."""
+"""LeRobot's names for the entries of observations in its datasets."""
 
 
 def lerobot_keys(space: spaces.Space[Any]) -> dict[str, str]:
-    """How to rename an observation's entries for a dataset of LeRobot.
+    """Map an observation's entries to their names in a LeRobot dataset.
 
     Args:
-        space: Of the observations of one environment.
+        space: Observation space of one environment.
 
     Returns:
-        New names by old ones: "observation.state" for a vector (under the name "observation" where the observation is
-        nothing but it), "state" or "sensors", "observation.images.front" for "image", and "observation.<name>" for
-        other parts.
+        New names by old ones: "observation.state" for a vector (called "observation" if it is the whole observation),
+        "state" or "sensors"; "observation.images.front" for "image"; and "observation.<name>" for other parts.
     """
     names = list(space.spaces) if isinstance(space, spaces.Dict) else ["observation"]
     return {name: LEROBOT_KEYS.get(name, f"observation.{name}") for name in names}
@@ -104,41 +103,40 @@ def lerobot_keys(space: spaces.Space[Any]) -> dict[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class Part(PartSpec):
-    """A named piece of an observation, bounds in single precision."""
+    """A part of the observation, with bounds in single precision."""
 
     @property
     def space(self) -> spaces.Box:
-        """The box that it fills."""
+        """The part's space."""
         return spaces.Box(self.low, self.high, dtype=np.float32)
 
 
 class ObservationBuilder:
-    """Turns situations into observations.
+    """Builds observations from situations.
 
     - "state": one vector of all parts.
     - "dict": a dictionary of the parts.
     - "rgb": a dictionary of a picture, "image" (height, width, 3) uint8, and "state", the vector of `ROBOT_PARTS`.
-    - "rgbd": "depth" (height, width, 1) as well, the distance from the camera's plane [m].
-    - "pointcloud": a dictionary of points on the organ's surface, "organ" (P, 3), on the tools', "tool" (Q, 3), always
-      the same ones, in the workspace frame [m], and "state".
+    - "rgbd": as "rgb", with "depth" (height, width, 1), the distance from the camera's plane [m].
+    - "pointcloud": a dictionary of points on the organ's surface, "organ" (P, 3), on the tools' surfaces, "tool" (Q,
+      3), always the same ones, in the workspace frame [m], and "state".
 
-    A goal interface has "achieved_goal" and "desired_goal" as entries of a dictionary, beside "observation" or
-    beside the others; what depends on the goal then is no part, because hindsight replay replaces goals. The one
-    exception is "hold_progress" where success ends episodes: hindsight replay is not to be used there anyway.
+    With the goal interface, "achieved_goal" and "desired_goal" are entries of a dictionary, beside "observation" or
+    beside the other entries; parts that depend on the goal are then left out, because hindsight replay replaces goals.
+    The one exception is "hold_progress" if success ends episodes: hindsight replay cannot be used there anyway.
 
     Every number is clipped to the bounds of its space.
 
-    `ObservationSettings.parts` chooses among the parts. "sensors": those that are `sensed`. "grouped": the vector falls
-    into two, the entries "sensors" and "privileged" of a dictionary, instead of the vector alone, "observation" or
-    "state".
+    `ObservationSettings.parts` selects parts. "sensors": those that are `sensed`. "grouped": the vector is split into
+    the entries "sensors" and "privileged" of a dictionary, which replace the single vector, "observation" or "state".
 
     Attributes:
-        parts: In the order of the vector; grouped, those of "sensors" come first.
-        space: Of the observations of one world.
+        parts: The parts in the order of the vector; with "grouped", those of "sensors" come first.
+        space: Observation space of one world.
         landmarks: (L,) indices of the nodes whose displacement is observed.
         settings: Noise, delay, history, and sizes.
-        needs_picture: Whether pictures are a part.
-        needs_depth: Whether distances from the camera are one.
+        needs_picture: Whether pictures are observed.
+        needs_depth: Whether depth is observed.
     """
 
     def __init__(
@@ -154,22 +152,23 @@ class ObservationBuilder:
         goal_interface: bool,
         hold_progress: bool,
     ) -> None:
-        """Lay out the observation.
+        """Define the layout of the observation.
 
         Args:
             setting: Organ, tools and workspace.
-            task: For the goals, and for what else it has to tell.
-            control: For the speeds, and for what else it moves.
-            obs_mode: See the class.
-            settings: Noise, delay, history, sizes, and which parts.
-            ranges: Of forces, pressures and displacements, and which faces are told of; None: wide ones, and all.
-            control_name: By which `ranges` know the control.
-            goal_interface: Whether goals are entries of their own.
-            hold_progress: Whether there is a part that tells for how long the goal has been held: where rewards or the
-                end of an episode depend on it.
+            task: Task, for its goals and its own parts.
+            control: Control, for its speeds and its further coordinates.
+            obs_mode: Observation mode; see the class.
+            settings: Noise, delay, history, sizes, and selection of parts.
+            ranges: Ranges of forces, pressures and displacements, and observed faces; None for wide ranges and all
+                faces.
+            control_name: Name of the control in `ranges`.
+            goal_interface: Whether goals are separate entries.
+            hold_progress: Whether to observe for how long the goal has been held, which rewards or the end of an
+                episode may depend on.
 
         Raises:
-            ValueError: If the mode has no such choice of parts.
+            ValueError: If the mode does not allow this selection of parts.
         """
         check_parts(settings.parts, obs_mode)
         self.settings = settings
@@ -232,7 +231,7 @@ class ObservationBuilder:
         ]
 
     def _chosen(self, parts: list[Part]) -> list[Part]:
-        """Those of all parts that the mode and the settings ask for."""
+        """The parts that the mode and the settings select."""
         choice = self.settings.parts
         if choice == GROUPED:
             return [part for part in parts if part.sensed] + [part for part in parts if not part.sensed]
@@ -242,7 +241,7 @@ class ObservationBuilder:
 
     @property
     def slices(self) -> Mapping[str, slice]:
-        """Where each part is in the vector of all parts; grouped, in that of "sensors" or that of "privileged"."""
+        """Position of each part in the vector of all parts; with "grouped", in that of "sensors" or of "privileged"."""
         if self.settings.parts != GROUPED:
             return dict(self._slices)
         first = self._first_privileged
@@ -252,7 +251,7 @@ class ObservationBuilder:
         }
 
     def vectors_of(self, wide: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """The entries that hold the vector of all parts (..., D), where parts are no entries of their own."""
+        """Split the vector of all parts (..., D) into the entries that hold it, in the modes that have such entries."""
         if self.settings.parts == GROUPED:
             first = self._first_privileged
             return {"sensors": wide[..., :first].copy(), "privileged": wide[..., first:].copy()}
@@ -269,18 +268,18 @@ class ObservationBuilder:
         noise: FloatArray | None = None,
         pictures: Mapping[str, NDArray[Any]] | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """One frame of the observations of W worlds.
+        """Build one frame of the observations of W worlds.
 
         Args:
-            situation: Of the worlds.
-            goal: (W, G).
-            evaluation: Of the situation.
-            held: (W,) for how long the goal has been held, as a part of how long it must be for success, 1 at most.
-            noise: (W, size of the vector) errors of measurement, in standard deviations; None: none.
-            pictures: "image" (W, height, width, 3) and "depth" (W, height, width, 1) [m] where they are needed.
+            situation: Situation of the worlds.
+            goal: (W, G) goals.
+            evaluation: Evaluation of the situation.
+            held: (W,) time for which the goal has been held, relative to the time needed for success, at most 1.
+            noise: (W, size of the vector) measurement errors in standard deviations; None for none.
+            pictures: "image" (W, height, width, 3) and "depth" (W, height, width, 1) [m], if they are needed.
 
         Returns:
-            (W, ...) by name; a vector alone has the name "". Arrays of their own.
+            (W, ...) entries by name; a single vector has the name "". New arrays.
         """
         moved = situation.nodes[:, self.landmarks] - self._rest_landmarks
         count = len(goal)
@@ -337,7 +336,7 @@ class ObservationBuilder:
         return result
 
     def _prepare_points(self, setting: Setting) -> None:
-        """Choose the points of a point cloud."""
+        """Select the points of a point cloud."""
         chosen, self._organ_weights = surface_samples(setting.rest_nodes, setting.triangles, self.settings.organ_points)
         self._organ_corners = np.asarray(setting.triangles)[chosen]
         shares = np.diff(np.linspace(0, self.settings.tool_points, len(setting.tools) + 1).round().astype(int))
@@ -373,7 +372,7 @@ class ObservationBuilder:
         return spaces.Dict(named)
 
     def _stacked(self, space: spaces.Space[Any]) -> spaces.Space[Any]:
-        """The space of as many frames as are shown."""
+        """Extend a space to the number of frames that are shown."""
         history = self.settings.history
         if history == 1:
             return space
@@ -387,22 +386,22 @@ class ObservationBuilder:
 
 
 GOAL_ENTRIES = ("achieved_goal", "desired_goal")
-"""Entries that are neither late nor stacked."""
+"""Entries that are neither delayed nor stacked."""
 
 
 class FrameMemory:
-    """The last frames of W worlds: what is shown late, or more than once.
+    """Stores the last frames of W worlds, to delay and stack observations.
 
     Attributes:
-        delay: By how many frames what is shown is late.
+        delay: Delay in frames.
     """
 
     def __init__(self, delay: int, history: int) -> None:
-        """Remember nothing yet.
+        """Start without frames.
 
         Args:
-            delay: By how many frames what is shown is late.
-            history: How many are shown.
+            delay: Delay in frames.
+            history: Number of frames that are stacked.
         """
         self.delay = delay
         self._depth = delay + history
@@ -410,13 +409,13 @@ class FrameMemory:
         self._frames: dict[str, NDArray[Any]] = {}
 
     def push(self, frames: dict[str, NDArray[Any]], worlds: NDArray[np.int64], count: int, *, first: bool) -> None:
-        """Take up one more frame.
+        """Add a frame.
 
         Args:
-            frames: (n, ...) by name.
-            worlds: (n,) of which worlds.
-            count: W.
-            first: Whether episodes begin with these frames: then there are none before them.
+            frames: (n, ...) entries by name.
+            worlds: (n,) indices of the worlds.
+            count: Number of worlds, W.
+            first: Whether these frames begin episodes, so that no earlier ones count.
         """
         for name, values in frames.items():
             if name not in self._frames:
@@ -429,18 +428,18 @@ class FrameMemory:
                 kept[worlds, -1] = values
 
     def save(self, worlds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """All that is remembered of some worlds (n,), as copies: (n, depth, ...) by name."""
+        """Copy the stored frames of some worlds (n,): (n, depth, ...) by name."""
         return {name: kept[worlds] for name, kept in self._frames.items()}
 
     def restore(self, frames: Mapping[str, NDArray[Any]], worlds: NDArray[np.int64], count: int) -> None:
-        """Go back, in some worlds (n,) of `count`, to what `save` returned."""
+        """Restore in some worlds (n,) of `count` what `save` returned."""
         for name, values in frames.items():
             if name not in self._frames:
                 self._frames[name] = np.zeros((count, *values.shape[1:]), dtype=values.dtype)
             self._frames[name][worlds] = values
 
     def show(self, worlds: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Of some worlds (n,): (n, ...) by name, or (n, history, ...), the oldest first; arrays of their own."""
+        """Delayed frames of some worlds (n,): (n, ...) by name, or (n, history, ...), oldest first, in new arrays."""
         shown = {}
         for name, kept in self._frames.items():
             if name in GOAL_ENTRIES:
@@ -458,12 +457,12 @@ def _deviation(part: PartSpec) -> FloatArray:
         return np.zeros(part.size)
     if part.unit in NOISE:
         return np.full(part.size, NOISE[part.unit])
-    # Of a unit of its own, or of several: a two-hundredth of what there can be.
+    # For units without an entry, and for parts of several units: 1/200 of the range.
     return np.asarray(0.005 * (part.high.astype(np.float64) - part.low))
 
 
 def first_of(batch: Observation) -> Observation:
-    """The observation of the first of the worlds in a batch."""
+    """The observation of the first world in a batch."""
     if isinstance(batch, dict):
         return {name: values[0] for name, values in batch.items()}
     return np.asarray(batch[0])

@@ -1,4 +1,4 @@
-"""Pictures as a part of observations."""
+"""Pictures as parts of observations."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 def observed_pictures(episodes: Episodes) -> Pictures:
-    """What draws the pictures that some episodes' observations hold; see `Pictures`.
+    """Make the function that draws the observed pictures of some episodes; see `Pictures`.
 
     Args:
-        episodes: Whose.
+        episodes: The episodes.
     """
     height, width = episodes.settings.observation.image_size
     pictures = EpisodePictures(episodes, width, height)

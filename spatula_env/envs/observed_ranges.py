@@ -1,4 +1,4 @@
-"""Which parts of an observation are chosen, and how far what is measured of contact and of the organ reaches."""
+"""Selection of an observation's parts, and ranges of measurements of contact and of the organ."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ if TYPE_CHECKING:
 ALL_PARTS, SENSORS, GROUPED = "all", "sensors", "grouped"
 
 PART_CHOICES = (ALL_PARTS, SENSORS, GROUPED)
-"""All parts; those that a robot knows by its own sensors or is told; all, these apart from what is privileged."""
+"""All parts; only those that a robot senses or is told; all, with the privileged ones separate."""
 
 
 @dataclass(frozen=True)
 class ObservedRanges:
-    """Up to which values an observation tells what is measured of contact and of the organ.
+    """Ranges of an observation's measurements of contact and of the organ.
 
-    They are the bounds of the observation's space, and what is beyond is clipped. `info` has forces and pressures
-    unclipped. A task's are what is met in it, with a margin; the defaults suit any.
+    They are the bounds of the observation space, to which values are clipped; forces and pressures in `info` are not
+    clipped. A task's ranges cover what occurs in it, with a margin; the defaults suit any task.
 
     Attributes:
-        force: Along each axis, on each tool, averaged over a control step [N].
-        torque: About each axis [N m].
-        contact_depth: Of the deepest contact [m].
-        peak_pressure: Greatest on a node [Pa].
-        mean_pressure: On the face that is pressed most [Pa].
-        displacement: Of landmarks on the organ, along each axis [m].
-        untouched: By `control`, the faces of the tools, in the order of `Situation.contact_share`, that the organ
-            cannot touch as the control moves them: nothing is told of them, as it would be the same always.
-        face_count: How many faces the tools have that `untouched` is about; where a scene has others, all are told of.
+        force: Greatest force along each axis, on each tool, averaged over a control step [N].
+        torque: Greatest torque about each axis [N m].
+        contact_depth: Greatest depth of the deepest contact [m].
+        peak_pressure: Greatest pressure on a node [Pa].
+        mean_pressure: Greatest mean pressure on the face that is pressed most [Pa].
+        displacement: Greatest displacement of landmarks on the organ, along each axis [m].
+        untouched: By `control`, the faces of the tools (in the order of `Situation.contact_share`) that the organ
+            cannot touch with this control: they are left out of the observation, as their values would be constant.
+        face_count: Number of faces of the tools to which `untouched` applies; with another number, all faces are
+            observed.
     """
 
     force: float = 10.0
@@ -61,25 +62,25 @@ class ObservedRanges:
                 )
 
     def touched(self, control: str, count: int) -> IntArray:
-        """The faces that are told of.
+        """Indices of the faces that are observed.
 
         Args:
             control: Name of the control.
-            count: How many faces the tools have.
+            count: Number of faces of the tools.
         """
         left_out = self.untouched.get(control, ()) if count == self.face_count else ()
         return np.setdiff1d(np.arange(count), left_out)
 
 
 def check_parts(parts: str, obs_mode: str) -> None:
-    """Check that a mode of observation has a choice of parts.
+    """Check that an observation mode allows a selection of parts.
 
     Args:
         parts: One of `PART_CHOICES`.
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
 
     Raises:
-        ValueError: If it has not.
+        ValueError: If it does not.
     """
     if parts == GROUPED and obs_mode == "dict":
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Forces on the tools after each physics step, for listeners that a control step is too long for: haptic devices."""
+"""Forces on the tools after each physics step, for listeners such as haptic devices that need this rate."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from spatula_env.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class PhysicsStep:
-    """What there is to feel after a physics step, in the workspace frame.
+    """Measurements after a physics step, in the workspace frame.
 
     Attributes:
-        time: Since the reset [s].
-        grip: (3,) where the middle of the tools is [m].
+        time: Time since the reset [s].
+        grip: (3,) position of the grip, the middle of the tools [m].
         force: (3,) of the organ on all tools, averaged over the physics step [N].
     """
 

@@ -1,4 +1,4 @@
-"""Pictures of worlds, for people and for agents that see."""
+"""Pictures of worlds, for people and for agents that use images."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 
 class EpisodePictures:
-    """Draws the worlds of some episodes, one after the other, with one view.
+    """Draws the worlds of some episodes in sequence, with one view.
 
-    Views are made when the first picture is drawn; who never looks pays nothing.
+    Views are created on the first picture, so that they cost nothing if no picture is ever drawn.
     """
 
     def __init__(self, episodes: Episodes, width: int, height: int, frames_per_second: float = 20.0) -> None:
-        """Remember what to draw.
+        """Store what to draw.
 
         Args:
-            episodes: Whose worlds.
-            width: Of a picture [pixels].
-            height: Of a picture [pixels].
-            frames_per_second: How fast `show` is allowed to go.
+            episodes: The episodes whose worlds are drawn.
+            width: Width of a picture [pixels].
+            height: Height of a picture [pixels].
+            frames_per_second: Greatest frame rate of `show`.
         """
         self._episodes = episodes
         self._size = (width, height)
@@ -45,7 +45,7 @@ class EpisodePictures:
         """W pictures (height, width, 3): organ and pressure, tools and the forces on them, and the goal.
 
         Raises:
-            ValueError: If the size is not that of a picture.
+            ValueError: If the size is not valid for a picture.
         """
         if self._view is None:
             self._view = self._make_view()
@@ -53,20 +53,20 @@ class EpisodePictures:
         return tuple(view.draw(moment) for moment in self.moments())
 
     def rgbd(self, worlds: Iterable[int] | None = None) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-        """What a camera in the room sees: no arrows, no colours of pressure and no goal, but a marked patch is there.
+        """Images of a camera in the room: without arrows, pressure colours and goal, but with a marked patch.
 
         Args:
-            worlds: (n,) whose pictures to take; None: all.
+            worlds: (n,) worlds to draw; None for all.
 
         Returns:
-            Pictures (n, height, width, 3) and their depth (n, height, width), the distance along the optical axis of
-            what is nearest in each pixel [m]. Where there is nothing, depth is that of the camera's far plane.
+            Pictures (n, height, width, 3) and their depth (n, height, width): the distance along the optical axis of
+            the nearest surface in each pixel [m], or that of the camera's far plane where there is none.
 
         Raises:
-            ValueError: If the size is not that of a picture.
+            ValueError: If the size is not valid for a picture.
         """
         if self._sensor is None:
-            # In small pictures, finer triangles than those of the physics cost time and cannot be seen.
+            # In small pictures, a mesh finer than that of the physics costs time and makes no visible difference.
             self._sensor = self._make_view(levels=0 if max(self._size) <= 160 else None)
         chosen = np.arange(self._episodes.count) if worlds is None else np.fromiter(worlds, dtype=np.int64)
         width, height = self._size
@@ -81,13 +81,13 @@ class EpisodePictures:
     def show(self, world: int = 0) -> None:
         """Show one world in a window, and wait until it is time for the next picture.
 
-        Once the user has closed the window there is nothing to see and nothing to wait for.
+        Returns at once if the user has closed the window.
 
         Args:
-            world: Which.
+            world: Index of the world.
 
         Raises:
-            ImportError: If what windows need is not installed.
+            ImportError: If the packages for windows are not installed.
             RuntimeError: If there is no display to open a window on.
         """
         if self._window is None:
@@ -103,7 +103,7 @@ class EpisodePictures:
 
     @property
     def closed(self) -> bool:
-        """Whether there was a window that is closed now, whoever closed it."""
+        """Whether a window was opened and has been closed, by the user or the program."""
         return self._window is not None and self._window.closed
 
     def close(self) -> None:
@@ -118,11 +118,11 @@ class EpisodePictures:
         return SceneView(worlds.scene, worlds.triangles, *self._size, levels=levels)
 
     def moments(self, chosen: Iterable[int] | None = None, *, physical: bool = False) -> Iterator[Moment]:
-        """What there is to see in each world; only what is really there if `physical`.
+        """The visible state of each world; only physical objects if `physical`.
 
-        The camera stands in the room, not on the organ: where organs differ from world to world in place, size or
-        pose, pictures show it. So everything is taken from the workspace frame, and then put into the scene as it is
-        without such differences.
+        The camera stands in the room and not on the organ, so that pictures show differences between worlds in the
+        organ's place, size and pose. Therefore everything is converted to the workspace frame, and from there to the
+        scene without such differences.
         """
         episodes = self._episodes
         situation, workspace, ground = episodes.situation, episodes.workspace, episodes.scene.ground
@@ -138,7 +138,7 @@ class EpisodePictures:
                 lowest = episodes.frames.points_from_scene(np.array([[[0.0, 0.0, ground.height]]]), np.array([world]))
                 height = float(workspace.to_scene(lowest[0, 0])[2])
             yield Moment(
-                # Where physics has diverged there is nothing to see but the tools.
+                # Where physics has diverged, only the tools can be shown.
                 nodes=workspace.to_scene(np.nan_to_num(situation.nodes[world], nan=0.0, posinf=0.0, neginf=0.0)),
                 tool_positions=workspace.to_scene(situation.tool_positions[world]),
                 tool_orientations=situation.tool_orientations[world],
@@ -151,12 +151,12 @@ class EpisodePictures:
 
 
 def as_frame_rate(frequency: float) -> int | float:
-    """Pictures in a second for a frequency of control [Hz]: an integer where it is one, which is what most expect."""
+    """Frame rate for a control frequency [Hz]: an int if it is integral, as most libraries expect."""
     return int(frequency) if frequency == int(frequency) else float(frequency)
 
 
 def in_scene(mark: Mark, workspace: Workspace) -> Mark:
-    """A mark in the frame and the unit of the scene."""
+    """Convert a mark to the frame and unit of the scene."""
     if isinstance(mark, Ring):
         return replace(mark, point=workspace.to_scene(mark.point), radius=mark.radius / workspace.length)
     if isinstance(mark, Path | Points):

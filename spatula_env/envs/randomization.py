@@ -1,4 +1,4 @@
-"""Randomization: what differs from episode to episode besides the goal and the start."""
+"""Domain randomization: what differs between episodes besides goal and start."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting
 
 Ranges = Mapping[str, tuple[float, float]]
-"""Least and greatest value of each thing that is drawn at random, uniformly, in each episode."""
+"""Least and greatest value of each randomised quantity, drawn uniformly in each episode."""
 
 LONGEST_DELAY = 0.5
-"""Actions and observations can be late by this at most [s]."""
+"""Greatest delay of actions and observations [s]."""
 
 NEUTRAL: Mapping[str, float] = MappingProxyType(
     {
@@ -38,17 +38,17 @@ NEUTRAL: Mapping[str, float] = MappingProxyType(
         "action_delay": 0.0,
     }
 )
-"""What can be drawn at random, and what each is where it is not.
+"""The quantities that can be randomised, with their values when they are not.
 
-- stiffness: factor on the organ's stiffness and its density. In Bullet's soft body the two cannot be told apart: links
-  have one stiffness, and what they resist with grows with the masses at their ends.
-- friction: factor on the coefficients between tools and organ.
+- stiffness: factor on the organ's stiffness and its density. Bullet's soft body cannot separate the two: its links have
+  one stiffness, and their effective resistance grows with the masses at their ends.
+- friction: factor on the friction coefficients between tools and organ.
 - organ_size: factor on the organ's lengths, about the middle of its top; its material stays the same.
 - organ_x, organ_y: shift of the organ in the workspace [m].
-- organ_yaw: turn of the organ about the vertical [rad].
+- organ_yaw: rotation of the organ about the vertical [rad].
 - tool_size: factor on the tools' lengths.
 - sensor_noise: replaces `observation.noise`.
-- action_delay: after what time an action is carried out, a whole number of control steps [s].
+- action_delay: delay after which an action is carried out, a whole number of control steps [s].
 """
 
 LEAST: Mapping[str, float] = MappingProxyType(
@@ -93,21 +93,21 @@ DEFAULT_RANGES: Ranges = MappingProxyType(
         "action_delay": (0.0, 0.05),
     }
 )
-"""Of `randomization="default"` where a task does not say otherwise."""
+"""Ranges of `randomization="default"` for tasks that do not define their own."""
 
 
 def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
-    """What the option `randomization` means.
+    """Interpret the option `randomization`.
 
     Args:
-        value: "none", "default", or a mapping from names to two numbers, or to one that does not vary.
-        default: Of "default".
+        value: "none", "default", or a mapping from names to two numbers, or to a single number for a constant.
+        default: Ranges of "default".
 
     Returns:
-        The range of each thing that is drawn.
+        The range of each randomised quantity.
 
     Raises:
-        ValueError: If it is something else, there is no such thing, or a range is out of what is allowed.
+        ValueError: If it is something else, a quantity does not exist, or a range exceeds the allowed limits.
     """
     if isinstance(value, str) and value in ("none", "default"):
         return dict(default) if value == "default" else {}
@@ -127,7 +127,7 @@ def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
 
 
 def draw(ranges: Ranges, generator: np.random.Generator, period: float) -> dict[str, float]:
-    """Draw everything once: all that can be drawn, by name, with control steps of a length [s]."""
+    """Draw all quantities once, by name, for control steps of a length [s]."""
     values = dict(NEUTRAL)
     for name, (low, high) in ranges.items():
         if name == "action_delay":
@@ -138,27 +138,27 @@ def draw(ranges: Ranges, generator: np.random.Generator, period: float) -> dict[
 
 
 class Variation:
-    """What W worlds differ in: draws it at the beginning of episodes, and tells what follows from it.
+    """Randomised quantities of W worlds: draws them at the beginning of episodes, and derives their effects.
 
     Attributes:
-        drawn: (W,) each, by the names in `NEUTRAL`.
-        settings: Where the task of each world is asked.
-        rest_nodes: (W, V, 3) the organs at rest, or (1, V, 3) where nothing is drawn [m].
+        drawn: (W,) values, by the names in `NEUTRAL`.
+        settings: Setting of each world's task.
+        rest_nodes: (W, V, 3) the organs at rest, or (1, V, 3) if nothing is randomised [m].
         tool_scale: (W,) factor on the tools' lengths.
     """
 
     def __init__(
         self, ranges: Ranges, noise: float, scene: Scene, setting: Setting, frames: Frames, worlds: Worlds
     ) -> None:
-        """All worlds alike.
+        """Start with all worlds alike.
 
         Args:
-            ranges: Of what is drawn.
-            noise: Factor on the standard deviations of measurements, where it is not drawn.
-            scene: Of all worlds.
-            setting: What they have in common.
-            frames: Where and how large the organs are; written.
-            worlds: The physics, everything at rest.
+            ranges: Ranges of the randomised quantities.
+            noise: Factor on the standard deviations of measurements, if it is not randomised.
+            scene: Scene of all worlds.
+            setting: Setting that they have in common.
+            frames: Placement and scale of each world's organ; written.
+            worlds: The physics, with everything at rest.
         """
         self._ranges, self._scene, self._setting, self._frames = ranges, scene, setting, frames
         self._worlds: Worlds | None = worlds
@@ -175,17 +175,17 @@ class Variation:
         self.tool_scale: FloatArray = np.ones(count)
 
     def draw(self, generators: Mapping[int, np.random.Generator]) -> None:
-        """Draw what differs from episode to episode.
+        """Draw the randomised quantities for new episodes.
 
         Args:
-            generators: The worlds in which episodes begin, and where the randomness of each comes from.
+            generators: The worlds in which episodes begin, and the source of randomness of each.
         """
         ranges = self._ranges
         if not ranges and not self._noisy:
             return
         for world, generator in generators.items():
-            # A generator of its own: goals and starts are then those of an environment without all this, and do not
-            # depend on how long the episode before was.
+            # Use a separate generator: goals and starts are then the same as without randomisation, and do not depend
+            # on the length of the previous episode.
             (child,) = generator.spawn(1)
             self._generators[world] = child
             for name, value in draw(ranges, child, self._setting.period).items():
@@ -194,16 +194,16 @@ class Variation:
         self._apply(np.fromiter(generators, dtype=np.int64))
 
     def would_be(self, generators: Mapping[int, np.random.Generator]) -> tuple[list[Setting], FloatArray]:
-        """What `draw` would lead to, without any effect here.
+        """Compute what `draw` would lead to, without applying it.
 
         Args:
-            generators: As for `draw`; they are drawn from.
+            generators: As for `draw`; they are advanced.
 
         Returns:
-            The setting of each world, and how large its tools are (n,).
+            The setting of each world, and the scale of its tools (n,).
         """
         worlds = np.fromiter(generators, dtype=np.int64)
-        # Only these worlds, so that it takes no longer where there are many others.
+        # Copy only these worlds, so that the time does not depend on how many others there are.
         trial = copy.copy(self)
         trial._worlds, trial._frames = None, self._frames.rows(worlds)
         trial._generators = [None] * len(worlds)
@@ -214,14 +214,14 @@ class Variation:
         return trial.settings, trial.tool_scale
 
     def save(self, worlds: IntArray) -> tuple[dict[str, FloatArray], tuple[np.random.Generator | None, ...]]:
-        """What some worlds (n,) differ in, and where their errors of measurement come from, as copies."""
+        """Copy the randomised quantities of some worlds (n,), and the generators of their measurement errors."""
         drawn = {name: values[worlds] for name, values in self.drawn.items()}
         return drawn, tuple(copy.deepcopy(self._generators[world]) for world in worlds.tolist())
 
     def restore(
         self, drawn: Mapping[str, FloatArray], generators: Sequence[np.random.Generator | None], worlds: IntArray
     ) -> None:
-        """Go back, in some worlds (n,), to what `save` returned. The tools' flags are cleared where tools differ."""
+        """Restore in some worlds (n,) what `save` returned. The tools' contact flags are cleared where tools differ."""
         for name, values in drawn.items():
             self.drawn[name][worlds] = values
         for world, generator in zip(worlds.tolist(), generators, strict=True):
@@ -229,7 +229,7 @@ class Variation:
         self._apply(worlds)
 
     def _apply(self, worlds: IntArray) -> None:
-        """Let what has been drawn for some worlds (n,) take effect."""
+        """Apply the quantities drawn for some worlds (n,)."""
         ranges = self._ranges
         if not ranges:
             return
@@ -242,7 +242,7 @@ class Variation:
             stiffness=drawn["stiffness"],
         )
         self.tool_scale[worlds] = drawn["tool_size"]
-        # There are none where it is only tried what would be drawn.
+        # `would_be` has no physics to change.
         if self._worlds is not None and {"friction", "tool_size", "organ_size"} & set(ranges):
             self._worlds.vary(drawn["friction"], drawn["tool_size"] / drawn["organ_size"], worlds)
         for world in worlds.tolist():
@@ -250,11 +250,11 @@ class Variation:
             self.rest_nodes[world] = setting.rest_nodes
 
     def rest_of(self, worlds: IntArray) -> FloatArray:
-        """(n, V, 3) the organs of some worlds (n,) at rest, or (1, V, 3) where nothing is drawn [m]."""
+        """(n, V, 3) the organs of some worlds (n,) at rest, or (1, V, 3) if nothing is randomised [m]."""
         return self.rest_nodes[worlds] if self._ranges else self.rest_nodes
 
     def sensor_noise(self, worlds: IntArray, size: int) -> FloatArray | None:
-        """Errors of measurement in some worlds (n,), in standard deviations: (n, size), or None if there are none."""
+        """Measurement errors in some worlds (n,), in standard deviations: (n, size), or None if there are none."""
         deviations = self.drawn["sensor_noise"][worlds]
         if not (deviations > 0.0).any():
             return None
@@ -266,7 +266,7 @@ class Variation:
         return np.asarray(deviations[:, None] * np.stack(errors))
 
     def _setting_in(self, world: int) -> Setting:
-        """The setting of a world whose organ and tools have been drawn."""
+        """Setting of a world whose organ and tools have been drawn."""
         scene, frames, at, tool_size = self._scene, self._frames, np.array([world]), float(self.tool_scale[world])
         organ_position = np.array([[scene.organs[0].position]])
         ground = (0.0, 0.0, self._rest[:, 2].min() if scene.ground is None else scene.ground.height)

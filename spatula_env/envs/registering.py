@@ -1,4 +1,4 @@
-"""`register_task`, which makes an environment of a scene and a task, for one agent and for many, and registers both."""
+"""`register_task`, which makes and registers the environments of a scene and a task, for one agent and for many."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ def register_task(
     module: str | None = None,
     **fields: Any,
 ) -> tuple[type[SpatulaEnv], type[SpatulaVectorEnv]]:
-    """Make the environments of a task, for one agent and for many, and register them with Gymnasium under one id.
+    """Make the environments of a task, for one agent and for many, and register both with Gymnasium under one id.
 
-    The two classes become attributes of a module, where Gymnasium and other processes find them: `TouchEnv` and
-    `TouchVectorEnv` for the id "Spatula/Touch-v0". They have the docstring of the task.
+    The two classes become attributes of a module, where Gymnasium and other processes find them: for the id
+    "Spatula/Touch-v0", `TouchEnv` and `TouchVectorEnv`. Their docstring is that of the task.
 
     Args:
-        env_id: As Gymnasium takes it, such as "Spatula/Touch-v0".
-        task: The class of the task.
-        episode_time: After which episodes are cut [s]; None: never.
-        module: Name of the module that calls this when it is imported. By default that in which the task is written; a
-            task of this package needs ``module=__name__``.
-        **fields: Of the `Definition`: `scene`, `config` and `workspace_height`, and where they are not to be the
-            defaults `stop_height`, `controls`, `defaults`, `randomization` and `observed`. Its `name` is by default the
-            id's name in lower case.
+        env_id: Id as Gymnasium takes it, such as "Spatula/Touch-v0".
+        task: Class of the task.
+        episode_time: Time after which episodes are truncated [s]; None for no limit.
+        module: Name of a module that calls this function when it is imported. By default, the module that defines the
+            task; a task of this package needs ``module=__name__``.
+        **fields: Fields of the `Definition`: `scene`, `config` and `workspace_height`; and, to override their defaults,
+            `stop_height`, `controls`, `defaults`, `randomization` and `observed`. Its `name` is by default the id's
+            name in lower case.
 
     Returns:
-        The environment for one agent, and that for many.
+        The environment class for one agent, and that for many.
 
     Raises:
         TypeError: If a field is missing or unknown.
-        ValueError: If the module has something else under the name of one of the classes, or is this package's.
+        ValueError: If the module has something else under the name of one of the classes, or belongs to this package.
         gymnasium.error.Error: If the id is malformed.
     """
     name = parse_env_id(env_id)[1]
@@ -53,13 +53,13 @@ def register_task(
     if module.partition(".")[0] == spatula_env.__name__:
         raise ValueError(f"module must be given for a task of this package: module=__name__; got {task.__name__}")
     namespace = sys.modules[module]
-    # An id may have dashes.
+    # An id may contain dashes.
     stem = name.replace("-", "_")
     entry_point = f"{module}:{stem}Env"
     before = gymnasium.registry.get(env_id)
     classes: list[Any] = []
     for base, class_name in ((SpatulaEnv, f"{stem}Env"), (SpatulaVectorEnv, f"{stem}VectorEnv")):
-        # A cell of a notebook that is run again registers the same again.
+        # Allow registering the same again, as when a notebook cell is run twice.
         if hasattr(namespace, class_name) and (before is None or before.entry_point != entry_point):
             raise ValueError(
                 f"env_id needs the name {class_name} in the module {module}, where it stands for something else; "

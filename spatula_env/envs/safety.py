@@ -1,4 +1,4 @@
-"""Safety: the cost of haste and of needless pressure, the dose of lasting pressures, and the work done on organs."""
+"""Safety measures: cost of fast loading and needless pressure, dose of lasting pressure, and work done on organs."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 
 class Safety:
-    """Counts what the organs of W worlds suffer in an episode; none of it enters a reward."""
+    """Accumulates the load on the organs of W worlds within an episode; none of it enters a reward."""
 
     _STEP = ("cost", "dose", "work")
     _TOTALS = ("cost", "dose", "work", "violation_time", "peak_force", "peak_pressure")
 
     def __init__(self, count: int, tools: int, loading_limit: float) -> None:
-        """Nothing suffered yet.
+        """Start with zeros.
 
         Args:
-            count: W.
-            tools: N.
-            loading_limit: How fast the force on a tool may grow without a cost [N/s].
+            count: Number of worlds, W.
+            tools: Number of tools, N.
+            loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
         """
         self._loading_limit = loading_limit
         self._forces: FloatArray = np.zeros((count, tools))
@@ -39,7 +39,7 @@ class Safety:
         self._episode = {name: np.zeros(count) for name in self._TOTALS}
 
     def begin(self, worlds: IntArray) -> None:
-        """Start counting anew in some worlds (n,)."""
+        """Reset the sums of some worlds (n,)."""
         for values in (*self._now.values(), *self._episode.values(), self._forces):
             values[worlds] = 0.0
         self._violation[worlds] = False
@@ -57,17 +57,17 @@ class Safety:
         """Add a control step of some worlds (n,).
 
         Args:
-            situation: At its end, of all W worlds.
-            motion: What the tools did.
-            loads: What they felt.
-            frames: Of the worlds.
-            period: Its length [s].
-            pressure_limits: (W,) the pressure that the goals need [Pa].
-            worlds: (n,) that count.
+            situation: Situation at the end of the step, of all W worlds.
+            motion: Motion of the tools.
+            loads: Loads on the tools.
+            frames: Frames of the worlds.
+            period: Length of the step [s].
+            pressure_limits: (W,) pressures that the goals require [Pa].
+            worlds: (n,) worlds to update.
         """
         forces = np.sqrt((situation.contact_forces**2).sum(axis=2))
         loading = (forces - self._forces).max(axis=1) / period
-        # By how much limits are exceeded, as a part of them.
+        # Excess over the limits, relative to them.
         beyond = np.maximum(loading / self._loading_limit - 1.0, 0.0)
         beyond += np.maximum(situation.peak_pressure / pressure_limits - 1.0, 0.0)
         self._forces[worlds] = forces[worlds]
@@ -85,11 +85,11 @@ class Safety:
             episode[name][worlds] = np.maximum(episode[name], values)[worlds]
 
     def save(self, worlds: IntArray) -> dict[str, NDArray[Any]]:
-        """What has been counted in some worlds (n,), as copies."""
+        """Copy the sums of some worlds (n,)."""
         return {name: values[worlds] for name, values in self._all().items()}
 
     def restore(self, counted: Mapping[str, NDArray[Any]], worlds: IntArray) -> None:
-        """Go back, in some worlds (n,), to what `save` returned."""
+        """Restore in some worlds (n,) what `save` returned."""
         for name, values in self._all().items():
             values[worlds] = counted[name]
 
@@ -98,7 +98,7 @@ class Safety:
         return {**self._now, **episode, "violation": self._violation, "forces": self._forces}
 
     def damaged(self, limit: float) -> BoolArray:
-        """(W,) whether an episode's dose exceeds a limit [Pa s]."""
+        """(W,) whether the dose of the episode exceeds a limit [Pa s]."""
         return np.asarray(self._episode["dose"] > limit)
 
     def within(self, budget: float, worlds: IntArray) -> BoolArray:
@@ -106,7 +106,7 @@ class Safety:
         return np.asarray(self._episode["cost"][worlds] <= budget)
 
     def info(self, worlds: IntArray, limit: float | None) -> dict[str, NDArray[Any]]:
-        """What there is to tell of some worlds (n,)."""
+        """Entries of info on some worlds (n,)."""
         dose = self._episode["dose"][worlds]
         return {
             **{name: values[worlds] for name, values in self._now.items()},

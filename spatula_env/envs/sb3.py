@@ -1,4 +1,4 @@
-"""The vector environments for Stable-Baselines3, which has an interface of its own for them.
+"""Adapter to Stable-Baselines3, which has its own interface for vector environments.
 
 Needs the extra "train".
 """
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 WORLD_METHODS = ("compute_reward", "save", "restore")
-"""What can be called for one world alone."""
+"""Methods that can be called for a single world."""
 
 
 class SpatulaVecEnv(VecEnv):
     """A `SpatulaVectorEnv` as a Stable-Baselines3 `VecEnv`.
 
-    `infos` are plain dictionaries of Python numbers, one for each world. Where an episode has ended, they tell of its
-    last step, with what was last seen as "terminal_observation"; the observation is the next episode's first, and
-    `reset_infos` tells of it.
+    `infos` are plain dictionaries of Python numbers, one for each world. Where an episode has ended, they describe its
+    last step, with the last observation as "terminal_observation"; the returned observation is the next episode's
+    first, and `reset_infos` holds its info.
 
     Attributes:
         env: The vector environment.
@@ -49,10 +49,10 @@ class SpatulaVecEnv(VecEnv):
         """Adapt an environment.
 
         Args:
-            env: With `autoreset_mode="same_step"`; `close` closes it.
+            env: Environment with `autoreset_mode="same_step"`; closed by `close`.
 
         Raises:
-            ValueError: If it is another one.
+            ValueError: If it has another autoreset mode.
         """
         if not isinstance(env, SpatulaVectorEnv):
             raise ValueError(f"env must be a vector environment of this package, got {env!r}")
@@ -66,12 +66,12 @@ class SpatulaVecEnv(VecEnv):
         self.metadata = {name: env.metadata[name] for name in ("render_modes", "render_fps")}
 
     def reset(self) -> Observation:
-        """Begin new episodes in all worlds, with the seeds and options that were set since the last time."""
+        """Begin new episodes in all worlds, with the seeds and options set since the last reset."""
         if not any(self._options):
             observation, infos = self.env.reset(seed=self._seeds)
             self.reset_infos = _split(infos, self.num_envs)
         else:
-            # Each world may have other options than the next.
+            # Worlds may have different options.
             for world, options in enumerate(self._options):
                 mask = np.arange(self.num_envs) == world
                 observation, infos = self.env.reset(seed=self._seeds, options={**options, "reset_mask": mask})
@@ -81,7 +81,7 @@ class SpatulaVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Remember the actions (W, A) for `step_wait`."""
+        """Store the actions (W, A) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
@@ -91,7 +91,7 @@ class SpatulaVecEnv(VecEnv):
             Observations, rewards (W,), whether episodes have ended (W,), and infos.
 
         Raises:
-            ValueError: If the actions have the wrong shape or are not finite; nothing has then changed.
+            ValueError: If the actions have the wrong shape or are not finite; nothing is changed in this case.
         """
         observation, rewards, terminated, truncated, infos = self.env.step(self._actions)
         dones = terminated | truncated
@@ -110,7 +110,7 @@ class SpatulaVecEnv(VecEnv):
         self.env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """A picture of each world, or None for each where the environment makes none."""
+        """A picture of each world, or None for each if the environment draws none."""
         if self.render_mode != "rgb_array":
             warnings.warn(
                 f"there are no pictures with render_mode={self.render_mode!r}; make the environment with 'rgb_array'",
@@ -120,11 +120,11 @@ class SpatulaVecEnv(VecEnv):
         return list(self.env.render() or ())
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of each world; all share what does not belong to one.
+        """An attribute of each world; attributes that do not belong to single worlds are shared by all.
 
         Args:
-            attr_name: Its name.
-            indices: Of which worlds; None: of all.
+            attr_name: Name of the attribute.
+            indices: Worlds to read; None for all.
 
         Raises:
             AttributeError: If there is none.
@@ -136,14 +136,13 @@ class SpatulaVecEnv(VecEnv):
         """Set an attribute of the environment, for all worlds.
 
         Args:
-            attr_name: "_max_episode_steps", a property that has a setter, or an attribute that a subclass has of its
-                own.
-            value: What to set it to.
+            attr_name: "_max_episode_steps", a property with a setter, or an attribute that a subclass has added.
+            value: The new value.
             indices: All worlds, or None.
 
         Raises:
-            AttributeError: If there is no such attribute, or setting it has no effect.
-            ValueError: If only some worlds are named: they share their attributes.
+            AttributeError: If there is no such attribute, or setting it would have no effect.
+            ValueError: If only some worlds are given, as worlds share their attributes.
         """
         worlds = sorted(self._get_indices(indices))
         if worlds != list(range(self.num_envs)):
@@ -156,14 +155,14 @@ class SpatulaVecEnv(VecEnv):
         """Call a method for some worlds.
 
         Args:
-            method_name: "compute_reward"; "save", for the state of each world; or "restore", which puts one state into
-                each of them. Worlds are not reset or stepped one by one.
-            *method_args: Passed on.
-            indices: For which worlds; None: for all.
-            **method_kwargs: Passed on.
+            method_name: "compute_reward"; "save", which returns the state of each world; or "restore", which sets each
+                of them to one state. Worlds cannot be reset or stepped one by one.
+            *method_args: Arguments of the method.
+            indices: Worlds to call it for; None for all.
+            **method_kwargs: Keyword arguments of the method.
 
         Returns:
-            What each call returned; for "restore", the observation and the info of each world.
+            Result of each call; for "restore", the observation and the info of each world.
 
         Raises:
             AttributeError: If it is another method, or the environment has no goal interface.
@@ -184,7 +183,7 @@ class SpatulaVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
     ) -> list[bool]:
-        """False for each world: nothing is wrapped around one alone."""
+        """False for each world, as single worlds are never wrapped."""
         return [False for _ in self._get_indices(indices)]
 
 
@@ -199,13 +198,13 @@ def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwarg
         >>> model = PPO("MlpPolicy", env)
 
     Args:
-        id: See `spatula_env.naming.find_environment`: also that of an environment of one's own, "module:id".
-        num_envs: How many worlds.
-        seed: World k's first episode is drawn from seed + k; None: by chance.
+        id: See `spatula_env.naming.find_environment`; may be a user's own environment, "module:id".
+        num_envs: Number of worlds.
+        seed: World k's first episode is drawn from seed + k; None for a random seed.
         **kwargs: Further arguments of the environment, such as `engine` and `max_episode_steps`.
 
     Returns:
-        The environment. It keeps no count of returns and lengths: wrap it in `VecMonitor` for that.
+        The environment. It does not record returns and lengths: wrap it in `VecMonitor` for that.
 
     Raises:
         ImportError: If the module of `id` cannot be imported.
@@ -221,14 +220,14 @@ def make_sb3_vec_env(id: str, num_envs: int, *, seed: int | None = None, **kwarg
 
 
 def _row(observation: Observation, world: int) -> Observation:
-    """What is seen in one world."""
+    """The observation of one world."""
     if isinstance(observation, dict):
         return {name: values[world] for name, values in observation.items()}
     return np.asarray(observation[world])
 
 
 def _split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """The infos of each world as plain Python values, from arrays (W,) under names; masks are left out."""
+    """Split infos of arrays (W,) into a dictionary of plain Python values for each world; masks are left out."""
     names = [name for name in infos if not name.startswith("_") and not name.startswith("final_")]
     if not names:
         return [{} for _ in range(count)]

@@ -24,41 +24,41 @@ if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting
 
 OBS_MODES = ("state", "dict", "rgb", "rgbd", "pointcloud")
-"""How observations can be laid out; see `ObservationBuilder`."""
+"""Layouts of observations; see `ObservationBuilder`."""
 
 REWARDS = ("dense", "sparse")
-"""How success can be rewarded."""
+"""Kinds of reward."""
 
 RENDER_MODES = ("rgb_array", "human")
-"""How environments can be looked at; many at once only in pictures."""
+"""Ways to render an environment; vector environments only support pictures."""
 
 
 LEAST_CONTROL_FREQUENCY = 0.5
-"""A control step lasts two seconds at most: longer ones are no control, and take as long to compute [Hz]."""
+"""Least control frequency: control steps longer than two seconds are no control, and as slow to compute [Hz]."""
 
 LARGEST_PICTURE = 8192
-"""Along either side [pixels]."""
+"""Greatest width and height of pictures [pixels]."""
 
 MOST_SHOWN = 1000
-"""Of observations at once."""
+"""Greatest number of stacked observations."""
 
 MOST_POINTS = 100_000
-"""Of a point cloud, on either surface."""
+"""Greatest number of points of a point cloud, on either surface."""
 
 
 @dataclass(frozen=True)
 class ObservationSettings:
-    """How what is there becomes what is seen.
+    """How observations are derived from the true state.
 
     Attributes:
-        noise: Of measurements, a factor on the standard deviations in `observations.NOISE`; 0: none.
-        delay: By how much observations are late, rounded to control steps [s].
-        history: How many observations are shown, the oldest first, on a first axis if there is more than one.
+        noise: Factor on the standard deviations in `observations.NOISE`; 0 for no noise.
+        delay: Delay of observations, rounded to control steps [s].
+        history: Number of observations that are stacked, oldest first, on a leading axis if there is more than one.
         image_size: (height, width) of pictures [pixels].
-        organ_points: How many points of the organ's surface a point cloud has.
-        tool_points: How many points of the tools' surfaces a point cloud has.
-        parts: "all"; "sensors": those that a robot knows by its own sensors or is told; "grouped": all, in two entries,
-            "sensors" and "privileged".
+        organ_points: Number of points of a point cloud on the organ's surface.
+        tool_points: Number of points of a point cloud on the tools' surfaces.
+        parts: "all"; "sensors": those that a robot knows from its own sensors or is told; "grouped": all, in two
+            entries, "sensors" and "privileged".
     """
 
     noise: float = 0.0
@@ -70,7 +70,7 @@ class ObservationSettings:
     parts: str = ALL_PARTS
 
     def __post_init__(self) -> None:
-        """Check the values, and take a list as it comes from a file, and NumPy's numbers and arrays."""
+        """Check the values; convert a list from a file, and NumPy's numbers and arrays."""
         make_fields_plain(self)
         check_not_negative(self.noise, "observation.noise")
         if not (is_number(self.delay) and 0.0 <= self.delay <= LONGEST_DELAY):
@@ -95,31 +95,31 @@ class EnvSettings:
     """The options that all environments have.
 
     Attributes:
-        engine: What integrates the organ: "bullet", "batch" or "tissue". None: the default, "bullet" where PyBullet is
-            installed, else "batch"; many environments at once have "batch".
-        material: What the organ is made of, with the engine "tissue": a `scenes.Material`, a mapping of its fields, or
-            the name of a region that `Material.brain` knows. None: `Material()`.
-        contact: What resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
+        engine: Engine that simulates the organ: "bullet", "batch" or "tissue". None: "bullet" if PyBullet is installed,
+            else "batch"; for vector environments "batch".
+        material: Material of the organ with the engine "tissue": a `scenes.Material`, a mapping of its fields, or the
+            name of a region that `Material.brain` knows. None: `Material()`.
+        contact: Method that resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
-        control: "velocity": what the task needs. "velocity_6d": six degrees of freedom.
+        control: "velocity": the degrees of freedom that the task needs. "velocity_6d": six degrees of freedom.
         reward: "dense": the weighted sum of the task's terms. "sparse": 0 within tolerance, -1 elsewhere, with
             Gymnasium-Robotics' goal interface where the task offers hindsight.
-        task: What to change in the task's configuration, by name.
-        max_speed: Of the grip along each axis [m/s].
-        max_rotation_rate: Of the tools about each axis [rad/s].
-        max_jaw_speed: At which jaws open and close [m/s].
-        max_force: A tool that has met a greater force in a physics step does not push on in the next one [N]; None:
-            there is no such stop.
-        control_frequency: Control steps in a second, 0.5 at least [Hz].
-        episode_time: After which an episode is cut [s]; None: never.
+        task: Fields of the task's configuration to change, by name.
+        max_speed: Greatest speed of the grip along each axis [m/s].
+        max_rotation_rate: Greatest rate of rotation of the tools about each axis [rad/s].
+        max_jaw_speed: Greatest speed of the jaws [m/s].
+        max_force: A tool that has met a greater force in a physics step does not advance in the next one [N]; None for
+            no such stop.
+        control_frequency: Number of control steps per second, at least 0.5 [Hz].
+        episode_time: Time after which an episode is truncated [s]; None for no limit.
         terminate_on_success: Whether success ends an episode.
-        terminate_on_tangle: Whether an episode ends in which organs stay crossed; see `info["tangled"]`.
-        damage_limit: An episode ends when its dose exceeds this [Pa s]; None: never.
-        randomization: "none", "default", or the range of each thing that is drawn at random in each episode.
+        terminate_on_tangle: Whether an episode ends if organs stay crossed; see `info["tangled"]`.
+        damage_limit: An episode ends when its dose exceeds this [Pa s]; None for no limit.
+        randomization: "none", "default", or the range of each quantity that is randomised in each episode.
         observation: Fields of `ObservationSettings` to change, by name.
         render_mode: None, "rgb_array" or, for one agent, "human".
-        width: Of pictures, 1 to 8192 [pixels].
-        height: Of pictures, 1 to 8192 [pixels].
+        width: Width of pictures, 1 to 8192 [pixels].
+        height: Height of pictures, 1 to 8192 [pixels].
     """
 
     engine: str | None = None
@@ -145,7 +145,7 @@ class EnvSettings:
     height: int = 480
 
     def __post_init__(self) -> None:
-        """Check what does not depend on the scene, and take NumPy's numbers and arrays."""
+        """Check the values that do not depend on the scene; convert NumPy's numbers and arrays."""
         make_fields_plain(self)
         check_choice(self.obs_mode, "obs_mode", OBS_MODES)
         check_choice(self.reward, "reward", REWARDS)
@@ -173,22 +173,22 @@ class EnvSettings:
 
 @dataclass(frozen=True)
 class Definition:
-    """What makes one environment another than the next.
+    """What distinguishes one environment from another.
 
     Attributes:
-        name: Of the task.
-        scene: Makes the scene, with one organ.
-        task: Makes the task from its configuration and the setting, such as the task's class.
+        name: Name of the task.
+        scene: Makes the scene, which has one organ.
+        task: Makes the task from its configuration and the setting; for example, the task's class.
         config: The dataclass that configures the task.
-        workspace_height: Of the workspace's middle above the organ's top at rest [m].
-        stop_height: Above the ground, below which no point of a tool gets [m]. Tissue that is held cannot make way for
-            a tool that is driven into it.
-        controls: What an action moves, by the names that the option `control` takes.
-        defaults: Defaults of options that differ from those of `EnvSettings`, by name.
+        workspace_height: Height of the workspace's middle above the organ's top at rest [m].
+        stop_height: Height above the ground below which no point of a tool gets [m]. Tissue that is held cannot make
+            way for a tool that is driven into it.
+        controls: Layouts of actions, by the names that the option `control` takes.
+        defaults: Defaults of options where they differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
-        observed: Up to which values observations tell what is measured of contact and of the organ, and of which faces.
-        former_options: By the number of a former definition of the task, options whose values meant something else
-            then: their default then, and what the values are called now. See `definitions.present_options`.
+        observed: Ranges of observed measurements of contact and of the organ, and the observed faces.
+        former_options: By the number of a former definition of the task, the options whose values had another meaning
+            then: their former default, and the present names of the values. See `definitions.present_options`.
     """
 
     name: str
@@ -208,29 +208,29 @@ class Definition:
     def read(
         self, options: Mapping[str, Any], owner: str, others: tuple[str, ...] = (), **defaults: Any
     ) -> EnvSettings:
-        """Check the options of an environment.
+        """Validate the options of an environment.
 
         Args:
-            options: By name.
-            owner: Whose options, for errors.
-            others: Names of further arguments that it takes, for errors.
-            **defaults: That differ from those of `EnvSettings`.
+            options: The options by name.
+            owner: Owner of the options, for error messages.
+            others: Names of further arguments that it takes, for error messages.
+            **defaults: Defaults that differ from those of `EnvSettings`.
 
         Returns:
             All options; `engine` is the one to use, `task` is a configuration, `observation` `ObservationSettings`,
             `randomization` ranges.
 
         Raises:
-            TypeError: If there is no such option.
+            TypeError: If an option does not exist.
             ValueError: If a value is not one of those allowed, or out of its range.
-            ImportError: If PyBullet is asked for and is not installed; says what to install.
+            ImportError: If PyBullet is requested and not installed; the message says what to install.
         """
         allowed = sorted([*(each.name for each in fields(EnvSettings)), *others])
         for name in options:
             if name not in allowed:
                 near = difflib.get_close_matches(name, allowed, 1)
                 hint = f". Did you mean {near[0]!r}? Allowed" if near else "; allowed"
-                # Python's own words: libraries look for them to try again without an argument.
+                # Worded as Python does: libraries look for these words to retry without an argument.
                 raise TypeError(
                     f"{owner}.__init__() got an unexpected keyword argument {name!r}{hint} are {', '.join(allowed)}"
                 )
@@ -252,11 +252,11 @@ class Definition:
         )
 
     def signature(self, *more: inspect.Parameter, **defaults: Any) -> inspect.Signature:
-        """The arguments of an environment with this definition, for those who ask Python for them.
+        """Signature of an environment with this definition, for `inspect.signature`.
 
         Args:
             *more: Arguments before the options.
-            **defaults: That differ from those of `EnvSettings`.
+            **defaults: Defaults that differ from those of `EnvSettings`.
         """
         values = {**{each.name: each.default for each in fields(EnvSettings)}, **defaults, **self.defaults}
         options = [
@@ -269,7 +269,7 @@ class Definition:
 
 
 def check_choice(value: Any, name: str, allowed: tuple[Any, ...]) -> None:
-    """Check that a value is one of those allowed.
+    """Check that a value is an allowed one.
 
     Raises:
         ValueError: If it is not.

@@ -1,4 +1,4 @@
-"""Snapshots of environments: all that the next step depends on, saved and restored world by world."""
+"""Snapshots of environments: everything that the next step depends on, saved and restored world by world."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting, Situation
 
 Physics = WorldsState | tuple[SimulationState, ...]
-"""Of n worlds; world by world in older snapshots of single environments, and of those with PyBullet."""
+"""Physics of n worlds; one state per world in older snapshots of single environments, and in those with PyBullet."""
 
 Rows = dict[str, "NDArray[Any]"]
 """Arrays (n, ...) by name."""
 
 MAY_DIFFER = ("render_mode", "width", "height", "episode_time")
-"""Options in which the environment that is restored may differ from the one that was saved."""
+"""Options in which the restored environment may differ from the saved one."""
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodesState:
-    """How the episodes of n worlds stand, beside the physics.
+    """State of the episodes of n worlds, apart from the physics.
 
     Attributes:
-        counters: "goals" (n, G), "elapsed", "held" and "succeeded" (n,), and the actions that wait, "asked" (n, D, A).
-        memory: What the task remembers.
-        safety: What has been counted of cost, work and violations, in the last step and in all.
-        node_pressures: For each tool, on its contact nodes in the last physics step (n, K) [Pa].
-        drawn: What differs from episode to episode, by the names in `randomization.NEUTRAL`.
-        generators: (n,) from which errors of measurement come; None where there are none.
-        situation: As it was last looked at.
-        frames: The last frames of observations (n, depth, ...), where they are shown late or more than once.
-        observation: What was last returned.
-        info: What was last returned.
+        counters: "goals" (n, G), "elapsed", "held" and "succeeded" (n,), and the delayed actions, "asked" (n, D, A).
+        memory: Memory of the task.
+        safety: Sums of cost, work and violations, in the last step and in the episode.
+        node_pressures: For each tool, pressures on its contact nodes in the last physics step (n, K) [Pa].
+        drawn: Randomised quantities, by the names in `randomization.NEUTRAL`.
+        generators: (n,) generators of measurement errors; None where there are none.
+        situation: Latest situation.
+        frames: Last frames of observations (n, depth, ...), if they are delayed or stacked.
+        observation: Last observation returned.
+        info: Last info returned.
     """
 
     counters: Rows
@@ -62,16 +62,16 @@ class EpisodesState:
 class EnvState:
     """Everything that the next step of an environment depends on, in n of its worlds; made by `save`.
 
-    It can be pickled, and sent to another process. Nothing in it changes when it is restored: it can be restored as
-    often as one likes.
+    It can be pickled and sent to another process. Restoring does not change it, so it can be restored any number of
+    times.
 
     Attributes:
-        name: Of the task.
+        name: Name of the task.
         settings: All options of the environment.
         physics: Organs, tools and contact.
-        episodes: How the episodes stand.
-        generators: (n,) from which further episodes come; None where nothing has been drawn.
-        seeds: (n,) what these were started from.
+        episodes: State of the episodes.
+        generators: (n,) generators of further episodes; None where nothing has been drawn.
+        seeds: (n,) seeds of these generators.
         over: (n,) whether an episode has ended and waits for the next one to begin.
     """
 
@@ -85,20 +85,20 @@ class EnvState:
 
     @property
     def count(self) -> int:
-        """N."""
+        """Number n of worlds."""
         return len(self.over)
 
     def rows(self, rows: ArrayLike) -> EnvState:
-        """The states of some of the n worlds.
+        """Select the states of some of the n worlds.
 
         Args:
-            rows: (k,) which, by indices from 0 to n - 1, which may be repeated, or by a mask of n booleans.
+            rows: (k,) indices from 0 to n - 1, which may be repeated, or a mask of n booleans.
 
         Returns:
-            Of k worlds.
+            The state of k worlds.
 
         Raises:
-            ValueError: If there are no such rows, or none is named.
+            ValueError: If a row does not exist, or none is given.
         """
         chosen = indices_below(self.count, rows)
         if chosen is None:
@@ -123,17 +123,17 @@ class EnvState:
 
 
 def check_fits(state: EnvState, name: str, settings: EnvSettings, setting: Setting) -> None:
-    """Check that a state is one of an environment like this one.
+    """Check that a state belongs to an environment like this one.
 
     Args:
-        state: To be restored.
-        name: Of this environment's task.
-        settings: Its options.
-        setting: Its organ and tools.
+        state: State to restore.
+        name: Name of this environment's task.
+        settings: Options of this environment.
+        setting: Organ and tools of this environment.
 
     Raises:
-        TypeError: If it is no state of an environment.
-        ValueError: If it is that of another environment; says what differs.
+        TypeError: If it is not a state of an environment.
+        ValueError: If it belongs to another environment; the message says what differs.
     """
     if not isinstance(state, EnvState):
         raise TypeError(f"state must be what save() of an environment returned, got {state!r}")
@@ -152,11 +152,11 @@ def check_fits(state: EnvState, name: str, settings: EnvSettings, setting: Setti
 
 
 def save_physics(physics: Worlds, worlds: IntArray) -> WorldsState:
-    """The state of the physics in some worlds (n,), from where it goes on exactly as when it is restored.
+    """Save the physics of some worlds (n,), such that they continue exactly as they will after a restore.
 
-    What PyBullet has computed cannot be read to the last bit: its velocities keep rounding errors of all that was
-    before. So a simulation of PyBullet is put to its own state, which clears them, and both go on alike. That changes
-    how it goes on, by as much as such errors do.
+    PyBullet's results cannot be read to the last bit: its velocities keep rounding errors of all earlier steps. So a
+    simulation in PyBullet is set to its own saved state, which clears these errors, and original and copy continue
+    alike. This changes how the original continues, by an amount of the size of such errors.
     """
     state = physics.save(worlds)
     if not physics.engine.abilities.restores_exactly:
@@ -165,12 +165,12 @@ def save_physics(physics: Worlds, worlds: IntArray) -> WorldsState:
 
 
 def joined(physics: Physics) -> WorldsState:
-    """The state of n worlds, however it was saved."""
+    """The joint state of n worlds, from either form of a snapshot."""
     return SimulationState.joined(physics) if isinstance(physics, tuple) else physics
 
 
 def _take(tree: Any, rows: IntArray) -> Any:
-    """Rows of all arrays in dictionaries and tuples, and copies of generators, one for each row."""
+    """Select rows of all arrays in nested dictionaries and tuples, and copy generators, one for each row."""
     if isinstance(tree, dict):
         return {name: _take(values, rows) for name, values in tree.items()}
     if isinstance(tree, tuple) and all(one is None or isinstance(one, np.random.Generator) for one in tree) and tree:

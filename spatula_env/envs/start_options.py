@@ -1,4 +1,4 @@
-"""Options of an episode's beginning, for `reset(options=...)`."""
+"""Options that choose an episode's beginning, for `reset(options=...)`."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
     from spatula_env.tasks.situation import Setting
 
 START_OPTIONS = ("goal", "tool_position")
-"""What of an episode's beginning can be chosen."""
+"""Parts of an episode's beginning that can be chosen."""
 
 ROUNDING = 1e-6
-"""By how much a tool may be in the organ, or below the stop above the ground, all the same: single precision [m]."""
+"""Depth by which a tool may be in the organ or below the stop without an error, for single-precision rounding [m]."""
 
 
 def own_options(options: Mapping[str, Any] | None, allowed: tuple[str, ...]) -> dict[str, Any]:
-    """The options of a reset that are meant for this package.
+    """Select the options of a reset that belong to this package.
 
     Libraries pass options of their own to every environment; those are ignored, with a warning.
 
     Args:
-        options: Of `reset`.
-        allowed: Names of those that there are.
+        options: Options of `reset`.
+        allowed: Names of the options of this package.
 
     Returns:
         Those of `options` that are allowed.
 
     Raises:
-        ValueError: If a name looks like one of those allowed, but misspelt, or `options` is no mapping.
+        ValueError: If a name looks like a misspelling of one of those allowed, or `options` is not a mapping.
     """
     if options is None:
         return {}
@@ -63,17 +63,17 @@ def own_options(options: Mapping[str, Any] | None, allowed: tuple[str, ...]) -> 
 def chosen_starts(
     options: Mapping[str, Any], worlds: IntArray, count: int, task: Task, workspace: Workspace
 ) -> dict[str, FloatArray]:
-    """Check what is chosen of an episode's beginning.
+    """Validate the chosen beginnings of episodes.
 
     Args:
         options: "goal" (G,) or (W, G), and "tool_position" (3,) or (W, 3) [m].
-        worlds: (n,) those in which an episode is to begin; the rows of others are not looked at.
-        count: W.
-        task: Whose goals they are.
-        workspace: Where tools can start.
+        worlds: (n,) worlds in which an episode is to begin; the rows of others are ignored.
+        count: Number of worlds, W.
+        task: Task that the goals belong to.
+        workspace: Region in which tools can start.
 
     Returns:
-        What there is of the two, (n, G) and (n, 3).
+        The given ones of the two, (n, G) and (n, 3).
 
     Raises:
         ValueError: If an option is malformed or out of its range.
@@ -113,15 +113,15 @@ def check_free(
 
     Args:
         chosen: (n, 3) `options["tool_position"]` of worlds (n,) [m].
-        positions: (n, N, 3) where their tools are then [m].
-        orientations: (n, N, 4) how they are turned.
-        tool_scale: (n,) how large they are.
-        settings: (n,) where the organs are.
-        control: Which knows the stop.
-        worlds: (n,).
+        positions: (n, N, 3) resulting positions of the tools [m].
+        orientations: (n, N, 4) orientations of the tools.
+        tool_scale: (n,) factor on the tools' lengths.
+        settings: (n,) settings with the organs.
+        control: Control, which knows the stop.
+        worlds: (n,) indices of the worlds, for messages.
 
     Raises:
-        ValueError: If one does not.
+        ValueError: If a tool does not.
     """
     heights = control.height_above_stop(positions, orientations, tool_scale)
     for row, world in enumerate(worlds.tolist()):

@@ -1,7 +1,7 @@
-"""Steering: tools that are told anew before every physics step how to move, as a hand on a haptic device wants it.
+"""Steering: tools receive a new motion before every physics step, as the hand on a haptic device moves.
 
-Learners act once in a control step. A hand that is read so seldom is followed late: what it feels comes a period
-after what it does, and a late spring gives more energy than it took. What learners see of a steered step is the mean.
+Learners act once per control step. A hand that is read that seldom is followed late: the force comes a period after the
+motion, and a delayed spring gives out more energy than it took in. Learners see the mean of a steered step's actions.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from spatula_env.envs.workspace_frames import Frames
 
 STEERING = "steering"
-"""Under which `info` tells the track of a steered step, and datasets keep it."""
+"""Key of a steered step's track in `info` and in datasets."""
 
 Pilot: TypeAlias = "Callable[[FloatArray], ArrayLike]"
-"""Takes where the grip is (3,), workspace frame [m], and gives the action (A,) of the coming physics step."""
+"""Takes the grip's position (3,), workspace frame [m], and returns the action (A,) of the coming physics step."""
 
 
 class Steered(Protocol):
-    """What is steered: the `Episodes` of one world."""
+    """The object that is steered: the `Episodes` of one world."""
 
     steps_per_action: int
     control: VelocityControl
@@ -36,28 +36,28 @@ class Steered(Protocol):
 
     @property
     def grips(self) -> FloatArray:
-        """(1, 3) where the middle of the tools is now, workspace frame [m]."""
+        """(1, 3) present position of the grip, workspace frame [m]."""
 
     def delayed_within(self, action: FloatArray, step: int) -> FloatArray:
-        """What is carried out in a physics step (A,), after what is asked in it (A,)."""
+        """Action carried out in a physics step (A,), given that requested in it (A,)."""
 
     def motion_now(self, action: FloatArray) -> Motion:
-        """What the tools do in the coming physics step for an action (A,)."""
+        """Motion of the tools in the coming physics step for an action (A,)."""
 
 
 class Steering:
-    """One control step of one world under a pilot.
+    """One control step of one world, steered by a pilot.
 
     Attributes:
-        track: (S, A) what was asked for in each of its physics steps.
+        track: (S, A) action requested in each of its physics steps.
     """
 
     def __init__(self, episodes: Steered, pilot: Pilot) -> None:
-        """Prepare.
+        """Prepare a control step.
 
         Args:
-            episodes: Of one world.
-            pilot: Who is asked.
+            episodes: Episodes of one world.
+            pilot: Returns the action of each physics step.
         """
         self.track: FloatArray = np.zeros((episodes.steps_per_action, episodes.control.size))
         self._episodes = episodes
@@ -65,7 +65,7 @@ class Steering:
         self._motions: list[Motion] = []
 
     def velocities(self, world: int, step: int) -> tuple[FloatArray, FloatArray]:
-        """How the tools move in a physics step: linear (N, 3) [u/s] and angular (N, 3) [rad/s]."""
+        """Motion of the tools in a physics step: linear (N, 3) [u/s] and angular (N, 3) [rad/s]."""
         episodes = self._episodes
         asked = as_action(np.asarray(self._pilot(episodes.grips[world]), dtype=np.float32), episodes.control.size)
         self.track[step] = asked
@@ -76,12 +76,12 @@ class Steering:
         return np.ascontiguousarray(linear[world]), np.ascontiguousarray(angular[world])
 
     def motion(self) -> Motion:
-        """What was asked for, on average."""
+        """Mean of the requested motions."""
         fields = {name: [getattr(motion, name) for motion in self._motions] for name in vars(self._motions[0])}
         return Motion(**{name: np.mean(values, axis=0) for name, values in fields.items()})
 
 
 def mean_of_track(track: FloatArray) -> FloatArray:
-    """The mean (..., A) of tracks (..., S, A); exactly what all rows are, where all are the same."""
+    """The mean (..., A) of tracks (..., S, A); exactly equal to the rows if all rows are the same."""
     first = track[..., 0, :]
     return np.asarray(first + (track - first[..., None, :]).mean(axis=-2))

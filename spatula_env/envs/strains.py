@@ -1,4 +1,4 @@
-"""How organs that are a material are strained in an episode: what `info` tells of it beside contact pressures."""
+"""Strain of material organs within an episode, as reported in `info` beside contact pressures."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from spatula_env.sim.worlds import Worlds
 
 NOW = ("peak_strain", "high_strain", "peak_stress", "high_stress", "strained_share", "strain_dose")
-"""Of a step; see `spatula_env.SpatulaEnv`."""
+"""Entries of a step; see `spatula_env.SpatulaEnv`."""
 
 EPISODE = ("episode_peak_strain", "episode_strain_dose")
-"""Of an episode."""
+"""Entries of an episode."""
 
 
 class StrainCount:
-    """Strains, stresses and their dose in W worlds of one organ; nothing with an engine that does not tell them."""
+    """Strains, stresses and their dose in W worlds of one organ; empty for engines that do not compute them."""
 
     def __init__(self, physics: Worlds) -> None:
-        """Nothing strained yet.
+        """Start with zeros.
 
         Args:
             physics: The worlds.
@@ -36,17 +36,17 @@ class StrainCount:
         self._values: dict[str, FloatArray] = {name: np.zeros(physics.count) for name in names}
 
     def begin(self, worlds: IntArray, frames: Frames) -> None:
-        """Start counting anew in some worlds (n,), whose organs are where they will be."""
+        """Reset some worlds (n,), whose organs have their final placement already."""
         for values in self._values.values():
             values[worlds] = 0.0
         self.count(worlds, frames, 0.0)
 
     def count(self, worlds: IntArray, frames: Frames, period: float) -> None:
-        """Look at some worlds (n,) at the end of a control step.
+        """Update some worlds (n,) at the end of a control step.
 
         Args:
-            worlds: (n,) which.
-            frames: Of all worlds.
+            worlds: (n,) worlds to update.
+            frames: Frames of all worlds.
             period: Length of the step [s].
         """
         if not self.is_told or not len(worlds):
@@ -65,12 +65,12 @@ class StrainCount:
         values["episode_peak_strain"][worlds] = np.maximum(values["episode_peak_strain"], values["peak_strain"])[worlds]
 
     def info(self, worlds: IntArray) -> dict[str, FloatArray]:
-        """What there is to tell of some worlds (n,)."""
+        """Entries of info on some worlds (n,)."""
         return {name: values[worlds] for name, values in self._values.items()}
 
     save = info
 
     def restore(self, counted: Mapping[str, NDArray[Any]], worlds: IntArray) -> None:
-        """Go back, in some worlds (n,), to what `save` returned."""
+        """Restore in some worlds (n,) what `save` returned."""
         for name, values in self._values.items():
             values[worlds] = counted[name]

@@ -11,15 +11,15 @@ from spatula_env.geometry.checks import check_count
 
 
 def steps_in(time: float | None, period: float) -> int | None:
-    """How many control steps of a length [s] fill a time [s], one at least; None where there is no time."""
+    """Number of control steps of a length [s] that fill a time [s], at least one; None if there is no time limit."""
     return None if time is None else max(1, round(time / period))
 
 
 def read_step_limit(value: Any) -> int | None:
-    """After how many control steps episodes are cut: a number, or None or -1 for never.
+    """Convert a limit on the number of control steps: a number, or None or -1 for no limit.
 
     Raises:
-        ValueError: If it is something else.
+        ValueError: If it is anything else.
     """
     if value is None or value == -1:
         return None
@@ -28,17 +28,17 @@ def read_step_limit(value: Any) -> int | None:
 
 
 def told_in_steps(env: gymnasium.Env[Any, Any]) -> int | None:
-    """What `gymnasium.make` was told as `max_episode_steps`, if it is making an environment just now.
+    """Find out which `max_episode_steps` was passed to `gymnasium.make`, if it is making an environment just now.
 
-    That argument does not reach environments: Gymnasium makes a `TimeLimit` of it, or nothing of -1. An environment
-    that cuts its episodes itself has to know of it, or the shorter of two limits would hold. So it looks at what calls
-    its constructor.
+    That argument does not reach environments: Gymnasium makes a `TimeLimit` of it, or ignores it if it is -1. An
+    environment that truncates its episodes itself has to know it, or the shorter of two limits would apply. So this
+    function inspects the stack frame that calls the environment's constructor.
 
     Args:
-        env: In its constructor.
+        env: Environment that is being constructed.
 
     Returns:
-        A number of steps, or -1 for never; None if it was told nothing, or nobody is making the environment so.
+        A number of steps, or -1 for no limit; None if nothing was passed, or `gymnasium.make` is not making it.
     """
     frame = sys._getframe(1)
     while frame is not None and frame.f_locals.get("self") is env:

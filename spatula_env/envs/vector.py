@@ -1,4 +1,4 @@
-"""`SpatulaVectorEnv`, many worlds behind Gymnasium's interface for vector environments."""
+"""`SpatulaVectorEnv`: many worlds behind Gymnasium's interface for vector environments."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from spatula_env.arrays import IntArray
 
 OWN_ARGUMENTS = ("num_envs", "max_episode_steps", "autoreset_mode")
-"""Arguments beside those of the environment for one agent."""
+"""Arguments in addition to those of the environment for one agent."""
 
 StepResult = tuple[Observation, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
@@ -47,11 +47,11 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
     r"""Any task, in many worlds of a scene with one organ.
 
     World k of an environment seeded with s goes through the same episodes as a `SpatulaEnv` seeded with s + k, up to
-    the accuracy of the engine. Everything that is returned follows Gymnasium's `SyncVectorEnv`, but for a world whose
-    physics breaks down: there the episode is cut, and the others go on.
+    the accuracy of the engine. All results follow Gymnasium's `SyncVectorEnv`, except for a world whose physics
+    diverges: its episode is truncated, and the others go on.
 
     ## Arguments
-    Those of the environment for one agent, but for the default of `engine`, and some more:
+    Those of the environment for one agent, with another default of `engine`, and some more:
 
     | Parameter           | Type                     | Default       | Description                                   |
     | ------------------- | ------------------------ | ------------- | --------------------------------------------- |
@@ -60,22 +60,22 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
     | `autoreset_mode`    | **str or AutoresetMode** | `"next_step"` | `"next_step"`, `"same_step"` or `"disabled"`  |
     | `engine`            | **str**                  | `"batch"`     | `"batch"`, `"bullet"` or `"tissue"`           |
 
-    After an episode's end the next step ignores the action and begins the next episode ("next_step"); or the step that
-    ends an episode returns the beginning of the next one, and what was last seen as `infos["final_obs"]` and
-    `infos["final_info"]` ("same_step"); or `reset` with the option "reset_mask" begins new episodes ("disabled").
-    Gymnasium's `AutoresetMode` has the same.
+    After an episode's end, the next step ignores the action and begins the next episode ("next_step"); or the step that
+    ends an episode returns the beginning of the next one, with the last observation and info in `infos["final_obs"]`
+    and `infos["final_info"]` ("same_step"); or `reset` with the option "reset_mask" begins new episodes ("disabled").
+    These are the modes of Gymnasium's `AutoresetMode`.
 
     `gymnasium.vector.VectorEnv` is a direct base of every subclass, whether it is named there or not.
 
     Attributes:
-        definition: Scene and task; subclasses have one.
+        definition: Scene and task; set by subclasses.
         settings: All options.
     """
 
     _gymnasium_class = VectorEnv
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Let Python tell what arguments there are."""
+        """Give the class a signature that lists its arguments."""
         super().__init_subclass__(**kwargs)
         if "definition" in vars(cls):
             own = list(inspect.signature(SpatulaVectorEnv.__init__).parameters.values())[1:-1]
@@ -89,11 +89,11 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         autoreset_mode: str | AutoresetMode = "next_step",
         **options: Any,
     ) -> None:
-        """Load the scene and put the parts together; the class says what the arguments mean.
+        """Load the scene and compose the parts; the class describes the arguments.
 
         Raises:
-            TypeError: If there is no such option.
-            ValueError: If an option is not one of those allowed, or a number is out of its range.
+            TypeError: If an option does not exist.
+            ValueError: If an option is invalid, or a number is out of its range.
         """
         before = set(vars(self))
         limit = read_step_limit(max_episode_steps)
@@ -141,18 +141,18 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """Begin new episodes, in all worlds or in some.
 
         Args:
-            seed: Starts random numbers anew, world k's from seed + k, or from element k of a sequence. They go on
-                where the seed is None.
-            options: "goal" (G,) or (W, G) and "tool_position" (3,) or (W, 3) replace what is drawn [m];
-                "reset_mask" (W,) bool tells in which worlds to begin.
+            seed: Restarts random numbers, of world k from seed + k, or from element k of a sequence. Where it is None,
+                they continue.
+            options: "goal" (G,) or (W, G) and "tool_position" (3,) or (W, 3) replace what is drawn [m]; "reset_mask"
+                (W,) bool selects the worlds in which to begin.
 
         Returns:
             The observations of all worlds, and infos of those that begin, with the same keys as after a step.
 
         Raises:
             ValueError: If a seed or an option is misspelt, malformed or out of its range, or a tool would begin in the
-                organ or below the stop above the ground; nothing has then changed. Options that are not of this
-                package are ignored, with a warning.
+                organ or below the stop above the ground; nothing is changed in this case. Options that do not belong to
+                this package are ignored, with a warning.
         """
         self._check_open()
         worlds, rest = read_mask(options, self.num_envs)
@@ -173,15 +173,15 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """Move the tools of all worlds for one control step.
 
         Args:
-            actions: (W, A) what `control` says; clipped to [-1, 1].
+            actions: (W, A) actions as defined by `control`; clipped to [-1, 1].
 
         Returns:
-            Observations, rewards (W,), whether episodes ended by success or damage (W,), whether they were cut
-            (W,), and infos: arrays (W,) under each name, with a mask (W,) under the name after an underscore.
+            Observations, rewards (W,), whether episodes ended by success, damage or a tangle (W,), whether they were
+            truncated (W,), and infos: arrays (W,) under each name, with a mask (W,) under the name after an underscore.
 
         Raises:
-            ValueError: If `actions` has the wrong shape or is not finite; nothing has then changed.
-            ResetNeeded: If a world has no episode to go on with.
+            ValueError: If `actions` has the wrong shape or is not finite; nothing is changed in this case.
+            ResetNeeded: If a world has no episode in progress.
         """
         self._check_begun("step")
         episodes = self._episodes
@@ -226,23 +226,23 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         return None if self.render_mode is None else self._pictures.draw()
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free the engine; `close` calls it once."""
+        """Close the engine; `close` calls it once."""
         self._episodes.close()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of every world, or read an attribute of it, as Gymnasium's vector environments do.
 
         Args:
-            name: Of a method or an attribute of the environment for one agent, such as "render", "goal",
+            name: Name of a method or an attribute of the environment for one agent, such as "render", "goal",
                 "task_description" or "_max_episode_steps".
-            *args: For the method.
-            **kwargs: For the method.
+            *args: Arguments of the method.
+            **kwargs: Keyword arguments of the method.
 
         Returns:
-            (W,) what it returns, or what it is, in each world.
+            (W,) result of the method, or value of the attribute, in each world.
 
         Raises:
-            AttributeError: If worlds have no such thing, or it is nothing that one world could do alone.
+            AttributeError: If worlds have no such attribute, or it is one that a single world cannot have alone.
         """
         return call_worlds(self, name, *args, **kwargs)
 
@@ -250,7 +250,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """An attribute of every world (W,); see `call`.
 
         Raises:
-            AttributeError: If worlds have no such thing.
+            AttributeError: If worlds have no such attribute.
         """
         return call_worlds(self, name)
 
@@ -258,27 +258,28 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         """Set an attribute in all worlds.
 
         Args:
-            name: "_max_episode_steps", a property that has a setter, or an attribute that a subclass has of its own.
-            values: One value, or a list or tuple of W of them, which must be the same: worlds share attributes.
+            name: "_max_episode_steps", a property with a setter, or an attribute that a subclass has added.
+            values: One value, or a list or tuple of W values, which must be equal because worlds share their
+                attributes.
 
         Raises:
-            AttributeError: If there is no such attribute, or setting it has no effect.
+            AttributeError: If there is no such attribute, or setting it would have no effect.
             ValueError: If there are not W values, or they differ.
         """
         set_in_worlds(self, name, values)
 
     def save(self, worlds: ArrayLike | None = None) -> EnvState:
-        """Everything that the next step depends on, in all worlds or in some; see `SpatulaEnv.save`.
+        """Save everything that the next step depends on, in all worlds or in some; see `SpatulaEnv.save`.
 
         Args:
-            worlds: (n,) which, or (W,) a mask; all by default.
+            worlds: (n,) indices, or (W,) a mask; all by default.
 
         Returns:
-            The state of n worlds, which can be restored as often as one likes, in any worlds, and pickled.
+            The state of n worlds, which can be restored any number of times, in any worlds, and pickled.
 
         Raises:
             ResetNeeded: If no episode has begun in one of them.
-            ValueError: If there are no such worlds, or physics has diverged in one of them.
+            ValueError: If a world does not exist, or physics has diverged in one of them.
         """
         self._check_open()
         chosen = read_worlds(worlds, self.num_envs)
@@ -302,21 +303,22 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         )
 
     def restore(self, state: EnvState, worlds: ArrayLike | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Go back to a saved state, in all worlds or in some. No `reset` is needed before.
+        """Restore a saved state, in all worlds or in some. No `reset` is needed before.
 
-        From there on, the same actions lead to the same numbers, to the last bit, in whichever world.
+        From there on, the same actions lead to bitwise identical results, in whichever world.
 
         Args:
-            state: Of n worlds, what `save` returned here or in another environment like this one; or of one, which
-                all of `worlds` get.
-            worlds: (n,) which worlds get it, or (W,) a mask; all by default.
+            state: State of n worlds, from `save` here or in another environment like this one; or of one world, to
+                which all of `worlds` are set.
+            worlds: (n,) worlds to restore it in, or (W,) a mask; all by default.
 
         Returns:
             The observations of all worlds, and infos of those that were restored.
 
         Raises:
-            TypeError: If it is no state of an environment.
-            ValueError: If it is that of another environment, or of another number of worlds; nothing has then changed.
+            TypeError: If it is not a state of an environment.
+            ValueError: If it belongs to another environment, or to another number of worlds; nothing is changed in this
+                case.
         """
         self._check_open()
         chosen = read_worlds(worlds, self.num_envs)
@@ -350,7 +352,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """What happens when an episode has ended."""
+        """How new episodes begin when one has ended."""
         return self._mode
 
     @property
@@ -360,7 +362,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     @property
     def max_episode_steps(self) -> int | None:
-        """Episodes are cut after this many control steps; None: never. It can be set at any time."""
+        """Number of control steps after which episodes are truncated; None for no limit. Can be set at any time."""
         return self._step_limit
 
     @max_episode_steps.setter
@@ -369,23 +371,23 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
 
     @property
     def grips(self) -> FloatArray:
-        """(W, 3) where the middle of the tools is in each world, workspace frames [m]."""
+        """(W, 3) present position of the grip in each world, workspace frames [m]."""
         return self._episodes.grips
 
     @property
     def goals(self) -> FloatArray:
-        """(W, G) what is asked in each world's episode (a copy) [m]."""
+        """(W, G) goal of each world's episode, as a copy [m]."""
         return self._episodes.goals.copy()
 
-    # Gymnasium has one generator for all worlds, that can be exchanged. Here each world has its own.
+    # Gymnasium has one exchangeable generator for all worlds. Here each world has its own.
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
-        """Where the randomness of each world comes from."""
+        """Random generator of each world."""
         return tuple(self._generator(world) for world in range(self.num_envs))
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """What each world's random numbers were started from."""
+        """Seed of each world's random generator."""
         for world in range(self.num_envs):
             self._generator(world)
         return tuple(seed for seed in self._seeds if seed is not None)
@@ -403,7 +405,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         return generator
 
     def _last_seen(self, ended: BoolArray) -> dict[str, Any]:
-        """What Gymnasium tells of episodes that have ended where the next ones have begun already."""
+        """Final observations and infos of ended episodes, in Gymnasium's layout, once the next ones have begun."""
         worlds, last = np.flatnonzero(ended), np.full(self.num_envs, None, dtype=object)
         for world, observation in zip(worlds.tolist(), self._episodes.observations_of(worlds), strict=True):
             last[world] = observation
@@ -411,7 +413,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
         return {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
 
     def _infos_of(self, worlds: IntArray) -> dict[str, Any]:
-        """Infos as Gymnasium lays them out: zeros but for some worlds (n,), and beside each name which those are."""
+        """Infos in Gymnasium's layout: values for some worlds (n,), zeros for others, and a mask beside each name."""
         mask = np.zeros(self.num_envs, dtype=np.bool_)
         mask[worlds] = True
         infos: dict[str, Any] = {}

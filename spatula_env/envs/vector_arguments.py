@@ -1,4 +1,4 @@
-"""Checks of the arguments of vector environments: worlds, seeds, autoreset modes."""
+"""Validation of the arguments of vector environments: worlds, seeds, autoreset modes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from spatula_env.arrays import IntArray
 
 AUTORESET_MODES = tuple(mode.name.lower() for mode in AutoresetMode)
-"""Names of what can happen when an episode has ended."""
+"""Names of the autoreset modes."""
 
 
 def as_autoreset_mode(value: str | AutoresetMode) -> AutoresetMode:
-    """An autoreset mode from its name, from Gymnasium's value for it, or from itself.
+    """Convert to an autoreset mode, from its name, from Gymnasium's value for it, or from itself.
 
     Raises:
-        ValueError: If it is none.
+        ValueError: If it is none of these.
     """
     if isinstance(value, str):
         for mode in AutoresetMode:
@@ -37,10 +37,10 @@ def as_autoreset_mode(value: str | AutoresetMode) -> AutoresetMode:
 
 
 def read_mask(options: Mapping[str, Any] | None, count: int) -> tuple[IntArray, dict[str, Any]]:
-    """In which of `count` worlds episodes are to begin (n,), and what is chosen of the beginning.
+    """Worlds (n,) of `count` in which episodes are to begin, and the remaining options.
 
     Raises:
-        ValueError: If an option is misspelt, or "reset_mask" is no mask.
+        ValueError: If an option is misspelt, or "reset_mask" is not a mask.
     """
     rest = own_options(options, (*START_OPTIONS, "reset_mask"))
     mask = rest.pop("reset_mask", None)
@@ -56,10 +56,10 @@ def read_mask(options: Mapping[str, Any] | None, count: int) -> tuple[IntArray, 
 
 
 def read_seeds(seed: int | Sequence[int | None] | None, count: int, worlds: IntArray) -> dict[int, int | None]:
-    """The seeds of some of `count` worlds (n,), by world; those of others are not looked at.
+    """Seeds of some of `count` worlds (n,), by world; those of others are ignored.
 
     Raises:
-        ValueError: If they are no seeds, or not as many as there are worlds.
+        ValueError: If they are not seeds, or not as many as there are worlds.
     """
     if seed is None:
         return dict.fromkeys(worlds.tolist())
@@ -82,10 +82,10 @@ def read_seeds(seed: int | Sequence[int | None] | None, count: int, worlds: IntA
 
 
 def read_worlds(worlds: ArrayLike | None, count: int) -> IntArray:
-    """Indices (n,) of worlds that are named by indices or by a mask (W,); all W of them by default.
+    """Indices (n,) of worlds from indices or a mask (W,); all W of them by default.
 
     Raises:
-        ValueError: If there are no such worlds, or one is named twice.
+        ValueError: If a world does not exist, or is given twice.
     """
     if worlds is None:
         return np.arange(count)

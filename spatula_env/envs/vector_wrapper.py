@@ -1,4 +1,4 @@
-"""The base of this package's wrappers of vector environments."""
+"""Base of this package's wrappers of vector environments."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from gymnasium.vector import VectorWrapper
 
 
 class TransparentVectorWrapper(VectorWrapper):
-    """A wrapper through which all is seen that a vector environment has beyond Gymnasium's base class.
+    """A wrapper that forwards all attributes that a vector environment has beyond Gymnasium's base class.
 
-    Gymnasium's `VectorWrapper` hides `call`, `get_attr`, `set_attr` and `autoreset_mode`, by which LeRobot, skrl and
-    TorchRL ask.
+    Gymnasium's `VectorWrapper` hides `call`, `get_attr`, `set_attr` and `autoreset_mode`, which LeRobot, skrl and
+    TorchRL use.
     """
 
     def __getattr__(self, name: str) -> Any:
-        """What this object does not have, the wrapped environment may."""
+        """Look up missing attributes in the wrapped environment."""
         if name == "env" or name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.env, name)

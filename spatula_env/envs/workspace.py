@@ -1,4 +1,4 @@
-"""The workspace: a cube over the organ, its frame, and a scene as a task sees it from there."""
+"""The workspace: a cube above the organ, its frame, and the setting of a scene in this frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FALCON_WORKSPACE = 0.1016
 
 @dataclass(frozen=True)
 class Workspace:
-    """A cube that the grip is kept in, and the frame whose origin is the cube's middle.
+    """A cube within which the grip is kept, and the frame whose origin is the cube's middle.
 
     The axes are those of the scene: x to the right, y away from the operator, z up. A Falcon's own axes are x
     to the right, y up, z towards the operator, so x = x_F, y = -z_F and z = y_F.
@@ -54,16 +54,16 @@ class Workspace:
         return np.full(3, 0.5 * self.size)
 
     def from_scene(self, points: ArrayLike) -> FloatArray:
-        """Points (..., 3) of the scene [u] in the workspace frame [m]."""
+        """Convert points (..., 3) of the scene [u] to the workspace frame [m]."""
         return (np.asarray(points, dtype=np.float64) - self.center) * self.length
 
     def to_scene(self, points: ArrayLike) -> FloatArray:
-        """Points (..., 3) of the workspace frame [m] in the scene [u]."""
+        """Convert points (..., 3) of the workspace frame [m] to the scene [u]."""
         return np.asarray(points, dtype=np.float64) / self.length + self.center
 
 
 def place_workspace(scene: Scene, rest_nodes: FloatArray, height: float) -> Workspace:
-    """The workspace above the organ's axis, its middle at a height above the organ's top [m]."""
+    """Place the workspace above the organ's axis, with its middle at a height above the organ's top [m]."""
     x, y, _ = scene.organs[0].position
     top = float(rest_nodes[:, 2].max())
     return Workspace((x, y, top + height / scene.scale.length), scene.scale.length)
@@ -76,13 +76,13 @@ def setting_of(
     triangles: NDArray[np.int32] | None = None,
     period: float = 0.05,
 ) -> Setting:
-    """The setting of a scene, for its task.
+    """Make the setting of a scene, for its task.
 
     Args:
-        scene: With one organ.
-        workspace: Where its tools may move; see `place_workspace`.
-        rest_nodes: (V, 3) of the organ [u]; as the scene has it, before it has come to rest, by default.
-        triangles: (T, 3) of the organ; its own by default.
+        scene: Scene with one organ.
+        workspace: Workspace of its tools; see `place_workspace`.
+        rest_nodes: (V, 3) nodes of the organ [u]; by default those of the scene, before it has come to rest.
+        triangles: (T, 3) triangles of the organ; by default its own.
         period: Length of a control step [s].
     """
     length = scene.scale.length

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 class Frames:
     """The workspace frame of each of W worlds, and its units.
 
-    A world's organ can be shifted, turned, larger or stiffer than that of other worlds although all of them compute the
-    same scene: it is the workspace and the units that differ. Pressures keep their unit where an organ is larger, so
-    that it is of the same material; they grow with the stiffness, as the density does.
+    A world's organ can be shifted, turned, larger or stiffer than others although all worlds compute the same scene:
+    only workspace and units differ. Pressures keep their unit when an organ is larger, so that its material stays the
+    same; they scale with the stiffness, as the density does.
 
     Attributes:
         length: (W,) metres in a scene unit of length.
@@ -32,13 +32,13 @@ class Frames:
     """
 
     def __init__(self, workspace: Workspace, scale: Scale, anchor: ArrayLike, count: int) -> None:
-        """All worlds alike.
+        """Start with all worlds alike.
 
         Args:
-            workspace: Where it is if nothing is shifted.
-            scale: The scene's.
-            anchor: (3,) the point about which organs turn and grow [u].
-            count: W.
+            workspace: The workspace without any shift.
+            scale: Scale of the scene.
+            anchor: (3,) point about which organs are turned and scaled [u].
+            count: Number of worlds, W.
         """
         self._workspace, self._scale = workspace, scale
         self._anchor = np.array(anchor, dtype=np.float64)
@@ -59,14 +59,14 @@ class Frames:
         size: ArrayLike = 1.0,
         stiffness: ArrayLike = 1.0,
     ) -> None:
-        """Say how the organs of some worlds differ from the scene's.
+        """Set how the organs of some worlds differ from the scene's.
 
         Args:
-            worlds: (n,) which, none of them twice.
-            shift: (n, 2) by how much each is shifted along x and y [m].
-            yaw: (n,) by how much it is turned about the vertical [rad].
-            size: (n,) factor on its lengths.
-            stiffness: (n,) factor on its stiffness and its density.
+            worlds: (n,) distinct indices of the worlds.
+            shift: (n, 2) shift along x and y [m].
+            yaw: (n,) rotation about the vertical [rad].
+            size: (n,) factor on lengths.
+            stiffness: (n,) factor on stiffness and density.
         """
         count = len(worlds)
         factor = np.broadcast_to(np.asarray(size, dtype=np.float64), (count,))
@@ -87,7 +87,7 @@ class Frames:
         self.torque[worlds] = pressure * length**3
 
     def rows(self, worlds: IntArray) -> Frames:
-        """Those of some worlds (n,) alone, none of them twice; what is set there has no effect here."""
+        """Copy the frames of some distinct worlds (n,); changes of the copy have no effect here."""
         some = copy.copy(self)
         for name in ("_center", "_turn", "length", "force", "torque", "pressure"):
             setattr(some, name, getattr(self, name)[worlds])
@@ -95,31 +95,31 @@ class Frames:
         return some
 
     def points_from_scene(self, points: FloatArray, worlds: IntArray) -> FloatArray:
-        """Points (n, ..., 3) of the scene [u] in the workspace frames of worlds (n,) [m]."""
+        """Convert points (n, ..., 3) of the scene [u] to the workspace frames of worlds (n,) [m]."""
         return self._out(points - _fit(self._center[worlds], points), worlds) * _fit(self.length[worlds, None], points)
 
     def points_to_scene(self, points: FloatArray, worlds: IntArray) -> FloatArray:
-        """Points (n, ..., 3) in the workspace frames of worlds (n,) [m] in the scene [u]."""
+        """Convert points (n, ..., 3) in the workspace frames of worlds (n,) [m] to the scene [u]."""
         return self._in(points / _fit(self.length[worlds, None], points), worlds) + _fit(self._center[worlds], points)
 
     def velocities_to_scene(self, velocities: FloatArray) -> FloatArray:
-        """Velocities (W, N, 3) in the workspace frames [m/s] in the scene [u/s]."""
+        """Convert velocities (W, N, 3) in the workspace frames [m/s] to the scene [u/s]."""
         return self._in(velocities / self.length[:, None, None], np.arange(len(self.length)))
 
     def rates_to_scene(self, rates: FloatArray) -> FloatArray:
-        """Rates of rotation (W, N, 3) in the workspace frames in the scene [rad/s]."""
+        """Convert rates of rotation (W, N, 3) in the workspace frames to the scene [rad/s]."""
         return self._in(rates, np.arange(len(self.length)))
 
     def vectors_from_scene(self, vectors: FloatArray, unit: FloatArray) -> FloatArray:
-        """Vectors (W, N, 3) of the scene in the workspace frames, in a unit (W,)."""
+        """Convert vectors (W, N, 3) of the scene to the workspace frames, with a unit (W,)."""
         return self._out(vectors * unit[:, None, None], np.arange(len(self.length)))
 
     def orientations_from_scene(self, orientations: FloatArray, worlds: IntArray) -> FloatArray:
-        """Quaternions (n, N, 4) of the scene in the workspace frames of worlds (n,)."""
+        """Convert quaternions (n, N, 4) of the scene to the workspace frames of worlds (n,)."""
         return multiply(self._turn[worlds, None], orientations) if self._turned else orientations
 
     def orientations_to_scene(self, orientations: FloatArray, worlds: IntArray) -> FloatArray:
-        """Quaternions (n, N, 4) in the workspace frames of worlds (n,) in the scene."""
+        """Convert quaternions (n, N, 4) in the workspace frames of worlds (n,) to the scene."""
         return multiply(conjugate(self._turn[worlds, None]), orientations) if self._turned else orientations
 
     def _out(self, vectors: FloatArray, worlds: IntArray) -> FloatArray:
@@ -130,5 +130,5 @@ class Frames:
 
 
 def _fit(values: FloatArray, like: FloatArray) -> FloatArray:
-    """Values (n, k) with further axes (n, 1, ..., k), as many as `like` has."""
+    """Add axes to values (n, k), giving (n, 1, ..., k) with as many axes as `like`."""
     return values.reshape(len(values), *(1,) * (like.ndim - 2), values.shape[1])

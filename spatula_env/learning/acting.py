@@ -1,4 +1,4 @@
-"""Trained models as policies: as a few arrays where they have dense layers alone, and else by torch.
+"""Trained models as policies: exported to arrays if they consist of dense layers only, otherwise run by torch.
 
 Needs the extra "train".
 """
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TorchPolicy:
-    """A model that acts as it is, with what normalises its observations.
+    """A model run by torch, together with the normalisation of its observations.
 
     Attributes:
-        model: Of Stable-Baselines3.
-        normalizer: None: nothing does.
-        metadata: As of `ExportedPolicy`.
-        selection: Which parts of observations count, once an environment is known; None: all.
+        model: Model of Stable-Baselines3.
+        normalizer: Normalisation of its observations; None for none.
+        metadata: Metadata as of `ExportedPolicy`.
+        selection: Selection of the observation's parts, once an environment is known; None for all.
     """
 
     model: BaseAlgorithm
@@ -42,13 +42,13 @@ class TorchPolicy:
         """Nothing to do at the beginning of episodes."""
 
     def bound_to(self, env: Any) -> TorchPolicy:
-        """The policy for an environment.
+        """Bind the policy to an environment.
 
         Args:
             env: For one agent or for many, wrapped or not.
 
         Raises:
-            ValueError: If observations or actions are not those that it was trained with.
+            ValueError: If its observations or actions differ from those of training.
         """
         warn_of_definition(self.metadata)
         selection = PartSelection.of(env, self.metadata.get("parts"))
@@ -76,11 +76,11 @@ class TorchPolicy:
 def acting_policy(
     model: BaseAlgorithm, normalizer: VecNormalize | None, metadata: Mapping[str, Any]
 ) -> ExportedPolicy | TorchPolicy:
-    """What a model does, for `bound_to` an environment.
+    """Make a policy of a model, to be bound to an environment by `bound_to`.
 
     Args:
         model: PPO, SAC or TQC.
-        normalizer: What normalised its observations; None: nothing did.
+        normalizer: Normalisation of its observations; None for none.
         metadata: See `ExportedPolicy`.
     """
     if is_dense(model):

@@ -1,4 +1,4 @@
-"""Checks before a training begins: do its values go together, and can all that it needs be made?
+"""Checks before training begins: whether the configuration is consistent, and everything it needs can be made.
 
 Needs the extra "train".
 """
@@ -25,20 +25,20 @@ from spatula_env.learning.worlds import base_of, make_training_env
 
 
 def check_training(config: TrainingConfig) -> list[str]:
-    """Check that an agent can be trained so. Nothing is written, and nothing is left.
+    """Check that an agent can be trained by a configuration. Leaves nothing behind.
 
-    The environments of training and of evaluation are made with one world each, and so is the model.
+    To this end, the training and evaluation environments are made with one world each, and so is the model.
 
     Args:
-        config: How it is to be trained; its environment's module has been imported.
+        config: The configuration; the module of its environment has to be imported already.
 
     Returns:
-        What is allowed, but can hardly be meant.
+        Warnings: values that are allowed but probably not intended.
 
     Raises:
-        ImportError: If something is not installed that is needed.
-        TypeError: If the environment has no such option.
-        ValueError: If values do not go together, or are not allowed; the message names them, and what is.
+        ImportError: If a required package is not installed.
+        TypeError: If an option of the environment does not exist.
+        ValueError: If values are invalid or inconsistent; the message names them and what is allowed.
     """
     _check_amounts(config)
     if config.algorithm == "sac_her":
@@ -70,7 +70,7 @@ def check_training(config: TrainingConfig) -> list[str]:
 
 
 def _check_hindsight(config: TrainingConfig) -> None:
-    """Check that what is replayed with other goals would have gone as it is told then."""
+    """Check that the environment has no options that make transitions wrong when replayed with other goals."""
     for name, why in (
         ("terminate_on_success", "with another goal the episode would not have ended there"),
         ("damage_limit", "the replay buffer does not keep what tells of damage"),
@@ -81,12 +81,12 @@ def _check_hindsight(config: TrainingConfig) -> None:
 
 
 def rehearse_clone(config: TrainingConfig) -> None:
-    """Check that what is to be cloned into can be made; see `check_training`."""
+    """Check that the model for behaviour cloning can be made; see `check_training`."""
     _rehearse(config, learns=False)
 
 
 def _check_amounts(config: TrainingConfig) -> None:
-    """Check the values that depend on each other alone."""
+    """Check relations between values that can be checked without making anything."""
     chosen, environment = config.hyperparameters, config.environment
     worlds = environment.num_envs
     if isinstance(chosen, PPOConfig):
@@ -128,10 +128,10 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
     """Make one world of each kind, and the model.
 
     Returns:
-        The number of steps of an episode, None if there is no limit; and how much room a transition takes [bytes].
+        Number of steps of an episode, None if there is no limit; and the size of an observation [bytes].
     """
     with warnings.catch_warnings():
-        # What there is to be said is said when training begins.
+        # Warnings are shown when training begins.
         warnings.simplefilter("ignore")
         env, _ = make_training_env(_alone(config), 0, config.hyperparameters.gamma)
         try:
@@ -145,7 +145,7 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
             policy = acting_policy(model, model.get_vec_normalize_env(), export_metadata(config))
             size = _bytes_of(model.observation_space, np.float32 if config.algorithm == "ppo" else None)
         except AssertionError as error:
-            # Stable-Baselines3's own checks.
+            # Raised by Stable-Baselines3's own checks.
             raise ValueError(f"{config.algorithm} cannot be made so: {error}") from error
         finally:
             env.close()
@@ -171,7 +171,7 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
 
 
 def _alone(config: TrainingConfig) -> TrainingConfig:
-    """The same with one world, and a replay buffer that takes no room."""
+    """The configuration with one world, and with a replay buffer of minimal size."""
     chosen, worlds = config.hyperparameters, config.environment.num_envs
     hyperparameters = (
         dataclasses.replace(chosen, n_steps=chosen.n_steps * worlds)
@@ -183,14 +183,14 @@ def _alone(config: TrainingConfig) -> TrainingConfig:
 
 
 def _bytes_of(space: spaces.Space[Any], kind: Any = None) -> int:
-    """Room that an observation takes [bytes]."""
+    """Size of an observation [bytes]."""
     if isinstance(space, spaces.Dict):
         return sum(_bytes_of(one, kind) for one in space.spaces.values())
     return math.prod(space.shape or ()) * np.dtype(kind or space.dtype).itemsize
 
 
 def _check_memory(config: TrainingConfig, observation: int) -> None:
-    """Check that there is room for what is kept; else the system ends the process when it is half full."""
+    """Check that the stored data will fit into memory; otherwise the system would kill the process later on."""
     room, chosen = memory(), config.hyperparameters
     if room is None:
         return
@@ -198,7 +198,7 @@ def _check_memory(config: TrainingConfig, observation: int) -> None:
         needed, what = observation * chosen.n_steps * config.environment.num_envs, "hyperparameters.n_steps"
         greatest = room // (observation * config.environment.num_envs)
     else:
-        # What was seen before, and after.
+        # The observations before and after each step.
         needed, what = 2 * observation * chosen.buffer_size, "hyperparameters.buffer_size"
         greatest = room // (2 * observation)
     if needed > room:
@@ -209,7 +209,7 @@ def _check_memory(config: TrainingConfig, observation: int) -> None:
 
 
 def memory() -> int | None:
-    """The memory of this machine [bytes]; None if that is not known."""
+    """Memory of this machine [bytes]; None if it is unknown."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):

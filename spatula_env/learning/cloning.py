@@ -1,4 +1,4 @@
-"""Behaviour cloning: policies that imitate demonstrations, and are corrected by those who gave them.
+"""Behaviour cloning: policies that imitate demonstrations, and are corrected by the demonstrator (DAgger).
 
 Needs the extra "train".
 """
@@ -23,10 +23,10 @@ from spatula_env.learning.models import make_model
 from spatula_env.learning.worlds import make_training_env
 
 ROUND_SEEDS = 100_000
-"""Seeds of a round of corrections are so much greater than those of the one before."""
+"""Offset between the seeds of successive rounds of corrections."""
 
 WORLDS = 64
-"""In which a policy that is corrected acts at once."""
+"""Number of worlds in which a policy acts at once while it is corrected."""
 
 
 def clone(
@@ -36,22 +36,22 @@ def clone(
 
     Args:
         config: Environment, algorithm, network and normalisation.
-        demonstrations: Of which observations and wanted actions count.
-        how: How cloning goes.
+        demonstrations: Demonstrations, of which observations and wanted actions are used.
+        how: Settings of cloning.
 
     Returns:
-        The model, what normalises its observations (None: nothing), and the losses: the mean squared difference between
-        actions, averaged over each tenth of the gradient steps.
+        The model, the normalisation of its observations (None for none), and the losses: the mean squared difference
+            between actions, averaged over each tenth of the gradient steps.
 
     Raises:
-        ValueError: If there is no demonstration.
+        ValueError: If there are no demonstrations.
     """
     if not demonstrations:
         raise ValueError("demonstrations must be one at least, got none")
     torch.set_num_threads(config.torch_threads)
     config = dataclasses.replace(config, environment=dataclasses.replace(config.environment, num_envs=1))
     if isinstance(config.hyperparameters, SACConfig):
-        # It stays empty.
+        # The replay buffer stays empty.
         config = dataclasses.replace(config, hyperparameters=dataclasses.replace(config.hyperparameters, buffer_size=1))
     env, _ = make_training_env(config, how.seed, config.hyperparameters.gamma)
     try:
@@ -70,7 +70,7 @@ def clone(
 
 
 def _fit(model: Any, normalizer: Any, demonstrations: Sequence[Demonstration], how: CloneConfig) -> list[float]:
-    """Imitate demonstrations, going on from what a model does now; returns the losses."""
+    """Imitate demonstrations, starting from the model's present weights; return the losses."""
     observations = joined_observations(demonstrations)
     if normalizer is not None:
         observations = normalizer.normalize_obs(observations)
@@ -85,18 +85,18 @@ def correct(
     demonstrations: list[Demonstration],
     learner: tuple[Any, Any, CloneConfig],
 ) -> tuple[float, list[float]]:
-    """One round of corrections, which are added to the demonstrations.
+    """Run one round of corrections, add them to the demonstrations, and imitate all of them.
 
     Args:
-        folder: Where the policy is saved that acts.
-        number: Of the round, from 1.
-        plan: Of the demonstrations.
-        config: What is trained.
-        demonstrations: So far; lengthened.
-        learner: The model, what normalises its observations, and how it imitates.
+        folder: Folder of the saved policy that acts.
+        number: Number of the round, from 1.
+        plan: Plan of the demonstrations.
+        config: Training configuration.
+        demonstrations: Demonstrations so far; extended in place.
+        learner: The model, the normalisation of its observations, and the settings of cloning.
 
     Returns:
-        The success rate of the policy that acted, and the losses of imitating all anew.
+        Success rate of the policy that acted, and the losses of imitating all demonstrations anew.
     """
     corrected = collect(
         dataclasses.replace(plan, seed=plan.seed + ROUND_SEEDS * number),

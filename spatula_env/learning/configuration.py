@@ -1,7 +1,7 @@
-"""Reading configurations: YAML files in `configs`, checked before anything is made of them.
+"""Reads configurations: YAML files in `configs`, validated before use.
 
-A file either says how to make an environment (`read_environment`), or how to train (`read_training`). `find_config`
-finds one by its name.
+A file describes either an environment (`read_environment`) or a training (`read_training`). `find_config` finds one by
+its name.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ gymnasium.register_envs(spatula_env)
 ENVIRONMENT_KEYS = ("id", "kwargs")
 
 ENGINES = tuple(sorted(engines.ENGINES))
-"""What can integrate organs while agents learn."""
+"""Engines in which agents can learn."""
 
 Engine = Annotated[str, one_of(ENGINES)]
 
 ACTIVATIONS = ("relu", "tanh", "elu")
-"""Between the layers of a network."""
+"""Activation functions between the layers of a network."""
 
 CONFIG_FOLDERS = (Path(__file__).parent / "configs", Path(__file__).parents[2] / "configs")
-"""Where the configurations are that come with the package: installed, and in its repository."""
+"""Folders of the configurations that come with the package: when installed, and in its repository."""
 
 Config = TypeVar("Config", bound="DataclassInstance")
 
 
 def find_config(name: str | os.PathLike[str], holds: str = "algorithm") -> Path:
-    """The file that is meant by a path, or by a name such as "press_sac".
+    """Find the file for a path or for a name such as "press_sac".
 
     Args:
-        name: A path, or the name of a configuration that comes with the package, without its ending.
-        holds: A key that a configuration of the kind that is wanted has, which others do not have.
+        name: A path, or the name of a configuration that comes with the package, without its extension.
+        holds: Key that configurations of the wanted kind have and others do not.
 
     Raises:
-        FileNotFoundError: If there is no such file; the message lists the names that there are, of that kind.
+        FileNotFoundError: If there is no such file; the message lists the available names of that kind.
     """
     path = Path(name)
     if path.is_file():
@@ -72,7 +72,7 @@ def _top_keys(file: Path) -> Sequence[str]:
 
 
 def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]:
-    """What a file says gymnasium.make should be called with.
+    """Read the arguments of `gymnasium.make` from a file.
 
     Args:
         path: A YAML file with `id`, and optionally `kwargs`.
@@ -82,7 +82,7 @@ def read_environment(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any]]
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file is not such a mapping; the message names the file, what it has and what is allowed.
+        ValueError: If the file is not such a mapping; the message names the file, its content and what is allowed.
     """
     file = Path(path)
     content = load_yaml(file)
@@ -104,7 +104,7 @@ def make_environment(path: str | os.PathLike[str], **overrides: Any) -> gymnasiu
 
     Args:
         path: See `read_environment`.
-        **overrides: Keyword arguments that replace or add to the file's.
+        **overrides: Keyword arguments that replace or extend the file's.
 
     Returns:
         The environment.
@@ -115,15 +115,15 @@ def make_environment(path: str | os.PathLike[str], **overrides: Any) -> gymnasiu
 
 @dataclass(frozen=True)
 class EnvironmentConfig(Checked):
-    """Where an agent learns.
+    """Environment in which an agent learns.
 
     Attributes:
-        id: Of the environment.
-        kwargs: What it is made with, beside the engine; "max_episode_steps" among them is the length of an episode
-            while it learns, not while it is evaluated.
-        engine: What integrates organs while it learns: "batch", "tissue" or "bullet".
-        parts: The parts of the observation that the agent gets, by name; None: all of them.
-        num_envs: How many worlds are stepped together.
+        id: Id of the environment.
+        kwargs: Arguments with which it is made, besides the engine; "max_episode_steps" among them applies to training
+            episodes, not to evaluation.
+        engine: Engine that simulates the organs in training: "batch", "tissue" or "bullet".
+        parts: Names of the observation's parts that the agent gets; None for all of them.
+        num_envs: Number of worlds that are stepped together.
     """
 
     section: ClassVar[str] = "environment"
@@ -145,7 +145,7 @@ class EnvironmentConfig(Checked):
 
 @dataclass(frozen=True)
 class NetworkConfig(Checked):
-    """Networks of policy and value, of the same kind.
+    """Networks of policy and value, which have the same structure.
 
     Attributes:
         layers: Number of units in each hidden layer.
@@ -160,12 +160,12 @@ class NetworkConfig(Checked):
 
 @dataclass(frozen=True)
 class NormalizationConfig(Checked):
-    """What is brought to mean 0 and deviation 1, by running estimates that are saved with the policy.
+    """Normalisation to mean 0 and standard deviation 1, by running estimates that are saved with the policy.
 
     Attributes:
-        observations: Whether observations are.
-        rewards: Whether rewards are divided by the deviation of the discounted return.
-        clip: Greatest size of a normalised number.
+        observations: Whether to normalise observations.
+        rewards: Whether to divide rewards by the standard deviation of the discounted return.
+        clip: Greatest magnitude of a normalised number.
     """
 
     section: ClassVar[str] = "normalization"
@@ -177,15 +177,15 @@ class NormalizationConfig(Checked):
 
 @dataclass(frozen=True)
 class EvaluationConfig(Checked):
-    """How an agent is evaluated while it learns, in episodes that it does not learn from.
+    """Evaluation of an agent during training, in episodes that it does not learn from.
 
     Attributes:
         every: Environment steps between evaluations.
-        episodes: In each.
-        engine: "batch", "tissue" or "bullet".
-        seed: Of the first episode; the next one has the next seed.
-        from_success: Nothing is evaluated while the success rate of the last 100 episodes of training is lower;
-            the last evaluation always is done.
+        episodes: Number of episodes per evaluation.
+        engine: Engine of the evaluation: "batch", "tissue" or "bullet".
+        seed: Seed of the first episode; increases by one for each further one.
+        from_success: No evaluation is made while the success rate of the last 100 training episodes is lower, except
+            for the last evaluation.
     """
 
     section: ClassVar[str] = "evaluation"
@@ -199,22 +199,22 @@ class EvaluationConfig(Checked):
 
 @dataclass(frozen=True)
 class PPOConfig(Checked):
-    """Hyper-parameters of PPO, by Stable-Baselines3's names.
+    """Hyper-parameters of PPO, under Stable-Baselines3's names.
 
     Attributes:
-        learning_rate: Of Adam.
-        final_learning_rate: What it falls to, linearly; None: it does not fall.
-        n_steps: Steps of each world between updates.
-        batch_size: Samples in a gradient step.
-        n_epochs: How often each sample is used.
-        gamma: Discount.
-        gae_lambda: Of the advantage's estimate.
-        clip_range: Of the ratio of probabilities.
-        ent_coef: Weight of the entropy.
-        vf_coef: Weight of the value's loss.
+        learning_rate: Learning rate of Adam.
+        final_learning_rate: Value to which it decreases linearly; None for a constant rate.
+        n_steps: Number of steps of each world between updates.
+        batch_size: Number of samples per gradient step.
+        n_epochs: Number of passes over the samples.
+        gamma: Discount factor.
+        gae_lambda: Parameter of generalised advantage estimation.
+        clip_range: Clipping range of the probability ratio.
+        ent_coef: Weight of the entropy in the loss.
+        vf_coef: Weight of the value loss.
         max_grad_norm: Greatest norm of a gradient.
-        target_kl: An update stops beyond 1.5 times this divergence; None: never.
-        log_std_init: Logarithm of the first standard deviation of actions.
+        target_kl: An update stops when the divergence exceeds 1.5 times this; None for no limit.
+        log_std_init: Initial logarithm of the actions' standard deviation.
     """
 
     section: ClassVar[str] = "hyperparameters"
@@ -236,19 +236,19 @@ class PPOConfig(Checked):
 
 @dataclass(frozen=True)
 class SACConfig(Checked):
-    """Hyper-parameters of SAC, by Stable-Baselines3's names.
+    """Hyper-parameters of SAC, under Stable-Baselines3's names.
 
     Attributes:
-        learning_rate: Of Adam.
-        final_learning_rate: What it falls to, linearly; None: it does not fall.
-        buffer_size: Transitions that are kept.
-        learning_starts: Environment steps with random actions before the first gradient step.
-        batch_size: Samples in a gradient step.
-        tau: How far the target networks move towards the others in a gradient step.
-        gamma: Discount.
-        gradient_steps: In each step of all worlds together.
-        ent_coef: Weight of the entropy; "auto" finds it, "auto_0.1" begins with 0.1.
-        target_entropy: What "auto" aims at; "auto" is minus the number of actions.
+        learning_rate: Learning rate of Adam.
+        final_learning_rate: Value to which it decreases linearly; None for a constant rate.
+        buffer_size: Number of transitions that are kept.
+        learning_starts: Number of environment steps with random actions before the first gradient step.
+        batch_size: Number of samples per gradient step.
+        tau: Share by which the target networks move towards the critics in a gradient step.
+        gamma: Discount factor.
+        gradient_steps: Number of gradient steps per step of all worlds together.
+        ent_coef: Weight of the entropy; "auto" tunes it, "auto_0.1" starts from 0.1.
+        target_entropy: Target of "auto"; "auto" here is minus the number of action components.
         n_critics: Number of critics.
     """
 
@@ -282,11 +282,11 @@ class SACConfig(Checked):
 
 @dataclass(frozen=True)
 class TQCConfig(SACConfig):
-    """Hyper-parameters of TQC: those of SAC, and two more.
+    """Hyper-parameters of TQC: those of SAC and two more.
 
     Attributes:
-        n_quantiles: Of the return, estimated by each critic.
-        top_quantiles_to_drop_per_net: How many of the greatest do not count.
+        n_quantiles: Number of quantiles of the return that each critic estimates.
+        top_quantiles_to_drop_per_net: Number of the greatest quantiles that are dropped.
     """
 
     n_quantiles: int = 25
@@ -295,10 +295,10 @@ class TQCConfig(SACConfig):
 
 @dataclass(frozen=True)
 class SACHERConfig(SACConfig):
-    """Hyper-parameters of SAC with hindsight replay: those of SAC, and two more.
+    """Hyper-parameters of SAC with hindsight replay: those of SAC and two more.
 
     Attributes:
-        n_sampled_goal: Transitions with a goal of hindsight for each one with the real goal.
+        n_sampled_goal: Number of transitions with a hindsight goal for each one with the real goal.
         goal_selection_strategy: "future", "final" or "episode".
     """
 
@@ -309,35 +309,36 @@ class SACHERConfig(SACConfig):
 ALGORITHMS: Mapping[str, type[PPOConfig] | type[SACConfig]] = types.MappingProxyType(
     {"ppo": PPOConfig, "sac": SACConfig, "tqc": TQCConfig, "sac_her": SACHERConfig}
 )
-"""What can be trained, and what its hyper-parameters are."""
+"""Available algorithms, and the classes of their hyper-parameters."""
 
 
 @dataclass(frozen=True)
 class TrainingConfig(Checked):
-    """All that decides how training goes.
+    """Everything that determines a training run.
 
     Attributes:
-        environment: Where the agent learns.
+        environment: Environment in which the agent learns.
         algorithm: "ppo", "sac", "tqc" or "sac_her".
-        hyperparameters: Of the algorithm.
-        network: Of policy and value.
-        normalization: Of observations and rewards.
-        total_steps: Environment steps, of all worlds together.
-        evaluation: While it learns.
-        checkpoint_every: Environment steps between checkpoints.
-        success_target: Training stops when an evaluation's success rate is no lower; None: never before the end.
-        demonstrations: Episodes of the scripted expert that the agent knows before training begins.
-        demonstration_noise: Standard deviation of what leads the expert astray; "auto": the greatest that it
+        hyperparameters: Hyper-parameters of the algorithm.
+        network: Networks of policy and value.
+        normalization: Normalisation of observations and rewards.
+        total_steps: Number of environment steps, of all worlds together.
+        evaluation: Evaluation during training.
+        checkpoint_every: Number of environment steps between checkpoints.
+        success_target: Training stops when an evaluation reaches this success rate; None to train to the end.
+        demonstrations: Number of the scripted expert's episodes that the agent is given before training begins.
+        demonstration_noise: Standard deviation of the noise that perturbs the expert; "auto" for the greatest that it
             copes with.
-        demonstration_share: Of each batch, so much is demonstrations, from first to last (P. Ball et al., "Efficient
-            Online Reinforcement Learning with Offline Data", ICML 2023); 0: they are experience like any other.
-        clone_steps: Gradient steps in which the actor imitates the demonstrations before training begins.
-        imitation_weight: Of imitation beside rewards in each update of the actor: see `hold_to_demonstrations`.
-        actor_starts: Environment steps before which critics learn, and the actor stays as it is: a clone.
-        overlap: Whether gradient steps are taken while the worlds are stepped, with the transitions before that step;
-            not for PPO.
-        torch_threads: How many threads torch uses.
-        seeds: One agent is trained for each.
+        demonstration_share: Share of demonstrations in each batch throughout training (P. Ball et al., "Efficient
+            Online Reinforcement Learning with Offline Data", ICML 2023); 0 to treat them like any other experience.
+        clone_steps: Number of gradient steps in which the actor imitates the demonstrations before training begins.
+        imitation_weight: Weight of imitation, relative to rewards, in each update of the actor; see
+            `hold_to_demonstrations`.
+        actor_starts: Number of environment steps during which only the critics learn, while the actor stays a clone.
+        overlap: Whether gradient steps run while the worlds are stepped, with the transitions before that step; not for
+            PPO.
+        torch_threads: Number of threads for torch.
+        seeds: Seeds; one agent is trained for each.
     """
 
     environment: EnvironmentConfig
@@ -360,7 +361,7 @@ class TrainingConfig(Checked):
     seeds: tuple[int, ...] = (0,)
 
     def __post_init__(self) -> None:
-        """Check the values, and how they go together."""
+        """Check the values, and that they are consistent."""
         super().__post_init__()
         self._check_demonstrations()
         if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
@@ -383,19 +384,19 @@ class TrainingConfig(Checked):
 
 
 def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> TrainingConfig:
-    """Read how to train.
+    """Read a training configuration.
 
     Args:
         path: A YAML file with the fields of `TrainingConfig`.
-        changes: Each "key=value" or "key.sub=value", the value in YAML; they replace what the file says.
+        changes: Each "key=value" or "key.sub=value", with the value in YAML; they replace values of the file.
 
     Returns:
         The configuration.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If a key is unknown, one is missing, or a value is of the wrong kind; the message says which, and
-            what is allowed.
+        ValueError: If a key is unknown or missing, or a value is of the wrong kind; the message says which, and what is
+            allowed.
     """
     file = Path(path)
     content = load_yaml(file)
@@ -408,7 +409,7 @@ def read_training(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> 
 
 
 def training_from_mapping(content: Mapping[str, Any]) -> TrainingConfig:
-    """The configuration of a mapping with the fields of `TrainingConfig`, as YAML and JSON have them.
+    """Make a configuration from a mapping with the fields of `TrainingConfig`, as read from YAML or JSON.
 
     Raises:
         ValueError: See `read_training`.
@@ -421,26 +422,26 @@ def training_from_mapping(content: Mapping[str, Any]) -> TrainingConfig:
 
 
 def to_mapping(config: Any) -> dict[str, Any]:
-    """A configuration as plain mappings, lists and numbers, for YAML and JSON."""
+    """Convert a configuration to plain mappings, lists and numbers, for YAML and JSON."""
     plain: dict[str, Any] = _plain(dataclasses.asdict(config))
     return plain
 
 
 def write_training(config: TrainingConfig, path: str | os.PathLike[str]) -> None:
-    """Write a configuration as YAML that `read_training` reads."""
+    """Write a configuration as YAML for `read_training`."""
     Path(path).write_text(yaml.safe_dump(to_mapping(config), sort_keys=False), encoding="utf-8")
 
 
 def from_mapping(kind: type[Config], content: Any, name: str) -> Config:
-    """A dataclass from a mapping of its fields, strictly.
+    """Make a dataclass from a mapping of its fields, strictly.
 
     Args:
-        kind: The dataclass; its fields are numbers, texts, mappings, tuples, dataclasses, or None beside one of these.
+        kind: The dataclass; its fields are numbers, texts, mappings, tuples, dataclasses, or one of these or None.
         content: The mapping.
-        name: Where it stands in the file, for errors; "" at the top.
+        name: Key of the mapping in the file, for error messages; "" at the top level.
 
     Raises:
-        ValueError: If a key is unknown, one is missing, or a value is of the wrong kind.
+        ValueError: If a key is unknown or missing, or a value is of the wrong kind.
     """
     where = name or "the configuration"
     if not isinstance(content, Mapping):
@@ -463,7 +464,7 @@ def from_mapping(kind: type[Config], content: Any, name: str) -> Config:
 
 
 def _as(kind: Any, value: Any, name: str) -> Any:
-    """A value as a type annotation has it."""
+    """Convert a value to a type annotation's type."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         if value is None and type(None) in inner:
@@ -491,7 +492,7 @@ def _as(kind: Any, value: Any, name: str) -> Any:
             raise ValueError(f"{name} must be true or false, got {value!r}")
         return value
     if kind is int:
-        # YAML reads 5e5 as a text, and 5.0e5 as a float.
+        # YAML reads 5e5 as text, and 5.0e5 as a float.
         number = _number(value)
         if number is None or number != int(number):
             raise ValueError(f"{name} must be an integer, got {value!r}")
@@ -507,7 +508,7 @@ def _as(kind: Any, value: Any, name: str) -> Any:
 
 
 def _number(value: Any) -> float | None:
-    """A finite number, also one that YAML reads as text, such as 3e-4; None if it is none."""
+    """Convert to a finite number, including numbers that YAML reads as text, such as 3e-4; None if it is none."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -526,10 +527,10 @@ def _plain(value: Any) -> Any:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """PyYAML takes the last of two values under one key without a word; here that is an error."""
+    """A loader that rejects duplicate keys; PyYAML silently keeps the last value."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """A mapping, of which each key is told once."""
+        """Make a mapping, checking that each key occurs once."""
         seen: set[Any] = set()
         for key_node, _ in node.value:
             if key_node.tag == "tag:yaml.org,2002:merge":
@@ -546,7 +547,7 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def load_yaml(file: Path) -> Any:
-    """What a YAML file holds; raises ValueError if it is none, or tells a key twice."""
+    """Load a YAML file; raises ValueError if it is not YAML, or has a duplicate key."""
     try:
         return yaml.load(file.read_text(encoding="utf-8"), Loader=_StrictLoader)
     except yaml.YAMLError as error:
@@ -561,6 +562,6 @@ def load_yaml(file: Path) -> Any:
 
 
 def check_noise(value: float | str, name: str) -> None:
-    """Check what says how much noise demonstrations have: a number from 0 on, or "auto"."""
+    """Check a noise level of demonstrations: a number of at least 0, or "auto"."""
     if value != "auto" and (isinstance(value, str) or not 0.0 <= value < math.inf):
         raise ValueError(f"{name} must be a number from 0 on or 'auto', got {value!r}")

@@ -1,4 +1,4 @@
-"""Episodes of scripted experts, and of data sets, to learn from."""
+"""Demonstrations to learn from: episodes of scripted experts, or of data sets."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
 NOISES = (0.3, 0.2, 0.1, 0.05, 0.02, 0.0)
-"""Standard deviations that are tried, the greatest first, where noise is "auto"."""
+"""Standard deviations that are tried when the noise is "auto", the greatest first."""
 
 COPES = 0.9
-"""An expert copes with a noise if so large a share of its episodes still succeeds."""
+"""An expert copes with a noise if at least this share of its episodes succeeds."""
 
 TRIALS = 32
-"""Episodes of each try."""
+"""Number of episodes per trial."""
 
 BURST, PAUSE = 8.0, 24.0
-"""Mean lengths of bursts of noise and of the pauses between them [control steps]. Within a burst the expert is led
-astray, after it it finds its way back, and the pauses are long enough to hold a goal in for half a second."""
+"""Mean lengths of bursts of noise and of the pauses between them [control steps]. A burst leads the expert astray;
+afterwards it finds its way back, and the pauses are long enough to hold a goal for half a second."""
 
 TRIAL_SEED = 3_000_000
-"""Of the first trial: no episode of training, evaluation or demonstration."""
+"""Seed of the first trial, distinct from all episodes of training, evaluation and demonstration."""
 
 EXPERT_MODES = ("state", "dict")
-"""Modes of observation that experts can look at."""
+"""Observation modes that experts can use."""
 
 FRUITLESS = 4
-"""Demonstrations are given up when so many times as many episodes have been made as were asked for."""
+"""Demonstrating is given up after this multiple of the requested number of episodes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,9 @@ class Demonstration:
 
     Attributes:
         observations: (T + 1, ...), or a dictionary of such arrays.
-        actions: (T, A) what the demonstrator wanted.
-        carried: (T, A) what was carried out.
-        rewards: (T,).
+        actions: (T, A) actions that the demonstrator wanted.
+        carried: (T, A) actions that were carried out.
+        rewards: (T,) rewards.
         success: Whether the goal was held.
     """
 
@@ -66,12 +66,12 @@ class Demonstration:
 
 
 class Collected(NamedTuple):
-    """What was demonstrated, and what it took.
+    """Result of collecting demonstrations.
 
     Attributes:
-        episodes: Those that succeeded.
-        noise: That they have.
-        steps: Control steps that were made for them, with those of episodes that failed and of tries of the noise.
+        episodes: The episodes that succeeded.
+        noise: Standard deviation of their noise.
+        steps: Number of control steps made for them, including failed episodes and trials of the noise.
     """
 
     episodes: list[Demonstration]
@@ -80,25 +80,25 @@ class Collected(NamedTuple):
 
 
 def greatest_noise(plan: Plan, *, num_envs: int = 32, steps: int | None = None) -> float:
-    """The greatest noise that the scripted expert copes with.
+    """Find the greatest noise that the scripted expert copes with.
 
-    Noise shows the way back to where the expert would be, which a clone needs (M. Laskey et al., "DART: Noise Injection
-    for Robust Imitation Learning", CoRL 2017). Too much of it, and what is demonstrated is failure: how much that is
+    Noise makes the expert demonstrate the way back to its path, which a clone needs (M. Laskey et al., "DART: Noise
+    Injection for Robust Imitation Learning", CoRL 2017). With too much noise the demonstrations fail; where that begins
     differs between tasks by a factor of ten.
 
     Args:
-        plan: Where; its episodes and its seed do not count.
-        num_envs: How many worlds at once.
-        steps: Length of an episode; None: the environment's.
+        plan: Environment and engine; its number of episodes and its seed are not used.
+        num_envs: Number of worlds at once.
+        steps: Length of an episode; None for the environment's own.
 
     Returns:
-        One of `NOISES`: the first with which nine of ten trials succeed; 0 if there is no such.
+        One of `NOISES`: the first with which nine of ten trials succeed; 0 if there is none.
     """
     return _try_noises(plan, num_envs, steps)[0]
 
 
 def _try_noises(plan: Plan, num_envs: int, steps: int | None) -> tuple[float, int]:
-    """See `greatest_noise`; and how many control steps that takes."""
+    """See `greatest_noise`; also returns the number of control steps made."""
     trial, made = replace(plan, episodes=TRIALS, seed=TRIAL_SEED), 0
     for noise in NOISES[:-1]:
         episodes = collect(trial, num_envs=num_envs, noise=noise, steps=steps)
@@ -109,7 +109,7 @@ def _try_noises(plan: Plan, num_envs: int, steps: int | None) -> tuple[float, in
 
 
 def steps_of(episodes: Sequence[Demonstration]) -> int:
-    """How many control steps some episodes have, all together."""
+    """Total number of control steps of some episodes."""
     return sum(len(episode.actions) for episode in episodes)
 
 
@@ -121,17 +121,17 @@ def collect_successes(
     parts: tuple[str, ...] | None = None,
     steps: int | None = None,
 ) -> Collected:
-    """Let the scripted expert demonstrate until enough episodes have succeeded.
+    """Collect demonstrations of the scripted expert until enough episodes have succeeded.
 
     Args:
-        plan: Where, and how many episodes.
-        num_envs: How many worlds at once.
+        plan: Environment, engine and number of episodes.
+        num_envs: Number of worlds at once.
         noise: See `collect`; "auto": see `greatest_noise`.
-        parts: Of the observation that are recorded; None: all.
-        steps: Length of an episode; None: the environment's.
+        parts: Parts of the observation that are recorded; None for all.
+        steps: Length of an episode; None for the environment's own.
 
     Returns:
-        The episodes, the noise that they have, and how many control steps were made for them.
+        The episodes, their noise, and the number of control steps made for them.
 
     Raises:
         ValueError: If the expert hardly ever succeeds.
@@ -145,7 +145,7 @@ def collect_successes(
             raise ValueError(
                 f"noise must leave the expert a chance, got {sigma:g}: {len(successes)} of {made} episodes succeeded"
             )
-        # A whole number of rounds is made anyway.
+        # Episodes are made in full rounds of all worlds.
         count = math.ceil((plan.episodes - len(successes)) / num_envs) * num_envs
         some = collect(
             replace(plan, episodes=count, seed=plan.seed + made),
@@ -169,16 +169,17 @@ def collect(
     steps: int | None = None,
     driver: PolicySource | None = None,
 ) -> list[Demonstration]:
-    """Let the scripted expert demonstrate.
+    """Collect demonstrations of the scripted expert.
 
     Args:
-        plan: Where, and how many episodes.
-        num_envs: How many worlds at once.
-        noise: Standard deviation of what is added, in bursts, to the actions that are carried out, not to those that
-            are wanted; it leads the expert astray, so that its way back is demonstrated too.
-        parts: Of the observation that are recorded; None: all.
-        steps: Length of an episode; None: the environment's.
-        driver: Whose actions are carried out, while the expert only says what it would do; None: the expert's own.
+        plan: Environment, engine and number of episodes.
+        num_envs: Number of worlds at once.
+        noise: Standard deviation of the noise that is added, in bursts, to the actions carried out but not to those
+            recorded as wanted; it leads the expert astray, so that its way back is demonstrated too.
+        parts: Parts of the observation that are recorded; None for all.
+        steps: Length of an episode; None for the environment's own.
+        driver: Policy whose actions are carried out while the expert only says what it would do; None for the expert
+            itself.
 
     Returns:
         The episodes, successful or not.
@@ -190,7 +191,7 @@ def collect(
     more = {} if steps is None else {"max_episode_steps": steps}
     env = plan.make(worlds, **more)
     demonstrations: list[Demonstration] = []
-    # An expert looks at the state, whatever the one looks at that learns.
+    # The expert uses the state, whatever the learner observes.
     seen_by_expert: SpatulaVectorEnv | None = None
     try:
         if env.settings.obs_mode not in EXPERT_MODES or env.settings.observation.parts != "all":
@@ -220,7 +221,7 @@ def _collect_round(
     generator: np.random.Generator,
     selection: PartSelection | None,
 ) -> list[Demonstration]:
-    """One episode in each world."""
+    """Run one episode in each world."""
     observation, _ = env.reset(seed=seeds)
     state = observation if seen_by_expert is None else seen_by_expert.reset(seed=seeds)[0]
     expert.begin(seeds)
@@ -238,7 +239,7 @@ def _collect_round(
         carried = np.clip(leading + astray, -1.0, 1.0).astype(np.float32)
         burst ^= generator.random(len(seeds)) < np.where(burst, 1.0 / BURST, 1.0 / PAUSE)
         with warnings.catch_warnings():
-            # A broken episode simply ends there.
+            # An episode with diverged physics simply ends there.
             warnings.filterwarnings("ignore", "physics has diverged", RuntimeWarning)
             observation, rewards, terminated, truncated, infos = env.step(carried)
             state = observation if seen_by_expert is None else seen_by_expert.step(carried)[0]
@@ -265,21 +266,22 @@ def _collect_round(
 def read_minari(
     name: str, parts: tuple[str, ...] | None = None, env: str | None = None
 ) -> tuple[list[Demonstration], str, dict[str, Any]]:
-    """Read a Minari data set, recorded in an environment of this package or built on it.
+    """Read a Minari data set that was recorded in an environment of this package or built on it.
 
-    What is learnt from it acts in the bare environment, so it must show what is seen and done there.
+    A policy learnt from it acts in the bare environment, so observations and actions must be those of the bare
+    environment.
 
     Args:
-        name: Its id.
-        parts: Of the observation that are kept; None: all.
-        env: The environment as the user names it; needed if its module has to be imported.
+        name: Id of the data set.
+        parts: Parts of the observation that are kept; None for all.
+        env: Name of the environment as the user gives it; needed if its module has to be imported.
 
     Returns:
         The episodes, the environment's id, and its keyword arguments.
 
     Raises:
         ImportError: If the extra "data" is not installed.
-        ValueError: If it was recorded elsewhere, or does not say where; or in wrappers that change observations or
+        ValueError: If it was recorded elsewhere or does not say where, or with wrappers that change observations or
             actions.
     """
     dataset = _open_minari(name)
@@ -303,14 +305,14 @@ def read_minari(
 
 
 def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any], int]:
-    """Where a Minari data set was recorded.
+    """Find out where a Minari data set was recorded.
 
     Args:
-        name: Its id.
+        name: Id of the data set.
         env: See `read_minari`.
 
     Returns:
-        The environment's id, its keyword arguments but for the engine, and the number of episodes.
+        The environment's id, its keyword arguments except for the engine, and the number of episodes.
 
     Raises:
         ImportError: See `read_minari`.
@@ -334,7 +336,7 @@ def recorded_in(name: str, env: str | None = None) -> tuple[str, dict[str, Any],
 
 
 def _check_wrappers(name: str) -> None:
-    """Check that no episode of a data set was recorded in wrappers that change what is seen or done."""
+    """Check that no episode of a data set was recorded with wrappers that change observations or actions."""
     from spatula_env.data.replaying import recorded_specs
     from spatula_env.data.wrappers import is_neutral, is_of_gymnasium
 
@@ -358,15 +360,15 @@ def _open_minari(name: str) -> Any:
 
 
 def fill_buffer(buffer: ReplayBuffer, env: VecEnv, demonstrations: list[Demonstration]) -> None:
-    """Put demonstrations into a replay buffer, and let the normalisation know them.
+    """Put demonstrations into a replay buffer, and update the normalisation with them.
 
     Args:
-        buffer: For as many worlds as `env` has.
-        env: What it trains in, whose running estimates are updated if it normalises.
-        demonstrations: Of the same length each; a transition of each world goes into the buffer at a time.
+        buffer: Buffer for as many worlds as `env` has.
+        env: Training environment, whose running estimates are updated if it normalises.
+        demonstrations: Episodes of equal length; they are added in groups of one episode per world.
 
     Raises:
-        ValueError: If there are not as many as worlds, or several times as many; or their lengths differ.
+        ValueError: If their number is not a positive multiple of the number of worlds, or their lengths differ.
     """
     from stable_baselines3.common.vec_env import VecNormalize
 
@@ -383,7 +385,7 @@ def fill_buffer(buffer: ReplayBuffer, env: VecEnv, demonstrations: list[Demonstr
         for step in range(length):
             now = _stacked([_at(each.observations, step) for each in group])
             after = _stacked([_at(each.observations, step + 1) for each in group])
-            # Cut, not ended: as an episode of training that reaches its limit.
+            # Mark the end as truncated, not terminated, as for a training episode that reaches its limit.
             last = step == length - 1
             infos: list[dict[str, Any]] = [{"TimeLimit.truncated": last} for _ in group]
             buffer.add(
@@ -399,7 +401,7 @@ def fill_buffer(buffer: ReplayBuffer, env: VecEnv, demonstrations: list[Demonstr
 
 
 def joined_observations(demonstrations: Sequence[Demonstration]) -> Any:
-    """What was seen before each action, of all demonstrations: (N, ...), or a dictionary of such arrays."""
+    """Observations before each action, of all demonstrations: (N, ...), or a dictionary of such arrays."""
     observations = [each.observations for each in demonstrations]
     if isinstance(observations[0], dict):
         return {key: np.concatenate([each[key][:-1] for each in observations]) for key in observations[0]}

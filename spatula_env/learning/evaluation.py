@@ -1,4 +1,4 @@
-"""Evaluation of policies: episodes, and what is measured in them."""
+"""Evaluation of policies: runs episodes and measures them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from spatula_env.render.films import check_film, write_film
 gymnasium.register_envs(spatula_env)
 
 Episodes = dict[str, NDArray[Any]]
-"""What there is to tell of episodes: (n,) each, under the names in `MEASURES`."""
+"""Measures of episodes: an array (n,) for each of the names in `MEASURES`."""
 
 MEASURES = (
     "success",
@@ -45,25 +45,25 @@ MEASURES = (
     "steps",
     "diverged",
 )
-"""Of an episode: whether it succeeded, whether it did within the task's budget of cost, the sum of rewards, of costs
-[s] and of doses [Pa s], whether any step had a violation, the greatest force [N] and pressure [Pa], when it succeeded
-[s] (NaN: never), the way of the tool [m], control steps, and whether physics broke down."""
+"""Measures of an episode: whether it succeeded, whether it did within the task's cost budget, sum of rewards, of
+costs [s] and of doses [Pa s], whether any step had a violation, greatest force [N] and pressure [Pa], time of success
+[s] (NaN if none), path length of the tool [m], number of control steps, and whether physics diverged."""
 
 WORLDS_PER_PROCESS = {"batch": 64, "tissue": 64, "bullet": 1}
-"""How many worlds are stepped together at most: in Bullet, and in engines of others, each for itself, so that none
-waits for another."""
+"""Greatest number of worlds that are stepped together. In Bullet and in third-party engines, worlds are stepped
+separately, so that none waits for another."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is evaluated.
+    """What to evaluate a policy on.
 
     Attributes:
-        env_id: Of the environment, with or without its module, which has been imported.
-        kwargs: What it is made with.
+        env_id: Id of the environment, with or without its module, which has to be imported already.
+        kwargs: Arguments with which it is made.
         engine: "batch", "tissue" or "bullet".
-        episodes: How many.
-        seed: Of the first episode's environment; the next one has the next seed.
+        episodes: Number of episodes.
+        seed: Seed of the first episode's environment; increases by one for each further one.
     """
 
     env_id: str
@@ -73,10 +73,10 @@ class Plan:
     seed: int
 
     def make(self, num_envs: int, **more: Any) -> SpatulaVectorEnv:
-        """The environment, in many worlds.
+        """Make the environment with many worlds.
 
         Raises:
-            ValueError: If it is not one of this package or built on it.
+            ValueError: If it is not one of this package or built on one.
         """
         env: Any = gymnasium.make_vec(
             vector_spec(self.env_id),
@@ -99,16 +99,16 @@ def run_episodes(
     end_at_success: bool = True,
     watch: Callable[[SpatulaVectorEnv], None] | None = None,
 ) -> Episodes:
-    """Let a policy act, an episode for each seed.
+    """Run a policy, one episode for each seed.
 
-    Everything is told of the time until success. The return is told of the whole episode all the same, as if each step
-    that is left after success had paid the best reward there is: so it does not fall where an agent becomes faster.
+    All measures cover the time until success, except the return: it covers the whole episode, as if each step left
+    after success had earned the best possible reward. So it does not decrease when an agent becomes faster.
 
     Args:
-        env: In the mode "next_step", with a limit of steps.
-        policy: What acts.
-        seeds: (n,) of the episodes' environments.
-        end_at_success: Whether an episode is over when its goal has been held.
+        env: In the autoreset mode "next_step", with a step limit.
+        policy: The policy.
+        seeds: (n,) seeds of the episodes' environments.
+        end_at_success: Whether an episode ends when its goal has been held.
         watch: Called with the environment at the beginning and after each step.
 
     Returns:
@@ -118,7 +118,7 @@ def run_episodes(
     count = env.num_envs
     for first in range(0, len(seeds), count):
         chunk = list(seeds[first : first + count])
-        # The last worlds go through episodes that nobody asks for, if there are more worlds than episodes.
+        # Spare worlds, if there are more worlds than episodes left, run episodes that are not used.
         filled = chunk + [chunk[-1]] * (count - len(chunk))
         results.append(
             {name: values[: len(chunk)] for name, values in _run(env, policy, filled, end_at_success, watch).items()}
@@ -133,7 +133,7 @@ def _run(
     end_at_success: bool,
     watch: Callable[[SpatulaVectorEnv], None] | None,
 ) -> Episodes:
-    """One episode in each world."""
+    """Run one episode in each world."""
     count = env.num_envs
     observation, _ = env.reset(seed=seeds)
     policy.begin(seeds)
@@ -159,7 +159,7 @@ def _run(
         episodes["success"] |= first
         episodes["safe_success"] |= first & infos["is_safe_success"]
         episodes["diverged"] |= going & infos["diverged"]
-        # Sums over the episode until now.
+        # These are sums over the episode so far.
         for name in ("cost", "dose", "peak_force", "peak_pressure"):
             episodes[name] = np.where(going, infos[f"episode_{name}"], episodes[name])
         episodes["violation"] |= going & (infos["episode_violation_time"] > 0.0)
@@ -171,7 +171,8 @@ def _run(
                 left = env.max_episode_steps - episodes["steps"]
                 episodes["return"] += np.where(done, left * _best_reward(env), 0.0)
             if going.any():
-                # The others go on; at the beginning of an episode, with the tool in the air, a world costs least.
+                # Reset finished worlds while the others go on: a world costs least at the start, with the tool in the
+                # air.
                 observation, _ = env.reset(options={"reset_mask": done})
                 position = _tool_position(env, observation)
     return episodes
@@ -180,17 +181,17 @@ def _run(
 def evaluate(
     source: PolicySource, plan: Plan, *, processes: int | None = None, end_at_success: bool = True
 ) -> tuple[Episodes, float]:
-    """Let a policy act, with as many worlds and processes as make sense.
+    """Run a policy with a suitable number of worlds and processes.
 
     Args:
-        source: Of the policy.
-        plan: What is evaluated.
-        processes: How many at once; None: one, which shares its worlds out among threads, in the engines "batch" and
-            "tissue", and one for each core in others.
+        source: Source of the policy.
+        plan: What to evaluate it on.
+        processes: Number of processes; None for one, which distributes its worlds over threads, in the engines "batch"
+            and "tissue", and for one per core in others.
         end_at_success: See `run_episodes`.
 
     Returns:
-        Measures of the episodes, and how many control steps were made in a second, resets included.
+        Measures of the episodes, and the number of control steps per second, resets included.
     """
     seeds = [plan.seed + k for k in range(plan.episodes)]
     if processes is None:
@@ -202,7 +203,7 @@ def evaluate(
     shares = [share.tolist() for share in np.array_split(np.array(seeds), processes)]
     work = partial(_evaluate_some, source, plan, end_at_success=end_at_success)
     prepare = partial(_register, find_spec(plan.env_id))
-    # An interruption ends the processes at once.
+    # Closing ends the processes at once if this is interrupted.
     with closing(in_processes(work, shares, processes, prepare)) as stream:
         found = dict(stream)
     parts = [found[number] for number in range(len(shares))]
@@ -211,23 +212,23 @@ def evaluate(
 
 
 def _register(spec: EnvSpec) -> None:
-    """Let another process know an environment that only this one may have been told of."""
+    """Register in another process an environment that may only have been registered in this one."""
     gymnasium.registry.setdefault(spec.id, spec)
 
 
 def _evaluate_some(
     source: PolicySource, plan: Plan, seeds: list[int], end_at_success: bool = True
 ) -> tuple[Episodes, float]:
-    """Some of the episodes of a plan, in this process, and how long they took without setting up [s]."""
+    """Run some of a plan's episodes in this process; also returns the time they took, without setup [s]."""
     worlds = min(WORLDS_PER_PROCESS.get(plan.engine, 1), len(seeds))
-    # As many rounds, with as few worlds to spare.
+    # Reduce the worlds as far as possible with the same number of rounds.
     worlds = math.ceil(len(seeds) / math.ceil(len(seeds) / worlds))
     env = plan.make(worlds)
     try:
         policy = source.make(env)
         start = time.perf_counter()
         with warnings.catch_warnings():
-            # It is counted, and told in the report.
+            # Divergence is counted and reported.
             warnings.filterwarnings("ignore", "physics has diverged", RuntimeWarning)
             episodes = run_episodes(env, policy, seeds, end_at_success=end_at_success)
         return episodes, time.perf_counter() - start
@@ -236,13 +237,13 @@ def _evaluate_some(
 
 
 def summarize(episodes: Episodes) -> dict[str, Any]:
-    """What is told of episodes, in plain numbers.
+    """Summarise episodes in plain numbers.
 
     Args:
         episodes: From `run_episodes`.
 
     Returns:
-        "success_rate" with "success_interval", Wilson's 95 % interval; "safe_success_rate", within the budget of cost;
+        "success_rate" with "success_interval", Wilson's 95 % interval; "safe_success_rate", within the cost budget;
         means of "return" (with "return_deviation"), "cost" [s], "dose" [Pa s], "steps", "path_length" [m];
         "violation_rate", the share of episodes with a violation; means and greatest values of "peak_force" [N] and
         "peak_pressure" [Pa]; mean and median of "time_to_success" [s] over the episodes that succeeded (None if none
@@ -274,16 +275,16 @@ def summarize(episodes: Episodes) -> dict[str, Any]:
 
 
 def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episodes: int = 3) -> None:
-    """Write a film of some episodes, one after the other.
+    """Write a film of some episodes in sequence.
 
     Args:
-        source: Of the policy.
-        plan: What is evaluated; the first episodes are shown.
+        source: Source of the policy.
+        plan: What to run it on; the first episodes are shown.
         path: Ends with .mp4 or .gif.
-        episodes: How many at most.
+        episodes: Greatest number of episodes.
 
     Raises:
-        ImportError: If what encodes it is not installed: the extra "video" for .mp4, "demo" for .gif.
+        ImportError: If the encoder is not installed: the extra "video" for .mp4, "demo" for .gif.
     """
     check_film(Path(path))
     frames: list[NDArray[np.uint8]] = []
@@ -305,14 +306,14 @@ def film(source: PolicySource, plan: Plan, path: str | os.PathLike[str], episode
 
 
 def _best_reward(env: SpatulaVectorEnv) -> float:
-    """Of a step in which the goal is held as well as can be."""
+    """Reward of a step in which the goal is held perfectly."""
     if env.settings.reward == "sparse" or env.settings.terminate_on_success:
         return 0.0
     return env.task.best_reward
 
 
 def _tool_position(env: SpatulaVectorEnv, observation: Any) -> NDArray[np.float64]:
-    """(W, 3) of the tools as they are observed [m]; the last of several frames."""
+    """(W, 3) observed positions of the tools [m]; the newest of stacked frames."""
     part = env.observation_builder.slices["tool_position"]
     if isinstance(observation, Mapping):
         if "tool_position" in observation:

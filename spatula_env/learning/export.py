@@ -1,6 +1,6 @@
-"""Policies as a few arrays, which act without torch.
+"""Exports policies as a few arrays that act without torch.
 
-`export_policy` makes what Stable-Baselines3 has trained, with its normalisation, into a
+`export_policy` converts a policy trained by Stable-Baselines3, with its normalisation, to a
 `spatula_env.policies.ExportedPolicy`. Its actions are those that `model.predict(..., deterministic=True)` gives, up to
 rounding.
 """
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 def export_policy(
     model: BaseAlgorithm, normalizer: VecNormalize | None = None, metadata: Mapping[str, Any] | None = None
 ) -> ExportedPolicy:
-    """What a trained model does, without torch.
+    """Export a trained model, to run without torch.
 
     Args:
         model: PPO, SAC or TQC of Stable-Baselines3 and sb3-contrib, with a policy of dense layers.
-        normalizer: What normalised its observations; None: nothing did.
+        normalizer: Normalisation of its observations; None for none.
         metadata: See `ExportedPolicy`.
 
     Raises:
@@ -91,7 +91,7 @@ def export_policy(
 
 
 def is_dense(model: BaseAlgorithm) -> bool:
-    """Whether a model's policy is dense layers and nothing else, so that it can be exported."""
+    """Whether a model's policy consists of dense layers only, so that it can be exported."""
     policy: Any = model.policy
     actor = getattr(policy, "actor", None)
     features = policy.pi_features_extractor if actor is None else actor.features_extractor

@@ -1,4 +1,4 @@
-"""`find_policy`: a policy by its name, or by the path of what was trained."""
+"""`find_policy`: finds a policy by its name, or by the path of a trained one."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from spatula_env.naming import same_environment
 from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenance
 
 NAMES = ("expert", "proportional", "random", "pretrained")
-"""Policies that are known by name; any other is a path."""
+"""Policies that have a name; any other name is a path."""
 
 
 def find_policy(name: str, env_id: str) -> PolicySource:
-    """What a name on the command line means.
+    """Find the policy that a name on the command line stands for.
 
     Args:
-        name: "expert", "proportional", "random", "pretrained", or a path: of a run or one of its policies or
+        name: "expert", "proportional", "random", "pretrained", or a path: of a run, of one of its policies or
             checkpoints (a folder), or of exported weights (.npz).
-        env_id: Of the environment.
+        env_id: Id of the environment.
 
     Raises:
         FileNotFoundError: If there is no such file, or no pretrained policy.
-        ValueError: If it is not a policy, or one for another environment.
+        ValueError: If it is not a policy, or is one for another environment.
     """
     if name == "expert":
         return PolicySource(_make_expert_policy, description="scripted expert")
@@ -84,7 +84,7 @@ def _make_random_policy(env: Any) -> Policy:
 
 @dataclass(frozen=True)
 class _ExportedMaker:
-    """Makes a policy of exported weights; can be sent to other processes."""
+    """Makes a policy from exported weights; picklable for other processes."""
 
     path: Path
 
@@ -94,7 +94,7 @@ class _ExportedMaker:
 
 @dataclass(frozen=True)
 class _SavedMaker:
-    """Makes a policy of what training has saved; can be sent to other processes."""
+    """Makes a policy from the files of a training run; picklable for other processes."""
 
     folder: Path
 

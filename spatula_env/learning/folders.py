@@ -1,4 +1,4 @@
-"""Folders of runs: new ones, resumed ones, and those that are replaced."""
+"""Folders of runs: of new runs, resumed runs, and runs to be replaced."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from spatula_env.naming import find_environment, registered_id
 try:
     import fcntl
 except ImportError:
-    # Windows has none; two commands in one folder are then not told of each other.
+    # Windows lacks fcntl; commands in the same folder then do not notice each other.
     fcntl = None  # type: ignore[assignment]
 
 ENDS = ("total_steps", "success_target")
-"""What may be changed when a run is gone on with: what says when it ends."""
+"""Settings that may change when a run is resumed: those that say when it ends."""
 
 LEFT = (CONFIG, SUMMARY, PROVENANCE, CURVE, BEST, POLICY, CHECKPOINTS, "tensorboard")
-"""What runs, their seeds and clones leave in a folder, beside folders for seeds."""
+"""Files and folders of runs, their seeds and clones, besides the folders of seeds."""
 
 
 @dataclass(frozen=True)
 class RunPlace:
-    """Where a run is, or one of its seeds alone.
+    """Location of a run, or of one of its seeds.
 
     Attributes:
-        config: How it is trained.
-        folder: Of the run; of the seed if that is gone on with alone.
-        alone: Whether it is the folder of one seed.
+        config: Training configuration.
+        folder: Folder of the run, or of the seed if only that is resumed.
+        alone: Whether it is the folder of a single seed.
     """
 
     config: TrainingConfig
@@ -57,23 +57,23 @@ class RunPlace:
     alone: bool = False
 
     def seed_folder(self, seed: int) -> Path:
-        """Where one of its seeds is."""
+        """Folder of one of its seeds."""
         return self.folder if self.alone else self.folder / f"seed-{seed}"
 
 
 def new_run(name: str, changes: Sequence[str], output: Path | None, *, overwrite: bool) -> RunPlace:
-    """A run that is to begin. Nothing is written yet.
+    """Prepare a new run. Writes nothing yet.
 
     Args:
-        name: Of the configuration, or its path.
-        changes: Of the configuration.
-        output: Where to; None: `runs` and the configuration's name.
-        overwrite: Whether it may replace what is there.
+        name: Name of the configuration, or its path.
+        changes: Changes of the configuration.
+        output: Folder of the run; None for `runs` and the configuration's name.
+        overwrite: Whether it may replace an existing run.
 
     Raises:
         FileNotFoundError: If there is no such configuration.
-        FileExistsError: If something is there that must not be replaced.
-        ValueError: If the configuration is not valid.
+        FileExistsError: If the folder holds something that must not be replaced.
+        ValueError: If the configuration is invalid.
     """
     file = find_config(name)
     config = read_training(file, changes)
@@ -84,16 +84,16 @@ def new_run(name: str, changes: Sequence[str], output: Path | None, *, overwrite
 
 
 def resumed_run(path: Path, changes: Sequence[str] = (), env: str | None = None) -> RunPlace:
-    """A run that is to be gone on with. Nothing is written yet.
+    """Prepare to resume a run. Writes nothing yet.
 
     Args:
-        path: Of the run, or of one of its seeds.
-        changes: What is to be other than before: `total_steps` and `success_target` only.
-        env: The environment as the user names it; needed if its module has to be imported.
+        path: Folder of the run, or of one of its seeds.
+        changes: Changes of the configuration: `total_steps` and `success_target` only.
+        env: Name of the environment as the user gives it; needed if its module has to be imported.
 
     Raises:
         FileNotFoundError: If there is no run.
-        ValueError: If it cannot go on so.
+        ValueError: If it cannot be resumed with these changes.
     """
     file = path / CONFIG
     if not file.exists():
@@ -128,7 +128,7 @@ def _check_changes(before: TrainingConfig, after: TrainingConfig, folder: Path) 
 
 
 def _check_longer(folder: Path, config: TrainingConfig) -> None:
-    """Check that a seed that has ended can go on."""
+    """Check that a finished seed can be continued."""
     ended = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
     rate, target = ended["evaluation"]["success_rate"], config.success_target
     if target is not None and rate >= target:
@@ -141,14 +141,14 @@ def _check_longer(folder: Path, config: TrainingConfig) -> None:
 
 
 def is_over(summary: Mapping[str, Any], config: TrainingConfig) -> bool:
-    """Whether a seed that has ended, with this summary, has nothing left to do."""
+    """Whether a finished seed, with this summary, has nothing left to do."""
     target = config.success_target
     reached = target is not None and summary["evaluation"]["success_rate"] >= target
     return bool(reached or summary["steps"] >= config.total_steps)
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """Names of the values in which two configurations differ, as plain mappings: "environment.num_envs"."""
+    """Names of the values in which two configurations, as plain mappings, differ: "environment.num_envs"."""
     found = []
     for key in {*one, *other}:
         first, second = one.get(key), other.get(key)
@@ -160,16 +160,16 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any], prefix: str = 
 
 
 def check_place(folder: Path, overwrite: bool) -> None:
-    """Check that a run or a clone can be put into a folder without the loss of another.
+    """Check that a run or a clone can be written to a folder without losing another.
 
     Args:
-        folder: Where it is to be.
-        overwrite: Whether it may replace what is there.
+        folder: The folder.
+        overwrite: Whether it may replace an existing run or clone.
 
     Raises:
-        FileExistsError: If something is there that must not be replaced.
+        FileExistsError: If the folder holds something that must not be replaced.
         NotADirectoryError: If a file is in the way.
-        OSError: If nothing can be written there.
+        OSError: If the folder is not writable.
     """
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"{folder} is a file")
@@ -192,7 +192,7 @@ def check_place(folder: Path, overwrite: bool) -> None:
 
 
 def holds_training(folder: Path) -> bool:
-    """Whether a folder has anything that has been trained; what was refused before it began has not, of any version."""
+    """Whether a folder holds anything trained, of any version; a run refused at its start leaves nothing trained."""
     places = (folder, *folder.glob("seed-*"))
     return any(
         (place / SUMMARY).exists()
@@ -204,11 +204,11 @@ def holds_training(folder: Path) -> bool:
 
 
 def clear_place(folder: Path, overwrite: bool) -> None:
-    """Remove what an earlier run or clone has left in a folder, and nothing else.
+    """Remove the files of an earlier run or clone from a folder, and nothing else.
 
     Args:
-        folder: One that `check_place` has found free.
-        overwrite: Whether what has been trained is removed too, and not only what was refused before it began.
+        folder: A folder that `check_place` has accepted.
+        overwrite: Whether to remove trained policies too, and not only the rest of a run that was refused at its start.
     """
     seeds = [place for place in folder.glob("seed-*") if re.fullmatch(r"seed-\d+", place.name)]
     for place in (*seeds, *([folder] if overwrite else [])):
@@ -222,7 +222,7 @@ def clear_place(folder: Path, overwrite: bool) -> None:
 
 
 def describe_saved(place: RunPlace) -> str:
-    """What is saved of a run that was interrupted."""
+    """Describe what is saved of an interrupted run."""
     told = []
     for seed in place.config.seeds:
         folder = place.seed_folder(seed)
@@ -238,10 +238,10 @@ def describe_saved(place: RunPlace) -> str:
 
 @contextmanager
 def occupied(folder: Path) -> Iterator[None]:
-    """Keep other commands out of a folder meanwhile; it is made if it is missing.
+    """Lock a folder against other commands in this context; creates it if it is missing.
 
     Raises:
-        BlockingIOError: If another command is at work there.
+        BlockingIOError: If another command is using the folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if fcntl is None:
@@ -254,7 +254,7 @@ def occupied(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             raise BlockingIOError(f"another command is at work in {folder}") from None
         except OSError:
-            # A file system without locks.
+            # The file system does not support locks.
             pass
         yield
     finally:
@@ -266,7 +266,7 @@ def _in_environment(config: TrainingConfig, env_id: str) -> TrainingConfig:
 
 
 def _is_seed(path: Path, config: TrainingConfig) -> bool:
-    """Whether a folder is that of one seed, and not of a run."""
+    """Whether a folder belongs to a single seed rather than to a run."""
     named = re.fullmatch(r"seed-(\d+)", path.resolve().name)
     begun = any((path / name).exists() for name in (PROVENANCE, CURVE, CHECKPOINTS, BEST, POLICY))
     within = (path.resolve().parent / CONFIG).exists()

@@ -1,4 +1,4 @@
-"""Bringing a policy's actions close to those demonstrated.
+"""Imitation: training a policy's actions towards those demonstrated.
 
 Needs the extra "train".
 """
@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 from spatula_env.learning.ranges import Checked, Count, Positive
 
 CALM = math.log(0.2)
-"""Logarithm of the standard deviation, before the squashing, that an actor begins to explore with after imitation."""
+"""Log standard deviation, before squashing, with which an actor begins to explore after imitation."""
 
 LEAST_ESTIMATE = 1.0
-"""The rewards' loss is divided by the mean size of the critics' estimates, but by this at least: about one step's
-reward."""
+"""Least value by which the reward loss is divided, otherwise the mean magnitude of the critics' estimates: about one
+step's reward."""
 
 
 @dataclass(frozen=True)
 class CloneConfig(Checked):
-    """How cloning goes.
+    """Settings of cloning.
 
     Attributes:
-        gradient_steps: How many.
-        batch_size: Samples in each.
-        learning_rate: Of Adam at the beginning; it falls to zero along a half wave.
-        seed: Of networks and batches.
+        gradient_steps: Number of gradient steps.
+        batch_size: Number of samples per gradient step.
+        learning_rate: Initial learning rate of Adam; decreases to zero along half a cosine wave.
+        seed: Seed of networks and batches.
     """
 
     gradient_steps: Count = 6_000
@@ -41,13 +41,13 @@ class CloneConfig(Checked):
 
 
 def imitate(model: Any, observations: Any, actions: NDArray[np.float32], how: CloneConfig) -> list[float]:
-    """Bring a policy's deterministic actions close to those demonstrated.
+    """Train a policy's deterministic actions towards those demonstrated.
 
     Args:
         model: PPO, SAC or TQC of Stable-Baselines3 and sb3-contrib.
         observations: (N, ...) or a dictionary of such arrays, normalised.
-        actions: (N, A).
-        how: How cloning goes.
+        actions: (N, A) demonstrated actions.
+        how: Settings of cloning.
 
     Returns:
         The losses: the mean squared difference between actions, averaged over each tenth of the gradient steps.
@@ -68,7 +68,7 @@ def imitate(model: Any, observations: Any, actions: NDArray[np.float32], how: Cl
 
 
 def calm_down(model: Any) -> None:
-    """Let an actor that has imitated explore close to what it has learnt, and not with its first, great deviation."""
+    """Reduce the exploration of an actor that has imitated, so that it stays close to what it has learnt."""
     actor = getattr(model.policy, "actor", None)
     if actor is not None:
         with torch.no_grad():
@@ -79,19 +79,19 @@ def calm_down(model: Any) -> None:
 def hold_to_demonstrations(
     model: Any, imitated: tuple[NDArray[np.float32], NDArray[np.float32]], *, weight: float, batch_size: int
 ) -> None:
-    """Hold an actor close to demonstrations, from now on, while it learns from rewards.
+    """Keep an actor close to demonstrations, from now on, while it learns from rewards.
 
-    Each update of the actor goes down the gradient of two losses at once: that of the rewards, divided by the mean size
-    of the critics' estimates, so that it does not depend on how rewards are scaled, and `weight` times the mean squared
-    difference from what was demonstrated (S. Fujimoto and S. Gu, "A Minimalist Approach to Offline Reinforcement
-    Learning", NeurIPS 2021). Critics that have not seen what comes of an action overrate it; without the second loss
-    the actor follows them away from what it has imitated.
+    Each update of the actor descends the gradient of two losses: the reward loss, divided by the mean magnitude of the
+    critics' estimates to make it independent of the scale of rewards, and `weight` times the mean squared difference
+    from the demonstrated actions (S. Fujimoto and S. Gu, "A Minimalist Approach to Offline Reinforcement Learning",
+    NeurIPS 2021). Critics overestimate actions whose outcome they have not seen; without the second loss, the actor
+    would follow them away from what it has imitated.
 
     Args:
         model: SAC or TQC.
-        imitated: (N, ...) what demonstrators saw, not normalised, and (N, A) what they wanted to do.
-        weight: Of imitation beside rewards.
-        batch_size: Samples in an update.
+        imitated: (N, ...) the demonstrators' observations, not normalised, and (N, A) their wanted actions.
+        weight: Weight of imitation relative to rewards.
+        batch_size: Number of samples per update.
     """
     observations, actions = imitated
 
@@ -99,7 +99,7 @@ def hold_to_demonstrations(
         parameters = [each for group in optimizer.param_groups for each in group["params"] if each.grad is not None]
         if not parameters:
             return
-        # From NumPy's global random numbers as Stable-Baselines3's batches, since checkpoints keep their state.
+        # Drawn from NumPy's global generator, as Stable-Baselines3's batches are, because checkpoints keep its state.
         rows = np.random.randint(len(actions), size=batch_size)  # noqa: NPY002 - see above
         seen, wanted = observations[rows], torch.as_tensor(actions[rows])
         normalizer = model.get_vec_normalize_env()
@@ -113,7 +113,7 @@ def hold_to_demonstrations(
             loss = torch.nn.functional.mse_loss(model.actor(batch, deterministic=True), wanted)
             gradients = torch.autograd.grad(loss, parameters, allow_unused=True)
         for parameter, gradient in zip(parameters, gradients, strict=True):
-            # Critics that know nothing yet estimate next to nothing, which must not make them louder.
+            # Untrained critics estimate values near zero; dividing by these must not amplify their gradients.
             parameter.grad.div_(size.clamp(min=LEAST_ESTIMATE))
             if gradient is not None:
                 parameter.grad.add_(gradient, alpha=weight)
@@ -122,10 +122,10 @@ def hold_to_demonstrations(
 
 
 def as_tensors(observations: Any) -> Any:
-    """Observations, or a dictionary of them, as torch has them."""
+    """Convert an array, or a dictionary of arrays, to torch tensors."""
     if isinstance(observations, dict):
         return {key: as_tensors(values) for key, values in observations.items()}
-    # Pictures take a quarter of the room as they are; policies make numbers of a batch of them.
+    # Keep pictures as bytes, a quarter of the memory; the policy converts each batch to floats.
     return torch.as_tensor(observations, dtype=None if observations.dtype == np.uint8 else torch.float32)
 
 
@@ -135,13 +135,13 @@ def _parameters(model: Any) -> list[Any]:
 
 
 def _step(model: Any, optimizer: Any, batch: Any, wanted: Any) -> float:
-    """One gradient step; returns the mean squared difference between actions."""
+    """Make one gradient step; return the mean squared difference between actions."""
     actor = getattr(model.policy, "actor", None)
     if actor is not None:
         done = actor(batch, deterministic=True)
     else:
         done = model.policy.get_distribution(batch).mode()
-    # Of any type for mypy: torch does not say what backward takes.
+    # Annotated as Any for mypy, because torch's backward is not typed.
     loss: Any = torch.nn.functional.mse_loss(done, wanted)
     optimizer.zero_grad()
     loss.backward()

@@ -1,4 +1,4 @@
-"""Algorithms of Stable-Baselines3 and sb3-contrib, from configurations.
+"""Makes algorithms of Stable-Baselines3 and sb3-contrib from configurations.
 
 Needs the extra "train".
 """
@@ -26,7 +26,7 @@ from spatula_env.learning.replay import DemonstrationReplayBuffer
 
 
 def algorithm_class(config: TrainingConfig) -> type[BaseAlgorithm]:
-    """What trains by a configuration."""
+    """The algorithm's class for a configuration."""
     if config.algorithm == "ppo":
         return PPO
     if config.algorithm == "tqc":
@@ -37,12 +37,12 @@ def algorithm_class(config: TrainingConfig) -> type[BaseAlgorithm]:
 
 
 def make_model(config: TrainingConfig, env: VecEnv, seed: int) -> BaseAlgorithm:
-    """A model that knows nothing yet.
+    """Make an untrained model.
 
     Args:
-        config: How it is to be trained.
-        env: Where.
-        seed: Of its networks, actions and batches.
+        config: Training configuration.
+        env: Training environment.
+        seed: Seed of its networks, actions and batches.
     """
     chosen = config.hyperparameters
     policy = policy_class(env.observation_space)
@@ -75,7 +75,7 @@ def make_model(config: TrainingConfig, env: VecEnv, seed: int) -> BaseAlgorithm:
         "batch_size": chosen.batch_size,
         "tau": chosen.tau,
         "gamma": chosen.gamma,
-        # While worlds are stepped, gradient steps are taken by who trains.
+        # With overlap, the caller takes the gradient steps while worlds are stepped.
         "gradient_steps": 0 if config.overlap else chosen.gradient_steps,
         "ent_coef": chosen.ent_coef,
         "target_entropy": chosen.target_entropy,

@@ -1,4 +1,4 @@
-"""Feature extractors in front of a policy's layers: for pictures, for points, and for vectors.
+"""Feature extractors in front of a policy's layers: for pictures, point clouds and vectors.
 
 Needs the extra "train".
 """
@@ -16,65 +16,65 @@ from stable_baselines3.common.vec_env import VecEnv, VecTransposeImage
 from torch import nn
 
 PICTURES = ("image", "depth")
-"""Entries of observations that are pictures (height, width, channels), or several of them, one after the other."""
+"""Entries of observations that are pictures (height, width, channels), possibly several stacked."""
 
 POINTS = ("organ", "tool")
-"""Entries that are points (P, 3) in no order that means anything, or several such sets, one after the other."""
+"""Entries of observations that are unordered points (P, 3), possibly several sets stacked."""
 
 CHANNELS = 32
-"""Of each layer of convolutions."""
+"""Number of channels of each convolutional layer."""
 
 PICTURE_FEATURES, POINT_FEATURES = 128, 64
-"""Numbers that are made of all pictures, and of each set of points."""
+"""Number of features from all pictures together, and from each set of points."""
 
 
 def policy_class(space: spaces.Space[Any]) -> str:
-    """Stable-Baselines3's name of the policy that takes observations of a space."""
+    """Stable-Baselines3's policy name for an observation space."""
     if isinstance(space, spaces.Dict):
         return "MultiInputPolicy"
     return "CnnPolicy" if is_image_space(space) else "MlpPolicy"
 
 
 def policy_settings(space: spaces.Space[Any]) -> dict[str, Any]:
-    """What such a policy is made with, beside the layers that follow: something where there are pictures or points."""
+    """Arguments of that policy besides the layers that follow; empty without pictures or points."""
     if not has_pictures_or_points(space):
         return {}
     return {"features_extractor_class": ObservationExtractor, "normalize_images": False}
 
 
 def has_pictures_or_points(space: spaces.Space[Any]) -> bool:
-    """Whether observations of a space have parts that are no vectors."""
+    """Whether an observation space has entries that are not vectors."""
     return isinstance(space, spaces.Dict) and any(name in space.spaces for name in (*PICTURES, *POINTS))
 
 
 def keep_pictures(env: VecEnv) -> VecEnv:
-    """An environment of Stable-Baselines3 whose pictures stay as they are, channels last.
+    """Keep the channels of pictures last in an environment for Stable-Baselines3.
 
-    Left to itself Stable-Baselines3 puts the channels of some pictures first, by a wrapper around all others.
+    Otherwise, Stable-Baselines3 moves the channels of some pictures to the front, by an outermost wrapper.
     """
     return VecTransposeImage(env, skip=True) if has_pictures_or_points(env.observation_space) else env
 
 
 def vector_names(space: spaces.Dict) -> list[str]:
-    """The entries that are vectors, which running estimates may normalise."""
+    """Names of the entries that are vectors, which running estimates may normalise."""
     return [name for name in space.spaces if name not in (*PICTURES, *POINTS)]
 
 
 class ObservationExtractor(BaseFeaturesExtractor):
-    """Features of a dictionary with pictures or points.
+    """Features of a dictionary observation with pictures or points.
 
-    Pictures of one moment, and of several moments that are shown at once, are the channels of one picture, which goes
-    through four layers of convolutions that each halve its edges, so that pictures of any size will do (as in D. Yarats
-    et al., "Image Augmentation Is All You Need", ICLR 2021, but for the strides). Points go through two layers each
-    by itself, of which the greatest numbers are kept, so that their order does not matter (C. Qi et al., "PointNet",
-    CVPR 2017). Vectors are taken as they are.
+    Pictures of one or several stacked moments become the channels of a single picture, which passes four convolutional
+    layers that each halve its edges, so that pictures of any size work (as in D. Yarats et al., "Image Augmentation Is
+    All You Need", ICLR 2021, except for the strides). Points pass two layers individually, followed by a maximum over
+    the points, so that their order does not matter (C. Qi et al., "PointNet", CVPR 2017). Vectors are used unchanged.
     """
 
     def __init__(self, observation_space: spaces.Dict) -> None:
         """Make the layers.
 
         Args:
-            observation_space: Of one world, with pictures as the environments make them: channels last.
+            observation_space: Space of one world's observations, with pictures as the environments make them: channels
+                last.
         """
         entries = observation_space.spaces
         self._pictures = [name for name in PICTURES if name in entries]
@@ -85,7 +85,7 @@ class ObservationExtractor(BaseFeaturesExtractor):
         moments = {name: math.prod(box.shape[:-2]) for name, box in points.items()}
         total = sum(sizes) + POINT_FEATURES * sum(moments.values()) + (PICTURE_FEATURES if self._pictures else 0)
         super().__init__(observation_space, total)
-        # What is in meters, or in 0 to 255, becomes a number of about one.
+        # Scale metres, or values of 0 to 255, to numbers of about one.
         self._scales = {name: float(_boxed(entries[name]).high.max()) for name in (*self._pictures, *self._points)}
         self.of_points = nn.ModuleDict({name: _point_layers(box.shape[-1]) for name, box in points.items()})
         self.of_pictures: nn.Module = nn.Identity()
@@ -108,11 +108,11 @@ class ObservationExtractor(BaseFeaturesExtractor):
         return torch.cat(found, dim=1)
 
     def _joined(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """(W, channels, height, width) of all pictures."""
+        """(W, channels, height, width) all pictures stacked."""
         joined = []
         for name in self._pictures:
             picture = observations[name] / self._scales[name]
-            # Channels first, and after them the moments if there are several.
+            # Move the channels to the front; stacked moments, if any, come after them.
             channels = picture.movedim(-1, 1)
             joined.append(channels.reshape(len(picture), -1, *picture.shape[-3:-1]))
         return torch.cat(joined, dim=1)

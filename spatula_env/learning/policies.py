@@ -1,4 +1,4 @@
-"""Policies that need no training: experts and chance; and the interface of all."""
+"""The interface of policies, and policies without training: experts and random actions."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ INTERFACE = (
     "max_jaw_speed",
     "control_frequency",
 )
-"""Options of an environment that a policy depends on: what observations and actions mean."""
+"""Options of an environment that a policy depends on, because they define observations and actions."""
 
 
 class Policy(Protocol):
-    """Acts in many worlds at once."""
+    """A policy that acts in many worlds at once."""
 
     def begin(self, seeds: Sequence[int]) -> None:
-        """Get ready for new episodes in all worlds, seeded as their environments are."""
+        """Prepare for new episodes in all worlds, with the seeds of their environments."""
 
     def __call__(self, observation: Any) -> NDArray[np.float32]:
         """The actions (W, A) for the observations of W worlds."""
@@ -48,10 +48,10 @@ class PolicySource:
     """How to make a policy, in any process.
 
     Attributes:
-        make: Makes it for an environment.
-        kwargs: What the environment must be made with for it.
-        description: What it is, in a few words.
-        provenance: Where it comes from, if that is known.
+        make: Makes the policy for an environment.
+        kwargs: Arguments with which the environment has to be made for it.
+        description: Short description of the policy.
+        provenance: Origin of the policy, if it is known.
     """
 
     make: Callable[[Any], Policy]
@@ -61,10 +61,10 @@ class PolicySource:
 
 
 class ExpertPolicy:
-    """A scripted expert, which needs nothing at the beginning of an episode."""
+    """A scripted expert; it keeps no state between steps."""
 
     def __init__(self, expert: Expert) -> None:
-        """Let an expert act."""
+        """Wrap an expert."""
         self.expert = expert
 
     def begin(self, seeds: Sequence[int]) -> None:
@@ -76,16 +76,16 @@ class ExpertPolicy:
 
 
 class RandomPolicy:
-    """Uniform actions, which depend on the seed of an episode only."""
+    """Uniformly random actions that depend only on the seed of an episode."""
 
     def __init__(self, space: gymnasium.spaces.Box) -> None:
-        """Draw from a space."""
+        """Draw actions from a space."""
         self._space = space
         self._generators: list[np.random.Generator] = []
 
     def begin(self, seeds: Sequence[int]) -> None:
         """See `Policy`."""
-        # Not the generators of the episodes, which draw goals from the same seeds.
+        # Derived seeds, because the environments draw their goals from the seeds themselves.
         self._generators = [np.random.default_rng([seed, 1]) for seed in seeds]
 
     def __call__(self, observation: Any) -> NDArray[np.float32]:
@@ -107,7 +107,7 @@ def make_expert(env: Any) -> Expert:
 
 
 def make_proportional(env: Any) -> Expert:
-    """The proportional controller of an environment's task, to compare with.
+    """The proportional controller of an environment's task, for comparison.
 
     Args:
         env: For one agent or for many, wrapped or not.
@@ -128,7 +128,7 @@ def make_proportional(env: Any) -> Expert:
 
 
 def _of_its_task(env: Any, scripted: Sequence[type[Expert]]) -> Expert:
-    """That of some scripted policies which is for the task of an environment."""
+    """The one of some scripted policies that is made for an environment's task."""
     known = {each.task: each for each in scripted}
     definition = getattr(env.unwrapped, "definition", None)
     if definition is None or definition.name not in known:
@@ -137,7 +137,7 @@ def _of_its_task(env: Any, scripted: Sequence[type[Expert]]) -> Expert:
 
 
 def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of an environment's options that a policy depends on."""
-    # With the goal interface it is where success ends episodes that the hold's progress is observed.
+    """Select the environment options that a policy depends on."""
+    # With the goal interface, the progress of holding is observed only if success ends episodes.
     names = (*INTERFACE, "terminate_on_success") if kwargs.get("reward") == "sparse" else INTERFACE
     return {name: value for name, value in kwargs.items() if name in names}

@@ -11,17 +11,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 LINE_EVERY = 20.0
-"""How often there is a line where there is no terminal [s]."""
+"""Interval of progress lines if the output is not a terminal [s]."""
 
 
 class ProgressView:
-    """A bar with success, cost and speed, and a line for each evaluation; lines only where there is no terminal."""
+    """Shows a bar with success, cost and speed, and a line per evaluation; without a terminal, lines only."""
 
     def __init__(self, console: Console | None = None, *, quiet: bool = False) -> None:
-        """Show nothing yet.
+        """Set up the view; shows nothing yet.
 
         Args:
-            console: Where to write.
+            console: Console to write to.
             quiet: Whether to write nothing.
         """
         self.console = console or Console(quiet=quiet)
@@ -30,12 +30,12 @@ class ProgressView:
 
     @contextmanager
     def run(self, title: str, total: int, done: int) -> Iterator[None]:
-        """Show a bar while something goes on.
+        """Show a progress bar in this context.
 
         Args:
-            title: What.
-            total: Steps of it.
-            done: How many are done already.
+            title: Title of the bar.
+            total: Total number of steps.
+            done: Number of steps done already.
         """
         columns = (
             TextColumn("{task.description}"),
@@ -55,11 +55,11 @@ class ProgressView:
         self._progress = None
 
     def update(self, steps: int, success: float | None, cost: float | None) -> None:
-        """Show how far things are, at most ten times a second.
+        """Update the bar, at most ten times a second.
 
         Args:
-            steps: Done.
-            success: Share of the last episodes of training that succeeded.
+            steps: Number of steps done.
+            success: Success rate of the latest training episodes.
             cost: Their mean cost [s].
         """
         now = time.perf_counter()
@@ -85,7 +85,7 @@ class ProgressView:
         )
 
     def evaluated(self, line: dict[str, Any]) -> None:
-        """Tell of an evaluation."""
+        """Show the results of an evaluation."""
         training = line["training_success"]
         self.console.print(
             f"{line['step']:>10,} steps {line['seconds']:7.1f} s  success {100 * line['success_rate']:5.1f} %"

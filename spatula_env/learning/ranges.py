@@ -1,4 +1,4 @@
-"""Ranges of the fields of configurations: annotations say them, and they are checked when one is made.
+"""Value ranges for the fields of configurations, given in annotations and checked on construction.
 
 Example:
     >>> from dataclasses import dataclass
@@ -22,11 +22,11 @@ from typing import Annotated, Any, ClassVar
 
 @dataclass(frozen=True)
 class Rule:
-    """What a value must be, beside being of its type.
+    """A condition on a value besides its type.
 
     Attributes:
-        words: That, for an error.
-        allows: Whether a value is so.
+        words: The condition in words, for error messages.
+        allows: Tells whether a value meets it.
     """
 
     words: str
@@ -34,7 +34,7 @@ class Rule:
 
 
 def one_of(allowed: Iterable[str]) -> Rule:
-    """The rule that a text is one of some."""
+    """Rule that a text is one of the given ones."""
     names = list(allowed)
     return Rule(f"one of {names}", lambda value: value in names)
 
@@ -47,10 +47,10 @@ Share = Annotated[float, Rule("in [0, 1]", lambda value: 0.0 <= value <= 1.0)]
 
 
 class Checked:
-    """Base of dataclasses whose fields are checked when they are made.
+    """Base of dataclasses whose fields are checked on construction.
 
     Attributes:
-        section: Where such a configuration stands in a file, for errors.
+        section: Key of such a configuration in a file, for error messages.
     """
 
     section: ClassVar[str] = ""
@@ -59,7 +59,7 @@ class Checked:
         """Check the values.
 
         Raises:
-            ValueError: If one is not allowed; the message names it, and says what is.
+            ValueError: If a value is not allowed; the message names it and what is allowed.
         """
         where = f"{self.section}." if self.section else ""
         for name, kind in typing.get_type_hints(type(self), include_extras=True).items():
@@ -68,7 +68,7 @@ class Checked:
 
 
 def _check(kind: Any, value: Any, name: str) -> None:
-    """Check a value by the rules in an annotation, and its items by theirs."""
+    """Check a value, and its items, by the rules in an annotation."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         for rule in kind.__metadata__:

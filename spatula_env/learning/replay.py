@@ -1,4 +1,4 @@
-"""A replay buffer that keeps demonstrations apart, so that they are never overwritten and always in a batch.
+"""A replay buffer that keeps demonstrations separate: never overwritten, and part of every batch.
 
 Needs the extra "train".
 """
@@ -20,21 +20,21 @@ BATCH_PARTS = ("observations", "actions", "next_observations", "dones", "rewards
 class DemonstrationReplayBuffer(ReplayBuffer):
     """Draws a fixed share of each batch from demonstrations and the rest from experience.
 
-    P. Ball et al., "Efficient Online Reinforcement Learning with Offline Data", ICML 2023, have half and half.
+    P. Ball et al., "Efficient Online Reinforcement Learning with Offline Data", ICML 2023, use one half.
 
     Attributes:
-        share: Of a batch.
-        demonstrations: Transitions that were demonstrated; None: there are none yet.
-        imitated: (N, ...) what demonstrators saw, not normalised, and (N, A) what they wanted to do.
+        share: Share of demonstrations in a batch.
+        demonstrations: Buffer of the demonstrated transitions; None if there are none yet.
+        imitated: (N, ...) the demonstrators' observations, not normalised, and (N, A) their wanted actions.
     """
 
     def __init__(self, *arguments: Any, share: float, **more: Any) -> None:
-        """Make room.
+        """Allocate the buffer.
 
         Args:
-            *arguments: Of `ReplayBuffer`.
-            share: Of a batch that is demonstrations, in [0, 1].
-            **more: Of `ReplayBuffer`.
+            *arguments: Arguments of `ReplayBuffer`.
+            share: Share of demonstrations in a batch, in [0, 1].
+            **more: Keyword arguments of `ReplayBuffer`.
         """
         super().__init__(*arguments, **more)
         self.share = share
@@ -42,10 +42,10 @@ class DemonstrationReplayBuffer(ReplayBuffer):
         self.imitated: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
 
     def make_room(self, transitions: int) -> ReplayBuffer:
-        """A fresh buffer for demonstrations, to be filled.
+        """Make an empty buffer for demonstrations, to be filled by the caller.
 
         Args:
-            transitions: How many, of all worlds together.
+            transitions: Number of transitions, of all worlds together.
         """
         self.demonstrations = ReplayBuffer(
             transitions, self.observation_space, self.action_space, self.device, n_envs=self.n_envs
@@ -53,7 +53,7 @@ class DemonstrationReplayBuffer(ReplayBuffer):
         return self.demonstrations
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> ReplayBufferSamples:
-        """A batch, the demonstrations first."""
+        """Sample a batch, with the demonstrations first."""
         if self.demonstrations is None or self.share == 0.0:
             return super().sample(batch_size, env)
         shown = round(self.share * batch_size) if self.size() > 0 else batch_size

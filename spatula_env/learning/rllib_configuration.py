@@ -25,14 +25,14 @@ class EnvRunnersConfig(Checked):
     """The processes that collect experience; each holds a vector environment of `environment.num_envs` worlds.
 
     Attributes:
-        count: How many, on all nodes of the cluster together; 0: the process that learns collects as well.
-        cpus: That each needs, and threads that it steps its worlds with.
-        fragment: Steps of each world between two updates.
-        restart: Whether one that has died is replaced; else training ends with an error.
-        greatest_restarts: How often one is replaced at most.
-        probe_seconds: How long one may take to answer before it counts as dead [s].
-        sample_seconds: How long the steps between two updates may take before what is missing is done without [s].
-        restore_seconds: How long a new one may take to be ready [s].
+        count: Number of processes on all nodes of the cluster together; 0 if the learner's process collects as well.
+        cpus: Number of CPUs that each needs, and of threads with which it steps its worlds.
+        fragment: Number of steps of each world between two updates.
+        restart: Whether to replace a process that has died; otherwise training ends with an error.
+        greatest_restarts: Greatest number of replacements of one process.
+        probe_seconds: Time in which a process has to answer before it counts as dead [s].
+        sample_seconds: Time that the steps between two updates may take; after it, missing samples are left out [s].
+        restore_seconds: Time in which a new process has to be ready [s].
     """
 
     section: ClassVar[str] = "env_runners"
@@ -52,15 +52,15 @@ class RLlibPPOConfig(Checked):
     """Hyper-parameters of RLlib's PPO.
 
     Attributes:
-        learning_rate: Of Adam.
-        minibatch_size: Samples in a gradient step.
-        epochs: How often each sample is used.
-        gamma: Discount.
-        gae_lambda: Of the advantage's estimate.
-        clip_range: Of the ratio of probabilities.
-        value_clip: Greatest squared error of a value that counts.
-        ent_coef: Weight of the entropy.
-        vf_coef: Weight of the value's loss.
+        learning_rate: Learning rate of Adam.
+        minibatch_size: Number of samples per gradient step.
+        epochs: Number of passes over the samples.
+        gamma: Discount factor.
+        gae_lambda: Parameter of generalised advantage estimation.
+        clip_range: Clipping range of the probability ratio.
+        value_clip: Bound on the squared error of a value; larger errors are clipped.
+        ent_coef: Weight of the entropy in the loss.
+        vf_coef: Weight of the value loss.
         max_grad_norm: Greatest norm of a gradient.
     """
 
@@ -80,19 +80,20 @@ class RLlibPPOConfig(Checked):
 
 @dataclass(frozen=True)
 class RLlibConfig(Checked):
-    """All that decides how training goes.
+    """Everything that determines a training run.
 
     Attributes:
-        environment: Where the agent learns; `num_envs` is the number of worlds in each environment runner.
+        environment: Environment in which the agent learns; `num_envs` is the number of worlds in each environment
+            runner.
         env_runners: The processes that collect experience.
-        hyperparameters: Of PPO.
-        network: Of policy and value, one for each; "relu" or "tanh".
-        normalization: Of observations.
-        total_steps: Environment steps, of all worlds together.
-        evaluation: While it learns; `from_success` does not count.
-        checkpoint_every: Environment steps between checkpoints.
-        success_target: Training stops when an evaluation's success rate is no lower; None: never before the end.
-        seed: Of everything that is random.
+        hyperparameters: Hyper-parameters of PPO.
+        network: Separate networks of policy and value; activation "relu" or "tanh".
+        normalization: Normalisation of observations.
+        total_steps: Number of environment steps, of all worlds together.
+        evaluation: Evaluation during training; `from_success` is ignored.
+        checkpoint_every: Number of environment steps between checkpoints.
+        success_target: Training stops when an evaluation reaches this success rate; None to train to the end.
+        seed: Seed of all randomness.
     """
 
     environment: EnvironmentConfig
@@ -107,7 +108,7 @@ class RLlibConfig(Checked):
     seed: Natural = 0
 
     def __post_init__(self) -> None:
-        """Check the values, and how they go together."""
+        """Check the values, and that they are consistent."""
         super().__post_init__()
         if self.network.activation not in ("relu", "tanh"):
             raise ValueError(f"network.activation must be 'relu' or 'tanh' with RLlib, got {self.network.activation!r}")
@@ -118,20 +119,20 @@ class RLlibConfig(Checked):
 
     @property
     def batch_size(self) -> int:
-        """Environment steps between two updates."""
+        """Number of environment steps between two updates."""
         return max(1, self.env_runners.count) * self.environment.num_envs * self.env_runners.fragment
 
 
 def read_rllib(path: str | os.PathLike[str], changes: Sequence[str] = ()) -> RLlibConfig:
-    """Read how to train with RLlib.
+    """Read a configuration of training with RLlib.
 
     Args:
         path: A YAML file with the fields of `RLlibConfig`.
-        changes: Each "key=value" or "key.sub=value", the value in YAML; they replace what the file says.
+        changes: Each "key=value" or "key.sub=value", with the value in YAML; they replace values of the file.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If a key is unknown, one is missing, or a value is not allowed.
+        ValueError: If a key is unknown or missing, or a value is not allowed.
     """
     file = Path(path)
     content = load_yaml(file)

@@ -1,4 +1,4 @@
-"""Training with RLlib on a cluster of Ray: environment runners that each hold a vector environment, and one learner.
+"""Training with RLlib on a Ray cluster: environment runners with a vector environment each, and one learner.
 
 Needs the extra "ray".
 """
@@ -40,13 +40,13 @@ from spatula_env.learning.threads import numba_threads
 from spatula_env.policies import Entry, ExportedPolicy, PartSelection
 
 ENVIRONMENT = "spatula"
-"""What the environment is called in Ray, which knows nothing of Gymnasium's registry in other processes."""
+"""Name of the environment in Ray, which does not know Gymnasium's registry in other processes."""
 
 KEPT_INFOS = ("is_success", "episode_cost", "diverged")
-"""All of an info that leaves an environment runner's worlds."""
+"""The entries of `info` that leave an environment runner."""
 
 WINDOW = 100
-"""Episodes of training that success and cost are told of."""
+"""Number of training episodes over which success and cost are averaged."""
 
 KEPT_CHECKPOINTS = 2
 
@@ -54,14 +54,14 @@ Say = Callable[[str], None]
 
 
 class LeanVectorEnv(VectorWrapper):
-    """Shows only some parts of the observation, and a few infos."""
+    """Reduces observations to some parts, and infos to a few entries."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any], selection: PartSelection | None) -> None:
         """Wrap an environment.
 
         Args:
-            env: With observations that are one vector for each world.
-            selection: Which parts; None: all.
+            env: Environment whose observations are one vector per world.
+            selection: Selected parts; None for all.
         """
         super().__init__(env)
         self._selection = selection
@@ -88,13 +88,13 @@ def _lean(infos: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def make_runner_env(context: Mapping[str, Any]) -> Any:
-    """What RLlib calls in an environment runner.
+    """Make the environment of an environment runner; called by RLlib.
 
     Args:
-        context: "id", "parts", "kwargs" and "cpus"; RLlib adds "num_envs" where it wants a vector environment.
+        context: "id", "parts", "kwargs" and "cpus"; RLlib adds "num_envs" if it wants a vector environment.
 
     Returns:
-        That, or an environment for one agent.
+        A vector environment, or an environment for one agent.
     """
     if "num_envs" not in context:
         return gymnasium.make(f"spatula_env:{context['id']}", **context["kwargs"])
@@ -103,7 +103,7 @@ def make_runner_env(context: Mapping[str, Any]) -> Any:
             f"spatula_env:{context['id']}",
             num_envs=int(context["num_envs"]),
             vectorization_mode="vector_entry_point",
-            # RLlib understands this one only.
+            # The only autoreset mode that RLlib supports.
             autoreset_mode="next_step",
             **context["kwargs"],
         )
@@ -115,14 +115,14 @@ def _make_filter(env: Any = None, spaces: Any = None, device: Any = None, *, cli
 
 
 def _note_episode(*, episode: Any, metrics_logger: Any, **_: Any) -> None:
-    """Tell of an episode of training."""
+    """Log the metrics of a training episode."""
     info = episode.get_infos(-1)
     metrics_logger.log_value("success", float(info["is_success"]), reduce="mean", window=WINDOW)
     metrics_logger.log_value("cost", float(info["episode_cost"]), reduce="mean", window=WINDOW)
 
 
 def algorithm_config(config: RLlibConfig) -> PPOConfig:
-    """RLlib's own configuration."""
+    """Convert to RLlib's own configuration."""
     environment, runners, chosen = config.environment, config.env_runners, config.hyperparameters
     register_env(ENVIRONMENT, make_runner_env)
     settings: dict[str, Any] = {}
@@ -176,7 +176,8 @@ def algorithm_config(config: RLlibConfig) -> PPOConfig:
             model_config=DefaultModelConfig(
                 fcnet_hiddens=list(config.network.layers),
                 fcnet_activation=config.network.activation,
-                # The heads are one linear layer, and the deviation of actions is the same everywhere.
+                # The heads are one linear layer, and the actions' standard deviation does not depend on the
+                # observation.
                 free_log_std=True,
                 vf_share_layers=False,
             )
@@ -186,7 +187,7 @@ def algorithm_config(config: RLlibConfig) -> PPOConfig:
 
 
 def export_algorithm(algorithm: PPO, config: RLlibConfig) -> ExportedPolicy:
-    """What an algorithm has learnt so far, for NumPy alone."""
+    """Export an algorithm's current policy, to run with NumPy alone."""
     state = algorithm.get_module().get_state()
     encoder = sorted(name for name in state if name.startswith("encoder.actor_encoder.") and name.endswith(".weight"))
     heads = sorted(name for name in state if name.startswith("pi.") and name.endswith(".weight"))
@@ -216,12 +217,12 @@ def export_algorithm(algorithm: PPO, config: RLlibConfig) -> ExportedPolicy:
 
 
 def _layer_number(name: str) -> int:
-    """Of a layer in its sequence, from a name such as "pi.net.mlp.0.weight"."""
+    """Number of a layer in its sequence, from a name such as "pi.net.mlp.0.weight"."""
     return next(int(part) for part in reversed(name.split(".")) if part.isdigit())
 
 
 def _filter_statistics(algorithm: PPO, size: int) -> tuple[Any, Any]:
-    """Mean and deviation of observations, as all environment runners have seen them."""
+    """Mean and standard deviation of the observations of all environment runners."""
     pipeline: Any = algorithm.env_runner._env_to_module
     (connector,) = [each for each in pipeline.connectors if isinstance(each, MeanStdFilter)]
     (filtered,) = connector.get_state().values()
@@ -233,20 +234,20 @@ def _filter_statistics(algorithm: PPO, size: int) -> tuple[Any, Any]:
 
 
 class RLlibTrainer:
-    """Trains, evaluates and saves.
+    """Trains, evaluates and saves an agent.
 
     Attributes:
-        algorithm: RLlib's.
-        steps: Environment steps so far.
+        algorithm: RLlib's algorithm.
+        steps: Number of environment steps so far.
     """
 
     def __init__(self, config: RLlibConfig, folder: Path, say: Say) -> None:
-        """Start the environment runners; go on from the last checkpoint in the folder, if there is one.
+        """Start the environment runners; resume from the last checkpoint in the folder, if there is one.
 
         Args:
-            config: How to train.
-            folder: Of the run.
-            say: Told how it goes.
+            config: Training configuration.
+            folder: Folder of the run.
+            say: Receives progress messages.
         """
         self.config, self.folder, self._say = config, folder, say
         folder.mkdir(parents=True, exist_ok=True)
@@ -270,14 +271,14 @@ class RLlibTrainer:
 
     @property
     def seconds(self) -> float:
-        """Time spent, in all processes that have worked on this run [s]."""
+        """Time spent on this run by all processes that have worked on it [s]."""
         return float(self._seconds) + time.perf_counter() - self._start
 
     def run(self) -> dict[str, Any]:
         """Train until the end.
 
         Returns:
-            What `summary.json` holds.
+            The content of `summary.json`.
         """
         config, reached = self.config, False
         while self.steps < config.total_steps and not reached:
@@ -300,10 +301,10 @@ class RLlibTrainer:
         return summary
 
     def iterate(self) -> dict[str, Any]:
-        """One update.
+        """Make one update.
 
         Returns:
-            What is known of training now: "step", "success", "cost", "healthy" environment runners and "restarts".
+            Current metrics: "step", "success", "cost", number of "healthy" environment runners, and "restarts".
         """
         result = self.algorithm.train()
         sampled = self._sampled(result)
@@ -325,7 +326,7 @@ class RLlibTrainer:
         return line
 
     def evaluate(self) -> bool:
-        """Evaluate the policy as it is now, and keep it if none was better.
+        """Evaluate the current policy, and save it as the best if no other was better.
 
         Returns:
             Whether it reached the target.
@@ -386,7 +387,7 @@ class RLlibTrainer:
         self.algorithm.stop()
 
     def _sampled(self, result: Mapping[str, Any] | None = None) -> int:
-        """Environment steps by RLlib's count; those of an environment runner that died before it told are lost."""
+        """Environment steps by RLlib's count; steps of an environment runner that died before reporting are lost."""
         told = (result or {}).get("env_runners", {}).get("num_env_steps_sampled_lifetime")
         if told is None:
             told = self.algorithm.metrics.peek(("env_runners", "num_env_steps_sampled_lifetime"), default=0)

@@ -1,4 +1,4 @@
-"""The files of a run: written whole, and read again.
+"""The files of a run: written atomically, and read again.
 
 A run has a folder for each seed:
 
@@ -9,10 +9,11 @@ A run has a folder for each seed:
     RUN/seed-0/checkpoints/step-N/  the last two; all that training needs to go on
     RUN/seed-0/best/                the policy of the best evaluation
     RUN/seed-0/policy/              the policy at the end
-    RUN/seed-0/summary.json         how it ended; there only when it has
+    RUN/seed-0/summary.json         how it ended; exists only when the seed is finished
     RUN/summary.json                all seeds
 
-Files and folders appear whole or not at all: they are written beside their place and then renamed.
+Files and folders appear complete or not at all: they are written under a temporary name beside their place, then
+renamed.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ MODEL, NORMALIZER, CONFIG = "model.zip", "normalizer.npz", "config.yaml"
 EVALUATION, PROVENANCE, SUMMARY, CURVE = "evaluation.json", "provenance.json", "summary.json", "curve.jsonl"
 
 BEST, POLICY, CHECKPOINTS = "best", "policy", "checkpoints"
-"""Folders of a seed."""
+"""Folders within a seed's folder."""
 
 PACKAGES = (
     "gymnasium",
@@ -59,22 +60,22 @@ PACKAGES = (
     "sb3-contrib",
     "ray",
 )
-"""Whose versions are written down."""
+"""Packages whose versions are recorded."""
 
 KEPT_CHECKPOINTS = 2
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file, all at once."""
+    """Write a JSON file atomically."""
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
-    """Write a folder, all at once, in the place of the one that is there, if any.
+    """Write a folder atomically, replacing an existing one.
 
     Args:
-        path: Where.
-        fill: Writes files into the folder that it is given.
+        path: Path of the folder.
+        fill: Writes the files into the folder that it is given.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     mark = uuid.uuid4().hex
@@ -92,7 +93,7 @@ def write_folder(path: Path, fill: Callable[[Path], None]) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Put right what a run that was killed has left: folders that were being replaced, and unfinished ones."""
+    """Clean up after a run that was killed: folders that were being replaced, and unfinished ones."""
     for old in sorted(folder.glob(".*.old")):
         place = folder / old.name[1:].partition(".")[0]
         if place.exists():
@@ -113,7 +114,7 @@ def save_policy(
     config: TrainingConfig,
     evaluation: Mapping[str, Any] | None = None,
 ) -> None:
-    """Save what is needed to act, and how well that did."""
+    """Save what is needed to act, with its evaluation."""
 
     def fill(place: Path) -> None:
         _write_policy(place, model, normalizer, config)
@@ -130,14 +131,14 @@ def save_checkpoint(
     config: TrainingConfig,
     progress: Mapping[str, Any],
 ) -> Path:
-    """Save what is needed to go on: also optimisers, replay buffer, and the state of all random numbers.
+    """Save what is needed to resume, including optimisers, replay buffer, and the state of all random generators.
 
     Args:
-        folder: Of the checkpoints.
-        model: What is trained.
-        normalizer: What normalises its observations.
-        config: How it is trained.
-        progress: What else to remember, of Python's and NumPy's own types.
+        folder: Folder of the checkpoints.
+        model: The model in training.
+        normalizer: Normalisation of its observations.
+        config: Training configuration.
+        progress: Further values to save, of built-in or NumPy types.
 
     Returns:
         The checkpoint; all but the last two are removed.
@@ -156,10 +157,10 @@ def save_checkpoint(
 
 
 def restore_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]:
-    """Give a model its replay buffer back, and all random numbers their state; `model` itself is loaded before.
+    """Restore a model's replay buffer and the state of all random generators; `model` itself is loaded before.
 
     Returns:
-        What else was remembered.
+        The further values that were saved.
 
     Raises:
         ValueError: If the files are of an earlier version, or do not fit the model.
@@ -170,15 +171,15 @@ def restore_checkpoint(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]
 
 
 def checkpoints_in(folder: Path) -> list[Path]:
-    """The checkpoints in a folder, the oldest first."""
+    """The checkpoints in a folder, oldest first."""
     return sorted(path for path in folder.glob("step-*") if re.fullmatch(r"step-\d+", path.name))
 
 
 def find_saved(path: Path) -> Path:
-    """The policy that a path means: that of a run's best evaluation, its last, or its last checkpoint's.
+    """Find the policy for a path: that of a run's best evaluation, else its last, else that of its last checkpoint.
 
     Args:
-        path: Of a policy or checkpoint, of a seed's folder, or of a run with one seed.
+        path: Folder of a policy or checkpoint, of a seed, or of a run with one seed.
 
     Raises:
         FileNotFoundError: If there is none.
@@ -198,17 +199,17 @@ def find_saved(path: Path) -> Path:
 
 
 def read_saved_config(folder: Path) -> TrainingConfig:
-    """How a saved policy was trained."""
+    """Read the configuration with which a saved policy was trained."""
     return read_training(folder / CONFIG)
 
 
 def load_model(folder: Path, config: TrainingConfig, env: Any = None) -> BaseAlgorithm:
-    """Read a saved model: it is built by its configuration, and gets its weights. Nothing that its files hold is run.
+    """Load a saved model: build it from its configuration and load its weights. No code in its files is run.
 
     Args:
-        folder: Of a policy or checkpoint.
-        config: How it was trained.
-        env: To train in; None: to act only.
+        folder: Folder of a policy or checkpoint.
+        config: Configuration with which it was trained.
+        env: Environment to train in; None to act only.
 
     Raises:
         ValueError: If the files are of an earlier version, or do not fit the configuration.
@@ -219,14 +220,14 @@ def load_model(folder: Path, config: TrainingConfig, env: Any = None) -> BaseAlg
 
 
 def load_normalizer(folder: Path, env: VecNormalize | None = None) -> VecNormalize | None:
-    """Read what normalised a saved model's observations.
+    """Load the normalisation of a saved model's observations.
 
     Args:
-        folder: Of a policy or checkpoint.
-        env: Gets the estimates; None: a new one, around no worlds.
+        folder: Folder of a policy or checkpoint.
+        env: Receives the estimates; None for a new normalisation without worlds.
 
     Returns:
-        What has them; None if nothing was normalised.
+        The normalisation; None if nothing was normalised.
     """
     from spatula_env.learning.storage import read_normalizer
 
@@ -234,17 +235,17 @@ def load_normalizer(folder: Path, env: VecNormalize | None = None) -> VecNormali
 
 
 def load_policy(folder: Path, env: Any) -> Policy:
-    """A saved policy, to act in an environment."""
+    """Load a saved policy to act in an environment."""
     config = read_saved_config(folder)
     model, normalizer = load_model(folder, config), load_normalizer(folder)
     return acting_policy(model, normalizer, export_metadata(config, definition_of(folder))).bound_to(env)
 
 
 def definition_of(folder: Path) -> int:
-    """The number of the definition of the task that something was trained for.
+    """Number of the task definition for which a policy was trained.
 
     Args:
-        folder: Of a policy or checkpoint, in the folder of its run, which tells.
+        folder: Folder of a policy or checkpoint within the folder of its run, which records the number.
     """
     for place in (folder, *folder.parents[:2]):
         if (place / PROVENANCE).exists():
@@ -254,7 +255,7 @@ def definition_of(folder: Path) -> int:
 
 
 def provenance(env_id: str) -> dict[str, Any]:
-    """Versions, commit, time and machine, and the number of the definition of an environment's task."""
+    """Versions, commit, time and machine, and the number of the task definition of an environment."""
     versions: dict[str, str | None] = {"python": platform.python_version(), "spatula_env": __version__}
     for name in PACKAGES:
         try:
@@ -272,7 +273,7 @@ def provenance(env_id: str) -> dict[str, Any]:
 
 
 def read_curve(path: Path) -> list[dict[str, Any]]:
-    """The lines of a curve; a line that was cut by the end of its process is left out."""
+    """Read the lines of a curve; a line cut off by the end of its process is left out."""
     if not path.exists():
         return []
     lines = []
@@ -285,7 +286,7 @@ def read_curve(path: Path) -> list[dict[str, Any]]:
 
 
 def write_curve(path: Path, lines: list[dict[str, Any]]) -> None:
-    """Write a curve, all at once."""
+    """Write a curve atomically."""
     write_text(path, "".join(json.dumps(line) + "\n" for line in lines))
 
 
@@ -297,11 +298,11 @@ def _write_policy(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | 
 
 
 def export_metadata(config: TrainingConfig, definition: int | None = None) -> dict[str, Any]:
-    """What an exported policy has to know about how it was trained.
+    """Metadata that an exported policy needs about its training.
 
     Args:
-        config: How.
-        definition: The number of the task's definition; None: of the present one.
+        config: Training configuration.
+        definition: Number of the task's definition; None for the present one.
     """
     parts = config.environment.parts
     return {
@@ -313,7 +314,7 @@ def export_metadata(config: TrainingConfig, definition: int | None = None) -> di
 
 
 def _git(*arguments: str) -> str | None:
-    """What git says about the folder of this package; None without git or repository."""
+    """Output of a git command in the folder of this package; None without git or repository."""
     try:
         done = subprocess.run(
             ["git", "-C", str(Path(__file__).parent), *arguments],

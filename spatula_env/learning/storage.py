@@ -1,14 +1,14 @@
-"""Trained models on the disk, in files that are read without running anything that they hold.
+"""Storage of trained models in files that are read without running any code in them.
 
-Stable-Baselines3 writes what is no number as pickles, and reading a pickle runs whatever its writer wanted. Its own
-``model.zip`` is still written, for its `load`; but what is read here is arrays, JSON and torch's weights alone. The
-model is built from the configuration of the run, as it was when training began, and then gets its weights.
+Stable-Baselines3 writes everything but numbers as pickles, and reading a pickle runs whatever code its writer put
+there. Its own ``model.zip`` is still written, for its `load`; but only arrays, JSON and torch's weights are read here.
+The model is built from the configuration of the run, as at the beginning of training, and then gets its weights.
 
-    model.zip       Stable-Baselines3's; of it, the weights and the number of steps are read
-    spaces.npz      of observations and actions
+    model.zip       Stable-Baselines3's file, of which the weights and the number of steps are read
+    spaces.npz      spaces of observations and actions
     normalizer.npz  running estimates, if observations or rewards are normalised
-    buffer.npz      of a checkpoint: what has been seen
-    state.json      of a checkpoint: the state of all random numbers, and how far training has come
+    buffer.npz      in a checkpoint: the replay buffer's content
+    state.json      in a checkpoint: the state of all random generators, and the progress of training
 
 Needs the extra "train".
 """
@@ -42,54 +42,54 @@ from spatula_env.learning.replay import DemonstrationReplayBuffer
 MODEL, SPACES, NORMALIZER = "model.zip", "spaces.npz", "normalizer.npz"
 BUFFER, STATE = "buffer.npz", "state.json"
 PICKLES = ("normalizer.pkl", "buffer.pkl", "state.pkl")
-"""What earlier versions wrote."""
+"""Files of earlier versions."""
 
 COUNTERS = ("num_timesteps", "_total_timesteps", "_num_timesteps_at_start", "_episode_num", "_n_updates")
-"""Of a model, what it counts: plain numbers in Stable-Baselines3's file."""
+"""Counters of a model, which are plain numbers in Stable-Baselines3's file."""
 LIMITS = ("clip_obs", "clip_reward", "gamma", "epsilon", "norm_obs", "norm_reward")
-"""Of a normalisation, what does not run."""
+"""Constant settings of a normalisation, as opposed to its running estimates."""
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
 class SpacesOnly(VecEnv):
-    """What a model is built for, where nothing is to be stepped."""
+    """An environment that only has spaces, to build a model where nothing is to be stepped."""
 
     def __init__(self, observation_space: spaces.Space[Any], action_space: spaces.Space[Any]) -> None:
-        """Have these spaces."""
+        """Set the spaces."""
         super().__init__(1, observation_space, action_space)
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """There are no worlds that have any; but their mode of rendering is asked for."""
+        """Raise an error, as there are no worlds; except for the render mode, which Stable-Baselines3 asks for."""
         if attr_name == "render_mode":
             return [None]
         raise AttributeError(attr_name)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Nothing is."""
+        """Always False, as there are no wrappers."""
         return [False]
 
     def close(self) -> None:
         """Nothing to do."""
 
     def reset(self) -> Any:
-        """There is nothing to reset."""
+        """Not possible."""
         raise NotImplementedError
 
     def step_async(self, actions: Any) -> None:
-        """There is nothing to step."""
+        """Not possible."""
         raise NotImplementedError
 
     def step_wait(self) -> Any:
-        """There is nothing to step."""
+        """Not possible."""
         raise NotImplementedError
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """There is nothing to change."""
+        """Not possible."""
         raise NotImplementedError
 
     def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **more: Any) -> list[Any]:
-        """There is nothing to call."""
+        """Not possible."""
         raise NotImplementedError
 
 
@@ -98,8 +98,8 @@ def write_model(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | No
 
     Args:
         place: A folder.
-        model: What is trained.
-        normalizer: What normalises its observations; None: nothing does.
+        model: The model in training.
+        normalizer: Normalisation of its observations; None for none.
     """
     model.save(place / MODEL)
     arrays: dict[str, Any] = {}
@@ -113,12 +113,12 @@ def write_model(place: Path, model: BaseAlgorithm, normalizer: VecNormalize | No
 
 
 def read_model(folder: Path, config: TrainingConfig, env: VecEnv | None = None) -> BaseAlgorithm:
-    """Build a saved model anew, and give it its weights.
+    """Rebuild a saved model, and load its weights.
 
     Args:
-        folder: Of a policy or checkpoint.
-        config: How it was trained.
-        env: To train in; None: to act only.
+        folder: Folder of a policy or checkpoint.
+        config: Configuration with which it was trained.
+        env: Environment to train in; None to act only.
 
     Raises:
         ValueError: If the files are of an earlier version, or do not fit the configuration.
@@ -127,7 +127,7 @@ def read_model(folder: Path, config: TrainingConfig, env: VecEnv | None = None) 
     if env is None:
         env = keep_pictures(SpacesOnly(*read_spaces(folder)))
         chosen = config.hyperparameters
-        # To act, there is no need for room for what is seen.
+        # A model that only acts needs no space for experience.
         small: dict[str, Any] = {"n_steps": 2, "batch_size": 2} if isinstance(chosen, PPOConfig) else {"buffer_size": 1}
         config = dataclasses.replace(config, hyperparameters=dataclasses.replace(chosen, **small))
     model = make_model(config, env, config.seeds[0])
@@ -149,7 +149,7 @@ def read_model(folder: Path, config: TrainingConfig, env: VecEnv | None = None) 
 
 
 def read_steps(folder: Path) -> int:
-    """How many steps a saved model has been trained for."""
+    """Number of steps for which a saved model was trained."""
     return _read_archive(folder / MODEL)[2].get("num_timesteps", 0)
 
 
@@ -186,11 +186,11 @@ def read_normalizer(folder: Path, env: VecNormalize | None = None) -> VecNormali
     """Read running estimates.
 
     Args:
-        folder: Of a policy or checkpoint.
-        env: Gets them; None: a new one, around no worlds.
+        folder: Folder of a policy or checkpoint.
+        env: Receives the estimates; None for a new normalisation without worlds.
 
     Returns:
-        What has them; None if nothing was normalised.
+        The normalisation; None if nothing was normalised.
 
     Raises:
         ValueError: If the files are of an earlier version, or do not fit.
@@ -222,7 +222,7 @@ def read_normalizer(folder: Path, env: VecNormalize | None = None) -> VecNormali
 
 
 def write_progress(place: Path, model: BaseAlgorithm, progress: Mapping[str, Any]) -> None:
-    """Write what is needed to go on: what has been seen, the state of all random numbers, and how far it has come."""
+    """Write what is needed to resume: replay buffer, state of all random generators, and progress."""
     if isinstance(model, OffPolicyAlgorithm):
         assert model.replay_buffer is not None
         # Not compressed: it may be large, and is written often.
@@ -239,10 +239,10 @@ def write_progress(place: Path, model: BaseAlgorithm, progress: Mapping[str, Any
 
 
 def read_progress(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]:
-    """Give a model its replay buffer back, and all random numbers their state.
+    """Restore a model's replay buffer and the state of all random generators.
 
     Returns:
-        What else was remembered.
+        The further values that were saved.
 
     Raises:
         ValueError: If the files are of an earlier version, or do not fit the model.
@@ -268,7 +268,7 @@ def read_progress(checkpoint: Path, model: BaseAlgorithm) -> dict[str, Any]:
 
 
 def buffer_arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
-    """What a replay buffer has seen: all its arrays of numbers, by name."""
+    """Content of a replay buffer: all its numeric arrays, by name."""
     found: dict[str, NDArray[Any]] = {"pos": np.array(buffer.pos), "full": np.array(buffer.full), **_held(buffer)}
     if isinstance(buffer, DemonstrationReplayBuffer):
         if buffer.demonstrations is not None:
@@ -280,12 +280,12 @@ def buffer_arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
 
 
 def fill_from_arrays(buffer: ReplayBuffer, arrays: Arrays, source: str) -> None:
-    """Let a replay buffer have seen what another one has.
+    """Fill a replay buffer with the content of another one.
 
     Args:
-        buffer: As large, and of the same kind.
-        arrays: From `buffer_arrays`.
-        source: Where they are from, for messages.
+        buffer: A buffer of the same size and kind.
+        arrays: Arrays from `buffer_arrays`.
+        source: Where they come from, for error messages.
 
     Raises:
         ValueError: If they do not fit.
@@ -309,10 +309,10 @@ def fill_from_arrays(buffer: ReplayBuffer, arrays: Arrays, source: str) -> None:
 
 
 def check_readable(folder: Path) -> None:
-    """Check that a folder is of a version that keeps no pickles.
+    """Check that a folder was written by a version that uses no pickles.
 
     Raises:
-        ValueError: If not; says how to convert it.
+        ValueError: If it was not; the message says how to convert it.
     """
     if not (folder / SPACES).exists():
         raise ValueError(
@@ -322,7 +322,7 @@ def check_readable(folder: Path) -> None:
 
 
 def _read_archive(file: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str, int]]:
-    """Of Stable-Baselines3's file: weights and states of optimisers, other tensors, and counters."""
+    """Read Stable-Baselines3's file: weights and optimiser states, other tensors, and counters."""
     weights: dict[str, Any] = {}
     variables: dict[str, Any] = {}
     try:
@@ -336,7 +336,7 @@ def _read_archive(file: Path) -> tuple[dict[str, Any], dict[str, Any], dict[str,
                     variables = dict(content or {})
                 else:
                     weights[name.removesuffix(".pth")] = content
-    # Torch raises what its reader of weights meets: of pickle's errors, and of its own.
+    # Torch passes on errors of its weights reader: pickle's, and its own.
     except FileNotFoundError:
         raise
     except Exception as error:
@@ -363,7 +363,7 @@ def _boxes(space: spaces.Space[Any], name: str) -> dict[str, spaces.Box]:
 
 
 def _estimates(normalizer: VecNormalize) -> dict[str, Any]:
-    """What runs in a normalisation, by name."""
+    """Running estimates of a normalisation, by name."""
     found: dict[str, Any] = {"returns": normalizer.ret_rms}
     if normalizer.norm_obs:
         observed: Any = normalizer.obs_rms
@@ -376,7 +376,7 @@ def _estimates(normalizer: VecNormalize) -> dict[str, Any]:
 
 
 def _held(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
-    """The arrays of numbers that a buffer holds, themselves."""
+    """The numeric arrays of a buffer, not copied."""
     found: dict[str, NDArray[Any]] = {}
     for name, value in vars(buffer).items():
         entries = {f"{name}/{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}

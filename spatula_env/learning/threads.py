@@ -1,4 +1,4 @@
-"""The number of threads of compiled code."""
+"""Limits the number of threads of compiled code."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 
 @contextlib.contextmanager
 def numba_threads(count: int) -> Iterator[None]:
-    """Let compiled code use no more than a number of threads."""
+    """Limit compiled code to a number of threads in this context."""
     import numba
 
     before = numba.get_num_threads()
-    # Of any type for mypy: Numba fills its configuration in when it is imported.
+    # Annotated as Any for mypy, as Numba fills its configuration at import.
     configuration: Any = numba.config
     numba.set_num_threads(max(1, min(count, configuration.NUMBA_NUM_THREADS)))
     try:

@@ -1,4 +1,4 @@
-"""Training one agent: from nothing, or from where it was interrupted.
+"""Training of one agent, from the start or from where it was interrupted.
 
 Needs the extra "train".
 """
@@ -57,31 +57,31 @@ from spatula_env.learning.saving import (
 from spatula_env.learning.worlds import OverlappedVecEnv, make_training_env
 
 DEMONSTRATION_SEED = 2_000_000
-"""Of the first demonstration: not one of training or of evaluation."""
+"""Seed of the first demonstration, distinct from those of training and evaluation."""
 
 RECENT = 100
-"""Episodes of training that success and cost are told of."""
+"""Number of training episodes over which success and cost are averaged."""
 
 
 class Trainer(BaseCallback):
-    """Evaluates, saves and shows, between updates of the model.
+    """Evaluates, saves and reports between updates of the model.
 
-    All of that happens when a rollout begins: then what has been seen is in the replay buffer, and nothing is half
-    done.
+    All of this happens at the beginning of a rollout: at that time the replay buffer contains everything seen so far,
+    and no step is half done.
 
     Attributes:
-        progress: What a checkpoint remembers beside the model.
+        progress: Values that a checkpoint keeps besides the model.
         reached: Whether an evaluation reached the target.
     """
 
     def __init__(self, config: TrainingConfig, folder: Path, view: ProgressView, progress: dict[str, Any]) -> None:
-        """Get ready.
+        """Set up the callback.
 
         Args:
-            config: How to train.
-            folder: Of the seed.
-            view: Where to show how it goes.
-            progress: From a checkpoint, or empty.
+            config: Training configuration.
+            folder: Folder of the seed.
+            view: Shows the progress.
+            progress: Values from a checkpoint, or empty.
         """
         super().__init__()
         self.config, self.folder, self.view = config, folder, view
@@ -106,23 +106,23 @@ class Trainer(BaseCallback):
 
     @property
     def normalizer(self) -> VecNormalize | None:
-        """What normalises observations."""
+        """Normalisation of observations; None for none."""
         return self.model.get_vec_normalize_env()
 
     @property
     def seconds(self) -> float:
-        """Time spent, in all processes that have worked on this run [s]."""
+        """Time spent on this run by all processes that have worked on it [s]."""
         return float(self.progress["seconds"]) + time.perf_counter() - self._start
 
     def close(self) -> None:
-        """Free the environment of the evaluations."""
+        """Close the environment of the evaluations."""
         if self._env is not None:
             self._env.close()
 
     def _on_rollout_start(self) -> None:
         steps = self.model.num_timesteps
         if self.config.actor_starts:
-            # An optimiser leaves alone what has no gradients.
+            # An optimiser skips parameters without gradients.
             self.model.policy.actor.requires_grad_(steps >= self.config.actor_starts)
         warming = isinstance(self.config.hyperparameters, SACConfig) and (
             steps <= self.config.hyperparameters.learning_starts
@@ -148,13 +148,13 @@ class Trainer(BaseCallback):
         return not self.reached
 
     def look(self) -> dict[str, Any]:
-        """Evaluate the policy as it is now, and write it down.
+        """Evaluate the current policy, and add the result to the curve.
 
-        Of an agent that begins as a clone that is done before it learns, too: what comes of the demonstrations alone
-        is on the curve, and is neither kept as the best nor counted as reaching the target.
+        For an agent that begins as a clone, this is also called before it learns: the result of the demonstrations
+        alone is on the curve, but is neither saved as the best policy nor counted as reaching the target.
 
         Returns:
-            The line of the curve.
+            The new line of the curve.
         """
         steps = self.model.num_timesteps
         start = time.perf_counter()
@@ -184,9 +184,10 @@ class Trainer(BaseCallback):
         return line
 
     def evaluate(self) -> None:
-        """Evaluate the policy as it is now, and keep it if none was better."""
+        """Evaluate the current policy, and save it as the best if no other was better."""
         line = self.look()
-        # Of two that succeed as often the faster is better, whose return is smaller: its episodes are shorter.
+        # Of two with equal success the faster is better, although its return may be smaller because its episodes are
+        # shorter.
         needed = line["time_to_success"]
         rank = [line["success_rate"], line["return"] if needed is None else -needed]
         if self.progress["best"] is None or rank >= self.progress["best"]:
@@ -206,16 +207,16 @@ class Trainer(BaseCallback):
 
 
 def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressView) -> dict[str, Any]:
-    """Train one agent; go on if its folder holds a checkpoint.
+    """Train one agent; resume if its folder holds a checkpoint.
 
     Args:
-        config: How to train.
-        seed: Of everything that is random.
-        folder: For this seed.
-        view: Where to show how it goes.
+        config: Training configuration.
+        seed: Seed of all randomness.
+        folder: Folder of this seed.
+        view: Shows the progress.
 
     Returns:
-        What `summary.json` holds. A run that is over is not touched.
+        The content of `summary.json`. A finished run is not touched.
     """
     summary_file = folder / SUMMARY
     if summary_file.exists():
@@ -229,7 +230,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
         sweep(place)
     saved = checkpoints_in(folder / CHECKPOINTS)
     checkpoint = saved[-1] if saved else None
-    # It may be trained for longer than it was meant to be.
+    # The run may be continued beyond its original length.
     write_config(folder, config)
     summary_file.unlink(missing_ok=True)
     if checkpoint is None:
@@ -239,7 +240,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
     write_json(folder / PROVENANCE, provenance(config.environment.id))
 
     steps = int(checkpoint.name.partition("-")[2]) if checkpoint is not None else 0
-    # Not the same episodes again after an interruption.
+    # Avoid repeating the same episodes after an interruption.
     env_seed = int(np.random.SeedSequence([seed, steps]).generate_state(1)[0])
     env, overlap = make_training_env(config, env_seed, config.hyperparameters.gamma)
     trainer: Trainer | None = None
@@ -268,7 +269,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
                 weight=config.imitation_weight,
                 batch_size=config.hyperparameters.batch_size,
             )
-        # `learn` counts from where the model is.
+        # `learn` counts from the model's present number of steps.
         remaining = config.total_steps - model.num_timesteps
         with view.run(f"seed {seed}", config.total_steps, model.num_timesteps):
             if remaining > 0:
@@ -278,7 +279,7 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
             if trainer.progress["evaluated"] != model.num_timesteps and not trainer.reached:
                 trainer.evaluate()
         if trainer.progress["saved"] != model.num_timesteps:
-            # So that it can be trained for longer.
+            # So that training can be continued later.
             trainer.save()
         save_policy(folder / POLICY, model, trainer.normalizer, config, read_curve(folder / CURVE)[-1])
         summary = {
@@ -299,26 +300,26 @@ def train_seed(config: TrainingConfig, seed: int, folder: Path, view: ProgressVi
 
 
 def train(config: TrainingConfig, output: Path, view: ProgressView) -> dict[str, Any]:
-    """Train an agent for each seed, one after the other.
+    """Train an agent for each seed in turn.
 
     Args:
-        config: How to train.
-        output: Folder of the run; what is there is gone on with.
-        view: Where to show how it goes.
+        config: Training configuration.
+        output: Folder of the run; existing seeds are resumed.
+        view: Shows the progress.
 
     Returns:
-        What the run's `summary.json` holds.
+        The content of the run's `summary.json`.
     """
     results = [train_seed(config, seed, output / f"seed-{seed}", view) for seed in config.seeds]
     return write_summary(config, output, results)
 
 
 def train_place(place: RunPlace, view: ProgressView) -> None:
-    """Train what a folder is for: a run, or one of its seeds alone.
+    """Train the run, or the single seed, of a folder.
 
     Args:
-        place: What is there is gone on with.
-        view: Where to show how it goes.
+        place: Location of the run; existing seeds are resumed.
+        view: Shows the progress.
     """
     if not place.alone:
         train(place.config, place.folder, view)
@@ -327,7 +328,7 @@ def train_place(place: RunPlace, view: ProgressView) -> None:
     run = place.folder.resolve().parent
     if not (run / CONFIG).exists():
         return
-    # The last seed of a run ends it.
+    # The last seed of a run completes it.
     whole = read_training(run / CONFIG)
     summaries = [run / f"seed-{seed}" / SUMMARY for seed in whole.seeds]
     if all(file.exists() for file in summaries):
@@ -335,15 +336,15 @@ def train_place(place: RunPlace, view: ProgressView) -> None:
 
 
 def write_summary(config: TrainingConfig, output: Path, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Write how all seeds of a run have ended.
+    """Write the summary of all seeds of a run.
 
     Args:
-        config: Of the run.
-        output: Its folder.
-        results: What the summary of each seed holds.
+        config: Configuration of the run.
+        output: Folder of the run.
+        results: Content of each seed's summary.
 
     Returns:
-        What is written.
+        The summary.
     """
     rates = [result["evaluation"]["success_rate"] for result in results]
     summary = {
@@ -363,13 +364,13 @@ def write_summary(config: TrainingConfig, output: Path, results: Sequence[Mappin
 
 
 def write_config(folder: Path, config: TrainingConfig) -> None:
-    """Write the configuration of a run into its folder, all at once."""
+    """Write the configuration of a run into its folder atomically."""
     with whole_file(folder / CONFIG) as unfinished:
         write_training(config, unfinished)
 
 
 def _overlap_gradients(model: Any, overlap: VecEnv, config: TrainingConfig) -> None:
-    """Take gradient steps while worlds are stepped."""
+    """Make gradient steps run while worlds are stepped."""
     chosen = config.hyperparameters
     assert isinstance(overlap, OverlappedVecEnv) and isinstance(chosen, SACConfig)
 
@@ -383,16 +384,16 @@ def _overlap_gradients(model: Any, overlap: VecEnv, config: TrainingConfig) -> N
 
 
 def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> int:
-    """Let the agent know the scripted expert's episodes before it learns by rewards.
+    """Give the agent episodes of the scripted expert before it learns from rewards.
 
     Args:
-        config: Says how many, and what is done with them.
-        seed: Of batches.
-        model: With an empty replay buffer.
-        env: What it trains in; its normalisation gets to know what is demonstrated.
+        config: Says how many, and how they are used.
+        seed: Seed of batches.
+        model: Model with an empty replay buffer.
+        env: Training environment, whose normalisation is updated with the demonstrations.
 
     Returns:
-        How many control steps were made for that.
+        Number of control steps made for the demonstrations.
     """
     environment = config.environment
     assert isinstance(model, OffPolicyAlgorithm)
@@ -428,7 +429,7 @@ def demonstrate(config: TrainingConfig, seed: int, model: Any, env: VecEnv) -> i
 
 
 class _TensorBoard(KVWriter):
-    """Writes numbers for TensorBoard; drops what an interrupted run wrote after its last checkpoint."""
+    """Writes numbers for TensorBoard; drops those that an interrupted run wrote after its last checkpoint."""
 
     def __init__(self, folder: Path, first_step: int) -> None:
         from torch.utils.tensorboard.writer import SummaryWriter

@@ -25,13 +25,13 @@ Observation = Any
 
 
 class OverlappedVecEnv(VecEnvWrapper):
-    """Steps its worlds in a second thread, and does something else meanwhile.
+    """Steps its worlds in a second thread, and runs a function meanwhile.
 
-    The compiled code that steps worlds leaves Python to others, so both really go on at the same time. What is done
-    meanwhile must not touch the environment. Results are the same as one after the other.
+    The compiled code that steps the worlds releases the GIL, so both really run in parallel. The function must not
+    touch the environment. The results are the same as one after the other.
 
     Attributes:
-        meanwhile: What to do while worlds are stepped; None: nothing.
+        meanwhile: Function to run while worlds are stepped; None for none.
     """
 
     def __init__(self, venv: VecEnv) -> None:
@@ -46,39 +46,39 @@ class OverlappedVecEnv(VecEnvWrapper):
         return self._thread.submit(self.venv.reset).result()
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Begin to step the worlds."""
+        """Start stepping the worlds."""
         self._stepping = self._thread.submit(self.venv.step, np.array(actions))
 
     def step_wait(self) -> Any:
-        """Do what is to be done meanwhile, and wait for the worlds."""
+        """Run `meanwhile`, and wait for the worlds."""
         assert self._stepping is not None, "step_async was not called"
         try:
             if self.meanwhile is not None:
                 self.meanwhile()
         finally:
-            # The worlds must not be left in the middle of a step, whatever happened here.
+            # Whatever happened here, do not leave the worlds in the middle of a step.
             result = self._stepping.result()
         return result
 
     def close(self) -> None:
-        """Wait for the worlds, and free them."""
+        """Wait for the worlds, and close them."""
         self._thread.shutdown(wait=True)
         super().close()
 
 
 class PartsVecEnv(VecEnvWrapper):
-    """Shows only some parts of the observation.
+    """Reduces the observation to some parts.
 
     Attributes:
-        selection: Which.
+        selection: Selected parts.
     """
 
     def __init__(self, venv: VecEnv, selection: PartSelection) -> None:
         """Wrap an environment.
 
         Args:
-            venv: With observations that are one vector, or a dictionary with one under "observation".
-            selection: Which parts.
+            venv: Environment whose observations are one vector, or a dictionary with one under "observation".
+            selection: Selected parts.
         """
         super().__init__(venv, observation_space=selection.space(venv.observation_space))
         self.selection = selection
@@ -88,7 +88,7 @@ class PartsVecEnv(VecEnvWrapper):
         return self.selection(self.venv.reset())
 
     def step_wait(self) -> Any:
-        """Wait for the worlds."""
+        """Wait for the worlds to finish their step."""
         observation, rewards, dones, infos = self.venv.step_wait()
         for info in infos:
             if "terminal_observation" in info:
@@ -97,19 +97,19 @@ class PartsVecEnv(VecEnvWrapper):
 
 
 def make_training_env(config: TrainingConfig, seed: int, discount: float) -> tuple[VecNormalize | VecEnv, VecEnv]:
-    """The worlds that an agent learns in.
+    """Make the worlds that an agent learns in.
 
     Args:
-        config: How many of which.
+        config: Training configuration.
         seed: World k's first episode is drawn from seed + k.
-        discount: Of returns, by which rewards are normalised.
+        discount: Discount factor of the returns by which rewards are normalised.
 
     Returns:
-        The outermost wrapper, which normalises if that is wanted, and the `OverlappedVecEnv`.
+        The outermost wrapper, which normalises if that is configured, and the `OverlappedVecEnv`.
     """
     environment = config.environment
     overlapped = config.overlap and config.algorithm != "ppo"
-    # With one thread the compiled code is that which can overlap with Python.
+    # With one thread, the version of the compiled code is used that can overlap with Python.
     threads = max(1, (os.cpu_count() or 1) - 1) if overlapped else (os.cpu_count() or 1)
     with numba_threads(1 if overlapped and threads == 1 else threads):
         base = make_sb3_vec_env(
@@ -136,7 +136,7 @@ def make_training_env(config: TrainingConfig, seed: int, discount: float) -> tup
 
 
 def base_of(env: VecEnv) -> SpatulaVecEnv:
-    """The environment under all wrappers."""
+    """The environment below all wrappers."""
     while isinstance(env, VecEnvWrapper):
         env = env.venv
     assert isinstance(env, SpatulaVecEnv)
@@ -144,5 +144,5 @@ def base_of(env: VecEnv) -> SpatulaVecEnv:
 
 
 def _normalized(space: spaces.Space[Any]) -> list[str] | None:
-    """The entries of observations that running estimates normalise; None if observations are one vector."""
+    """Entries of observations that running estimates normalise; None if observations are one vector."""
     return vector_names(space) if isinstance(space, spaces.Dict) else None

@@ -1,4 +1,4 @@
-"""Pretrained policies, and what plays them: NumPy alone, no learning library.
+"""Pretrained policies and the code that runs them, with NumPy alone and no learning library.
 
 Example:
     >>> import gymnasium as gym
@@ -9,7 +9,7 @@ Example:
     >>> action = policy(observation)
     >>> env.close()
 
-`spatula_env.learning` trains them and writes them.
+`spatula_env.learning` trains them and writes their files.
 """
 
 from __future__ import annotations

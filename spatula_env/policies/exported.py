@@ -1,6 +1,6 @@
-"""Policies that are a few arrays: dense layers with their normalisation, which act with NumPy alone.
+"""Exported policies: dense layers with their normalisation, stored as a few arrays and run with NumPy alone.
 
-`spatula_env.learning.export` writes what training has found into one file; `ExportedPolicy` reads it and acts.
+`spatula_env.learning.export` writes a trained policy to one file; `ExportedPolicy` reads it and acts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from spatula_env.files import whole_file
 from spatula_env.policies.parts import PartSelection
 
 FORMAT = 1
-"""Of the files. Raised when older ones can no longer be read."""
+"""Version of the file format. Increased when older files can no longer be read."""
 
 
 def _relu(values: Float32Array) -> Float32Array:
@@ -38,17 +38,17 @@ def _elu(values: Float32Array) -> Float32Array:
 ACTIVATIONS: Mapping[str, Callable[[Float32Array], Float32Array]] = MappingProxyType(
     {"relu": _relu, "tanh": np.tanh, "elu": _elu}
 )
-"""Between layers, by name."""
+"""Activation functions between layers, by name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A part of what the network is fed with: one vector, normalised.
+    """One normalised vector of the network's input.
 
     Attributes:
-        name: Of the entry in an observation that is a dictionary; "" for a vector alone.
-        mean: (k,) what is subtracted.
-        scale: (k,) what the rest is divided by.
+        name: Name of the entry in a dictionary observation; "" for an observation that is one vector.
+        mean: (k,) mean to subtract.
+        scale: (k,) standard deviation to divide by.
     """
 
     name: str
@@ -61,15 +61,16 @@ class ExportedPolicy:
     """A network of dense layers with its normalisation.
 
     Attributes:
-        entries: What it is fed with, one after the other.
-        clip: Greatest size of a normalised number.
-        layers: (weights (out, in), biases (out,)) of each.
-        activation: Between layers, by name.
-        squash: Whether a tanh follows the last layer; else actions are clipped.
+        entries: Parts of the input, concatenated in this order.
+        clip: Greatest magnitude of a normalised number.
+        layers: Weights (out, in) and biases (out,) of each layer.
+        activation: Name of the activation function between layers.
+        squash: Whether a tanh follows the last layer; otherwise actions are clipped.
         low: (A,) least actions.
         high: (A,) greatest actions.
-        metadata: What the policy is for: "env_id", "env_kwargs", "parts", and "definition", the number of the task's.
-        selection: Which parts of observations count, once an environment is known; None: all.
+        metadata: Purpose of the policy: "env_id", "env_kwargs", "parts", and "definition", the task definition's
+            number.
+        selection: Selection of the observation's parts, once an environment is known; None for all.
     """
 
     entries: tuple[Entry, ...]
@@ -86,13 +87,13 @@ class ExportedPolicy:
         """Nothing to do at the beginning of episodes."""
 
     def bound_to(self, env: Any) -> ExportedPolicy:
-        """The policy for an environment: it finds there which numbers are the parts that it was trained on.
+        """Bind the policy to an environment: find there the observation's numbers that it was trained on.
 
         Args:
             env: For one agent or for many, wrapped or not.
 
         Raises:
-            ValueError: If observations or actions are not those that it was trained with.
+            ValueError: If its observations or actions differ from those of training.
         """
         warn_of_definition(self.metadata)
         bound = replace(self, selection=PartSelection.of(env, self.metadata.get("parts")))
@@ -119,7 +120,7 @@ class ExportedPolicy:
         for entry in self.entries:
             numbers = np.asarray(observation[entry.name] if entry.name else observation)
             if numbers.shape[-1] != len(entry.mean):
-                # Several moments, one after the other, on an axis of their own.
+                # Stacked moments have an axis of their own: flatten it.
                 numbers = numbers.reshape(*numbers.shape[:-2], -1)
             normalized = np.clip((numbers - entry.mean) / entry.scale, -self.clip, self.clip)
             pieces.append(normalized.astype(np.float32))
@@ -134,7 +135,7 @@ class ExportedPolicy:
         return np.clip(values, self.low, self.high).astype(np.float32)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the policy as an .npz file, all at once."""
+        """Write the policy as an .npz file atomically."""
         header = {
             "format": FORMAT,
             "entries": [entry.name for entry in self.entries],
@@ -144,7 +145,7 @@ class ExportedPolicy:
             "squash": self.squash,
             "metadata": dict(self.metadata),
         }
-        # Of any values for mypy, to which one of them could be savez_compressed's allow_pickle.
+        # Annotated as Any for mypy, to which an array could otherwise be savez_compressed's allow_pickle.
         arrays: dict[str, Any] = {"header": np.array(json.dumps(header)), "low": self.low, "high": self.high}
         for index, entry in enumerate(self.entries):
             arrays[f"mean_{index}"], arrays[f"scale_{index}"] = entry.mean, entry.scale
@@ -159,10 +160,10 @@ class ExportedPolicy:
 
         Raises:
             FileNotFoundError: If there is no such file.
-            ValueError: If it holds something else.
+            ValueError: If the file holds something else.
         """
         try:
-            # Opened here: NumPy does not close what is no archive.
+            # Opened here because NumPy does not close a file that is not an archive.
             with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
                 header = _checked_header(json.loads(str(arrays["header"])))
                 policy = cls(
@@ -199,7 +200,7 @@ class ExportedPolicy:
         return policy
 
     def _check_shapes(self) -> None:
-        """Check that the arrays fit each other."""
+        """Check that the shapes of the arrays are consistent."""
         size = 0
         for entry in self.entries:
             _check_array(f"mean of {entry.name!r}", entry.mean, (len(np.atleast_1d(entry.mean)),))
@@ -214,10 +215,10 @@ class ExportedPolicy:
 
 
 def warn_of_definition(metadata: Mapping[str, Any]) -> None:
-    """Warn if a policy was trained for another definition of its task than the present one.
+    """Warn if a policy was trained for a definition of its task other than the present one.
 
     Args:
-        metadata: Of the policy; see `ExportedPolicy`.
+        metadata: Metadata of the policy; see `ExportedPolicy`.
     """
     if "env_id" in metadata:
         tell_definition("the policy", metadata["env_id"], metadata.get("definition", FIRST), stacklevel=3)
@@ -229,10 +230,10 @@ def _check_array(name: str, values: NDArray[Any], shape: tuple[int, ...]) -> Non
 
 
 def _checked_header(header: Any) -> dict[str, Any]:
-    """Metadata of a policy's file.
+    """Validate the metadata of a policy's file.
 
     Raises:
-        ValueError: If it is something else; says what.
+        ValueError: If something is wrong; the message says what.
     """
     if not isinstance(header, dict):
         raise ValueError(f"its header must be a mapping, got {_shown(header)}")

@@ -1,4 +1,4 @@
-"""The parts of an observation that an agent gets."""
+"""Selection of the parts of an observation that an agent gets."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 ENTRY = "observation"
-"""Where the vector is, in observations with the goal interface."""
+"""Key of the vector in observations with the goal interface."""
 
 
 @dataclass(frozen=True, eq=False)
 class PartSelection:
-    """Some numbers of an observation's vector.
+    """A selection of columns of an observation's vector.
 
     Attributes:
         parts: Names of the parts that are kept.
-        columns: (k,) where their numbers are in the vector of all parts.
+        columns: (k,) indices of their numbers in the vector of all parts.
     """
 
     parts: tuple[str, ...]
@@ -32,13 +32,13 @@ class PartSelection:
 
         Args:
             env: For one agent or for many, wrapped or not, with `obs_mode="state"`.
-            parts: Their names; None: all.
+            parts: Names of the parts; None for all.
 
         Returns:
             The selection, or None if all parts are wanted.
 
         Raises:
-            ValueError: If there is no such part, or observations are laid out in another way.
+            ValueError: If a part does not exist, or observations have another layout.
         """
         if parts is None:
             return None
@@ -53,7 +53,7 @@ class PartSelection:
         unknown = [name for name in parts if name not in slices]
         if unknown:
             raise ValueError(f"observations have no parts {unknown}; there are {list(slices)}")
-        # In the order of the vector, whatever the order of the names.
+        # Keep the order of the vector, whatever the order of the names.
         kept = tuple(name for name in slices if name in parts)
         return cls(kept, np.concatenate([np.arange(slices[name].start, slices[name].stop) for name in kept]))
 
@@ -65,7 +65,7 @@ class PartSelection:
         return spaces.Box(space.low[self.columns], space.high[self.columns], dtype=np.float32)
 
     def __call__(self, observation: Any) -> Any:
-        """The selected parts of an observation, or of many."""
+        """The selected parts of one or many observations."""
         if isinstance(observation, Mapping):
             return {**observation, ENTRY: observation[ENTRY][..., self.columns]}
         return observation[..., self.columns]

@@ -13,7 +13,7 @@ import gymnasium
 from spatula_env.policies.exported import ExportedPolicy
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-"""The folder: one file for each task, and its provenance beside it."""
+"""Folder of the policies: one file for each task, with its provenance beside it."""
 
 ALGORITHM_NAMES: Mapping[str, str] = MappingProxyType(
     {
@@ -23,17 +23,17 @@ ALGORITHM_NAMES: Mapping[str, str] = MappingProxyType(
         "sac_her": "soft actor-critic with hindsight replay",
     }
 )
-"""What the short names of configurations stand for."""
+"""Full names of the algorithms, by their short names in configurations."""
 
 
 def pretrained_path(env_id: str) -> Path:
-    """Where the pretrained policy for an environment is, if there is one.
+    """Path of the pretrained policy for an environment, whether or not it exists.
 
     Args:
-        env_id: Of the environment, such as "Spatula/Press-v0".
+        env_id: Id of the environment, such as "Spatula/Press-v0".
 
     Returns:
-        A file's path; nothing says that it is there.
+        Path of the file.
 
     Raises:
         gymnasium.error.Error: If no such environment is registered.
@@ -43,13 +43,13 @@ def pretrained_path(env_id: str) -> Path:
 
 
 def load_pretrained(env_id: str) -> ExportedPolicy:
-    """The pretrained policy for an environment; `bound_to` then makes it ready for one.
+    """Load the pretrained policy for an environment; `bound_to` then prepares it for one.
 
     Args:
-        env_id: Of the environment.
+        env_id: Id of the environment.
 
     Raises:
-        FileNotFoundError: If there is none.
+        FileNotFoundError: If there is no pretrained policy.
         gymnasium.error.Error: If no such environment is registered.
     """
     path = pretrained_path(env_id)
@@ -59,13 +59,13 @@ def load_pretrained(env_id: str) -> ExportedPolicy:
 
 
 def read_provenance(path: Path) -> dict[str, Any]:
-    """Metadata in the file beside exported weights; none if there is no such file.
+    """Read the metadata in the file beside exported weights; empty if there is no such file.
 
     Args:
-        path: Of the weights, .npz.
+        path: Path of the weights, .npz.
 
     Raises:
-        ValueError: If the file says something else.
+        ValueError: If the file holds something else.
     """
     file = path.with_suffix(".json")
     if not file.exists():
@@ -80,13 +80,13 @@ def read_provenance(path: Path) -> dict[str, Any]:
 
 
 def describe_provenance(provenance: Mapping[str, Any]) -> str:
-    """How a policy was found, in a few words.
+    """Describe in a few words how a policy was obtained.
 
     Args:
-        provenance: From `read_provenance`.
+        provenance: Metadata from `read_provenance`.
 
     Returns:
-        Such as "soft actor-critic, 25 600 steps" or "clone of 50 demonstrations".
+        A text such as "soft actor-critic, 25 600 steps" or "clone of 50 demonstrations".
     """
     steps = int(provenance.get("steps", 0))
     if steps == 0:

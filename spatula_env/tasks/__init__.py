@@ -1,8 +1,7 @@
-"""What is asked of the agent: goals, reward terms and success.
+"""Tasks: goals, reward terms and success criteria.
 
-A task knows no physics engine and no Gymnasium. It reads a `Situation`, arrays in SI units whose first axis
-counts worlds, and answers with an `Evaluation` of the same kind, so that one environment and many at once
-share it.
+A task is independent of physics engines and of Gymnasium. It reads a `Situation`, arrays in SI units whose first axis
+counts worlds, and returns an `Evaluation` of the same form, so that single and vector environments share it.
 """
 
 from __future__ import annotations

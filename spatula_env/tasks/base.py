@@ -1,4 +1,4 @@
-"""What a task is, and what it answers: rewards, what was achieved, and whether that is what was asked for.
+"""The interface of tasks: how they compute rewards, what was achieved, and whether the goal is fulfilled.
 
 W counts worlds, G the numbers in a goal; units and frame are those of `situation`.
 """
@@ -21,7 +21,7 @@ from spatula_env.tasks.marks import Mark
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 Memory = dict[str, NDArray[Any]]
-"""What a task remembers within episodes: arrays (W, ...) by name."""
+"""Values that a task remembers within episodes: arrays (W, ...) by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +29,12 @@ class PartSpec:
     """A named piece of an observation.
 
     Attributes:
-        name: Its key where observations are dictionaries.
-        unit: Of all its numbers.
+        name: Key of the part in dictionary observations.
+        unit: Unit of all its numbers.
         low: (k,) least values.
         high: (k,) greatest values.
-        sensed: Whether a robot knows it by its own sensors or is told it: pose, velocity, force, torque, and the goal.
-            What is not is privileged: it is read off the simulated organ.
+        sensed: Whether a robot knows it from its own sensors or is told it: pose, velocity, force, torque, and the
+            goal. Other parts are privileged: they are read from the simulated organ.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Evaluation:
         terms: Reward terms before weighting, each (W,); the keys never change.
         achieved: (W, G) the goal that this situation would fulfil exactly.
         error: (W, G) goal minus achieved.
-        within_tolerance: (W,) bool, what is achieved is the goal, for now.
+        within_tolerance: (W,) bool, whether the goal is fulfilled at present.
         measures: Further quantities worth reporting, each (W,); the keys never change.
         parts: The task's own pieces of the observation, each (W, k), by the names in `Task.extra_parts`.
     """
@@ -71,20 +71,20 @@ class Evaluation:
 
 
 class Task(ABC):
-    """What is asked of the agent. A task is not changed by being asked: what it remembers is handed to it.
+    """Base of all tasks. A task is stateless: what it has to remember is passed to it.
 
-    Subclasses name their goal, and say how episodes begin, what a situation is worth and when a goal is fulfilled.
+    Subclasses name the goal's numbers, and define how episodes begin, the reward, and when a goal is fulfilled.
 
     Attributes:
-        description: What is asked, as a sentence that instructs; "" where nobody wrote one.
-        goal_names: Names of the G numbers in a goal.
+        description: Instruction to the agent in one sentence; "" if there is none.
+        goal_names: Names of the G numbers of a goal.
         goal_units: Their units.
-        hindsight: Whether what is achieved is the same whatever is asked for, so that a step may be replayed as if
-            something else had been asked.
-        definition: The number of what is asked, rewarded and counted. Policies, data sets and results carry it: with
-            another number they are of another task.
+        hindsight: Whether what is achieved does not depend on the goal, so that a step may be replayed with another
+            goal.
+        definition: Version number of the task's goals, rewards and costs. Policies, data sets and results carry it:
+            those with another number belong to another task.
         extra_parts: The task's own pieces of the observation.
-        setting: Where it is asked, as far as nothing of it is drawn at random.
+        setting: Setting of the task, without anything drawn at random.
     """
 
     description: ClassVar[str] = ""
@@ -95,16 +95,16 @@ class Task(ABC):
     extra_parts: tuple[PartSpec, ...] = ()
 
     def __init__(self, config: TaskConfig, setting: Setting, goal_low: ArrayLike, goal_high: ArrayLike) -> None:
-        """Prepare for a setting.
+        """Prepare the task for a setting.
 
         Args:
-            config: What is asked.
-            setting: Where.
+            config: Configuration of the task.
+            setting: Setting of the task.
             goal_low: (G,) least values of what can be achieved.
             goal_high: (G,) greatest values.
 
         Raises:
-            ValueError: If the tools cannot start as high as is asked for.
+            ValueError: If the tools cannot start as high as configured.
         """
         self.setting = setting
         highest = float(setting.workspace_high[2] + setting.tool_low[2] - setting.rest_nodes[:, 2].max())
@@ -136,31 +136,31 @@ class Task(ABC):
 
     @property
     def best_reward(self) -> float:
-        """The greatest dense reward of a step: the sum of the positive weights, whose terms are 1 at most.
+        """Greatest dense reward of a step: the sum of the positive weights, whose terms are at most 1.
 
-        What ends of episodes pay is reckoned by it; a task with other terms overrides it.
+        The payments at the ends of episodes are based on it; a task whose terms can exceed 1 overrides it.
         """
         return sum(weight for weight in self._weights.values() if weight > 0.0)
 
     @property
     def hold_time(self) -> float:
-        """How long the goal must be held without a break for success [s]."""
+        """Time for which the goal must be held without interruption for success [s]."""
         return self._hold_time
 
     @property
     def loading_limit(self) -> float:
-        """How fast the force on a tool may grow without being counted as a cost [N/s]."""
+        """Rate at which the force on a tool may grow without causing a cost [N/s]."""
         return self._loading_limit
 
     @property
     def cost_budget(self) -> float:
-        """Up to which cost of an episode success counts as safe [s]."""
+        """Greatest cost of an episode with which success counts as safe [s]."""
         return self._cost_budget
 
     def pressure_limit(self, goal: FloatArray) -> FloatArray:
-        """Which pressure goals (W, G) need, with care: what is beyond is counted as a cost (W,) [Pa].
+        """Pressure that reaching goals (W, G) requires with care: pressures beyond it cause a cost (W,) [Pa].
 
-        By default no more than what tissue bears.
+        By default the pressure that tissue bears.
         """
         return np.full(len(goal), COST_PRESSURE)
 
@@ -169,34 +169,34 @@ class Task(ABC):
         """Draw the beginnings of episodes.
 
         Args:
-            generator: Where randomness comes from.
+            generator: Source of randomness.
             count: Number of episodes, W.
-            setting: Where the organ is, and the tools: it may differ from the task's own.
+            setting: Setting of these episodes; it may differ from the task's own.
         """
 
     @abstractmethod
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
-        """Judge a situation by the goals (W, G), once in each control step and once at the beginning.
+        """Evaluate a situation for the goals (W, G), once per control step and once at the beginning of an episode.
 
         Args:
-            situation: Of W worlds.
-            goal: (W, G).
-            memory: Of these worlds; changed in place.
+            situation: Situation of W worlds.
+            goal: (W, G) goals.
+            memory: Memory of these worlds; updated in place.
         """
 
     @abstractmethod
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Whether what is achieved (..., G) is what is desired (..., G), for now: (...). From these numbers alone."""
+        """Whether what is achieved (..., G) fulfils the desired goals (..., G) now: (...). Uses these numbers only."""
 
     def criteria(self, achieved: FloatArray, goal: FloatArray) -> tuple[Criterion, ...]:
-        """The conditions that make up a goal, for a person to read; all are fulfilled exactly when `fulfils` says so.
+        """The conditions of a goal, for display; all are met exactly when `fulfils` returns True.
 
-        By default one for each number of the goal, with the whole goal's verdict: a task that knows what it tolerates
-        tells it here.
+        By default there is one for each number of the goal, all with the verdict on the whole goal; tasks override this
+        to show their tolerances.
 
         Args:
-            achieved: (G,) what `fulfils` would be given.
-            goal: (G,) likewise.
+            achieved: (G,) as for `fulfils`.
+            goal: (G,) as for `fulfils`.
         """
         within = bool(self.fulfils(achieved, goal))
         return tuple(
@@ -205,60 +205,61 @@ class Task(ABC):
         )
 
     def check_goal(self, goal: FloatArray) -> None:
-        """Raise ValueError if a goal (G,) cannot be asked for."""
+        """Raise ValueError if a goal (G,) is not allowed."""
         if (goal < self._goal_low).any() or (goal > self._goal_high).any():
             raise ValueError(f"goal must lie in {self._goal_low} to {self._goal_high}, got {goal}")
 
     def compare(self, measured: FloatArray, goal: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Compare what was measured with the goals, both rounded to single precision first.
+        """Compare measured values with the goals, both first rounded to single precision.
 
-        That is how an agent sees them and a replay buffer stores them: `compute_reward` then gives the same verdict.
+        Agents see them like this and replay buffers store them like this, so `compute_reward` comes to the same
+        verdict.
 
         Args:
-            measured: (W, G).
-            goal: (W, G).
+            measured: (W, G) measured values.
+            goal: (W, G) goals.
 
         Returns:
-            What was achieved (W, G), `measured` within its bounds; the goal minus that (W, G); and whether it is
-            fulfilled (W,).
+            What was achieved (W, G), which is `measured` within its bounds; the goal minus that (W, G); and whether it
+                fulfils the goal (W,).
         """
-        # Not np.clip: it costs several times as much on a few numbers.
+        # Instead of np.clip, which takes several times as long on a few numbers.
         achieved = np.minimum(np.maximum(measured, self._goal_low), self._goal_high)
         desired, seen = as_seen(goal), as_seen(achieved)
         return achieved, desired - seen, self.fulfils(seen, desired)
 
     def check_room(self, name: str, distance: float, middle: ArrayLike) -> None:
-        """Check that a distance is not farther than the workspace reaches around a place.
+        """Check that the workspace extends at least a distance around a place.
 
         Args:
-            name: Of the distance in the configuration.
-            distance: [m].
+            name: Name of the distance in the configuration.
+            distance: The distance [m].
             middle: (2,) the place [m].
 
         Raises:
-            ValueError: If it is.
+            ValueError: If it does not.
         """
         room = self.setting.room_around(middle)
         if distance > room:
             raise ValueError(f"{name} must be {room:.4f} m at most, where the workspace ends; got {distance!r}")
 
     def new_memory(self, count: int) -> Memory:
-        """Room for what is remembered in `count` worlds within an episode; nothing by default."""
+        """Allocate the memory of `count` worlds; empty by default."""
         return {}
 
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
-        """Forget the last episode in some worlds; by default there is nothing to forget.
+        """Reset the memory of some worlds at the beginning of episodes; does nothing by default.
 
         Args:
-            memory: Of all worlds; the rows are written.
-            rows: (n,) which worlds.
-            start: How their episodes begin, n of them.
-            settings: Where, n of them.
+            memory: Memory of all worlds; the rows are written.
+            rows: (n,) indices of the worlds.
+            start: How the n episodes begin.
+            settings: Settings of the n worlds.
         """
         return None
 
     def compute_reward(self, achieved: NDArray[Any], desired: NDArray[Any]) -> NDArray[np.float32]:
-        """The sparse reward, from goals alone.
+        """The sparse reward, computed from goals alone.
 
         Args:
             achieved: (..., G).
@@ -273,18 +274,18 @@ class Task(ABC):
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
     ) -> tuple[Mark, ...]:
-        """Marks that show a goal (G,) in a picture.
+        """Marks that show a goal in a picture.
 
         Args:
-            goal: (G,).
-            situation: Of the one world that is shown, W = 1; None: before anything has happened.
-            memory: Of that world; None: nobody knows.
+            goal: (G,) the goal.
+            situation: Situation of the one world that is shown, W = 1; None before the episode has begun.
+            memory: Memory of that world; None if it is unknown.
         """
         return ()
 
 
 def as_seen(goal: ArrayLike) -> FloatArray:
-    """Goals as an agent sees them and a replay buffer stores them: rounded to single precision."""
+    """Round goals to single precision, as agents see them and replay buffers store them."""
     return np.asarray(goal, dtype=np.float32).astype(np.float64)
 
 
@@ -296,7 +297,7 @@ def sample_disc(generator: np.random.Generator, radius: float, count: int) -> Fl
 
 
 def closeness(distance: FloatArray, scale: float) -> FloatArray:
-    """From 1 at distance 0 towards 0: 1 - tanh(distance / scale), which is 0.24 at `scale`."""
+    """Closeness 1 - tanh(distance / scale): 1 at distance 0, 0.24 at `scale`, tending to 0."""
     return np.asarray(1.0 - np.tanh(distance / scale))
 
 

@@ -1,4 +1,4 @@
-"""The clamp: grip a ridge between two jaws, lift it, and hold it up without letting it slip."""
+"""The clamp task: grip a ridge between two jaws, lift it, and hold it up without letting it slip."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from spatula_env.tasks.organs import organ_with_parts
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 LEAST_LIFT, GREATEST_LIFT = -0.03, 0.08
-"""Limits of a measured lift [m]: a ridge that is pushed down, and one that is as high as the workspace lets it be."""
+"""Limits of a measured lift [m]: a ridge that is pushed down, and one at the top of the workspace."""
 
 GREATEST_SLIP = 0.02
-"""Slips are reported up to this, and as this where nothing is gripped [m]."""
+"""Greatest slip that is reported [m]; also reported while nothing is gripped."""
 
 GREATEST_OFFSET = 0.12
-"""The way from the grip to the ridge is reported up to this along each axis [m]."""
+"""Greatest component of the vector from the grip to the ridge that is reported [m]."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class ClampWeights(Weights):
     """Weights of the reward terms of `ClampTask`.
 
     Attributes:
-        reach: Of the closeness of the grip to the ridge's middle, 0..1.
-        grip: Of both jaws touching the ridge, 0 or 1.
-        lift: Of that times the closeness of the lift to the goal's, 0..1.
-        slip: Of the slip of what is gripped [1/m].
-        force: Of the sum of the magnitudes of the two jaws' contact forces [1/N].
+        reach: Weight of the closeness of the grip to the ridge's middle, 0..1.
+        grip: Weight of both jaws touching the ridge, 0 or 1.
+        lift: Weight of "grip" times the closeness of the lift to the goal's, 0..1.
+        slip: Weight of the slip of what is gripped [1/m].
+        force: Weight of the sum of the magnitudes of the two jaws' contact forces [1/N].
     """
 
     reach: float = 0.15
@@ -50,21 +50,21 @@ class ClampWeights(Weights):
 
 @dataclass(frozen=True)
 class ClampConfig(TaskConfig):
-    """Configuration of the clamp's task.
+    """Configuration of the clamp task.
 
     Attributes:
-        lift_range: Least and greatest height that the ridge is to be lifted by [m].
-        slip_range: Least and greatest slip that is allowed [m].
+        lift_range: Least and greatest lift of the ridge that is asked for [m].
+        slip_range: Least and greatest slip that a goal allows [m].
         lift_tolerance: Allowed difference of the lift from the goal's [m].
-        grip_force_range: Least and greatest force with which either jaw may press on the ridge [N].
-        hold_time: How long the ridge must be held there without a break [s].
+        grip_force_range: Least and greatest force with which each jaw may press on the ridge [N].
+        hold_time: Time for which the ridge must be held there without interruption [s].
         start_offset: The grip starts within this distance of the ridge's middle, along each horizontal axis [m].
         start_height_range: Least and greatest height of the jaws' lower edges above the ridge's crest at the start [m].
         start_opening_range: Least and greatest free width between the jaws at the start [m].
-        reach_scale: Distance to the ridge's middle at which the reward term "reach" has fallen to 0.24 [m].
-        lift_scale: Error of the lift at which its closeness has fallen to 0.24 [m].
-        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
-        cost_budget: Up to which cost of an episode success counts as safe [s].
+        reach_scale: Distance to the ridge's middle at which the reward term "reach" is 0.24 [m].
+        lift_scale: Error of the lift at which its closeness is 0.24 [m].
+        loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
+        cost_budget: Greatest cost of an episode with which success counts as safe [s].
     """
 
     lift_range: tuple[float, float] = (0.004, 0.012)
@@ -82,7 +82,7 @@ class ClampConfig(TaskConfig):
     weights: ClampWeights = field(default_factory=ClampWeights)
 
     def __post_init__(self) -> None:
-        """Check the values, and take lists and mappings as they come from a file."""
+        """Check the values; convert lists and mappings from a file."""
         self._check_not_negative("start_offset")
         self._check_positive("lift_tolerance", "hold_time", "reach_scale", "lift_scale")
         self._read_ranges("lift_range", "slip_range")
@@ -102,16 +102,16 @@ class ClampConfig(TaskConfig):
 
 
 class ClampTask(Task):
-    """Judges a grip.
+    """Evaluates how the ridge is gripped and lifted.
 
-    A goal is (lift, slip): by how much the ridge is to be lifted, and by how much it may slip at most. The lift is
-    measured on the organ: it is how much higher the nodes of the ridge's crest are than at rest, on average.
+    A goal is (lift, slip): the lift of the ridge, and the greatest slip allowed. The lift is measured on the organ: it
+    is the mean height of the nodes of the ridge's crest above their height at rest.
 
     A grip begins when both jaws touch the organ with the faces that they turn to each other, and ends when neither
-    does. Its slip is how far the part of the ridge that was between the jaws when the grip began has moved along their
-    faces since, in the frame of the first jaw. While not both jaws touch, or one of them presses with a force that is
-    not in the range of grip forces, the slip counts as the greatest there is: neither a loose grip holds nor one that
-    crushes. The goal is fulfilled if the lift is right within a tolerance and the slip is not greater than allowed.
+    does. Its slip is the distance that the part of the ridge that was between the jaws when the grip began has since
+    moved along their faces, in the frame of the first jaw. While not both jaws touch, or the force of a jaw is outside
+    the range of grip forces, the slip counts as the greatest possible: neither a loose nor a crushing grip holds. The
+    goal is fulfilled if the lift is right within a tolerance and the slip is no greater than allowed.
     """
 
     description = (
@@ -122,11 +122,11 @@ class ClampTask(Task):
     definition = 2
 
     def __init__(self, config: ClampConfig, setting: Setting) -> None:
-        """Prepare for a setting.
+        """Prepare the task for a setting.
 
         Args:
-            config: What is asked.
-            setting: Where: with an organ that is a `RidgedBlock`, and two tools that face each other.
+            config: Configuration of the task.
+            setting: Setting with an organ that is a `RidgedBlock`, and two tools that face each other.
 
         Raises:
             ValueError: If the organ has no ridge, there are not two tools, or a goal or a start is out of reach.
@@ -151,7 +151,7 @@ class ClampTask(Task):
         self.check_room("start_offset", config.start_offset, middle)
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
-        """Draw the beginnings of episodes: everything uniform in its range.
+        """Draw the beginnings of episodes: everything is uniform in its range.
 
         Returns:
             Goals (W, 2), positions of the grip (W, 3) and widths between the jaws (W, 1) [m].
@@ -171,7 +171,7 @@ class ClampTask(Task):
         """Check a goal (2,) that was not drawn by `sample`.
 
         Raises:
-            ValueError: If its lift or its slip cannot be asked for.
+            ValueError: If its lift or its slip is not allowed.
         """
         least, greatest = self.config.lift_range
         if not least <= goal[0] <= greatest:
@@ -180,11 +180,11 @@ class ClampTask(Task):
             raise ValueError(f"goal must have a slip from 0 to below {GREATEST_SLIP} m, got {goal[1]}")
 
     def new_memory(self, count: int) -> Memory:
-        """Room for what is remembered of a grip.
+        """Allocate the memory of a grip.
 
         Returns:
-            "gripped" (W,) whether there is one; "between" (W, n) which of the ridge's n nodes were between the jaws
-            when it began, and "reference" (W, 2) where they were then in the plane of the jaws' faces, on average [m].
+            "gripped" (W,) whether a grip has begun; "between" (W, n) which of the ridge's n nodes were between the jaws
+            when it began, and "reference" (W, 2) their mean position at that time in the plane of the jaws' faces [m].
         """
         return {
             "gripped": np.zeros(count, dtype=np.bool_),
@@ -202,8 +202,7 @@ class ClampTask(Task):
         Returns:
             Reward terms "reach", "grip", "lift", "hold", "slip", "force" and "action"; what was achieved; the measures
             "lift", "lift_error" and "slip" [m], "gripped", 0 or 1, and "grip_force", that of the jaw that presses less
-            [N]; and the part "ridge_offset", from the grip to
-            the middle of the ridge's flanks [m].
+            [N]; and the part "ridge_offset", from the grip to the middle of the ridge's flanks [m].
         """
         config = self.config
         nodes, rest = situation.nodes, situation.rest_nodes
@@ -241,7 +240,7 @@ class ClampTask(Task):
         )
 
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Whether the lift is right and the slip is not greater than desired, (..., 2) each [m]."""
+        """Whether the lift is right and the slip is no greater than desired, (..., 2) each [m]."""
         error = desired - achieved
         return np.asarray((np.abs(error[..., 0]) <= self.config.lift_tolerance) & (error[..., 1] >= 0.0))
 
@@ -264,27 +263,28 @@ class ClampTask(Task):
         return Patch(self._crest), Path(ends)
 
     def _grip_forces(self, situation: Situation) -> tuple[FloatArray, FloatArray]:
-        """With what the jaws press on the ridge: the jaw that presses less (W,), and the other one (W,) [N]."""
+        """Forces with which the jaws press on the ridge: the smaller one (W,) and the greater one (W,) [N]."""
         away = turn(situation.tool_orientation, self._away)
-        # The organ pushes either jaw away from the other.
+        # The organ pushes the two jaws away from each other.
         first, second = situation.contact_forces[:, 0], situation.contact_forces[:, 1]
         forces = np.stack([-(first * away).sum(axis=1), (second * away).sum(axis=1)])
         return forces.min(axis=0), forces.max(axis=0)
 
     def _slip(self, situation: Situation, memory: Memory) -> tuple[FloatArray, FloatArray]:
-        """How far what is gripped has slipped (W,) [m], and whether anything is gripped (W,), 0 or 1."""
+        """Slip of what is gripped (W,) [m], and whether anything is gripped (W,), 0 or 1."""
         first, second = (situation.contact_share[:, face] > 0.0 for face in self._inner)
         gripped = first & second
-        # Coordinates of the ridge's nodes in the plane of the jaws' faces, as the first jaw sees them from the grip.
+        # Coordinates of the ridge's nodes in the plane of the jaws' faces, relative to the grip, in the first jaw's
+        # frame.
         away = situation.nodes[:, self._flanks] - situation.tool_position[:, None]
         seen = turn(conjugate(situation.tool_orientation)[:, None], away) @ self._plane.T
         half = situation.tool_scale[:, None, None] * self._half
         between = (np.abs(seen - self._middle) <= half).all(axis=2)
-        # Jaws that touch the ridge with their rims only have none of its nodes between them: then all of them count.
+        # Jaws that touch the ridge only with their rims have none of its nodes between them: then count all nodes.
         between |= ~between.any(axis=1, keepdims=True)
         beginning = gripped & ~memory["gripped"]
         memory["between"][beginning] = between[beginning]
-        # One jaw that loses touch for a moment does not make a slip undone.
+        # A jaw that loses contact for a moment must not reset the slip.
         memory["gripped"][:] = gripped | (memory["gripped"] & (first | second))
         weights = memory["between"] / np.maximum(memory["between"].sum(axis=1, keepdims=True), 1)
         place = (weights[:, :, None] * seen).sum(axis=1)
@@ -294,7 +294,7 @@ class ClampTask(Task):
 
 
 def _across(direction: FloatArray) -> FloatArray:
-    """(2, 3) two unit vectors across a direction (3,) and each other."""
+    """(2, 3) two unit vectors perpendicular to a direction (3,) and to each other."""
     axis = np.zeros(3)
     axis[np.argmin(np.abs(direction))] = 1.0
     first = np.cross(direction, axis)

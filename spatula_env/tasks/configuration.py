@@ -1,4 +1,4 @@
-"""Configurations of tasks, read from a file or a call and checked."""
+"""Configurations of tasks, validated when read from a file or from arguments."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Config = TypeVar("Config")
 
 
 class Weights:
-    """Base of the frozen dataclasses that hold the weight of each reward term, a finite number.
+    """Base of the frozen dataclasses that hold the reward weights, one finite number per reward term.
 
     Attributes:
-        hold: Of being within tolerance, 0 or 1.
-        action: Of the squared length of the action.
+        hold: Weight of being within tolerance, 0 or 1.
+        action: Weight of the squared length of the action.
     """
 
     hold: float
@@ -35,14 +35,14 @@ class Weights:
 
 
 class TaskConfig:
-    """Base of the frozen dataclasses that say what is asked. They check themselves with its methods.
+    """Base of the frozen dataclasses that configure tasks. Subclasses check themselves with its methods.
 
     Attributes:
-        hold_time: How long the goal must be held without a break for success [s].
+        hold_time: Time for which the goal must be held without interruption for success [s].
         start_height_range: Least and greatest height of the tools' lowest point above the organ's top at the start [m].
-        weights: Of the reward terms; a mapping of some of them is completed by the defaults.
-        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
-        cost_budget: Up to which cost of an episode success counts as safe [s].
+        weights: Weights of the reward terms; a mapping may hold only some of them, the others get their defaults.
+        loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
+        cost_budget: Greatest cost of an episode with which success counts as safe [s].
     """
 
     loading_limit: float = math.inf
@@ -62,7 +62,7 @@ class TaskConfig:
             check_positive(self._plain(name), name)
 
     def _read_ranges(self, *names: str, not_negative: bool = False) -> None:
-        """Take two numbers in ascending order, also a list, for each of the fields with these names."""
+        """Convert the fields with these names to two numbers in ascending order; lists are accepted."""
         for name in names:
             ends = check_range(getattr(self, name), name)
             if not_negative and ends[0] < 0.0:
@@ -70,29 +70,29 @@ class TaskConfig:
             object.__setattr__(self, name, ends)
 
     def _plain(self, name: str) -> Any:
-        """The value of a field, which becomes Python's own if it is NumPy's."""
+        """Value of a field, converted from NumPy's types to Python's own."""
         value = as_plain(getattr(self, name))
         object.__setattr__(self, name, value)
         return value
 
     def _read_weights(self, kind: type[Weights]) -> None:
-        """Take a mapping from names to weights for the field `weights`."""
+        """Convert the field `weights` from a mapping of names to weights."""
         object.__setattr__(self, "weights", config_from_mapping(kind, self.weights, "weights"))
 
 
 def config_from_mapping(kind: type[Config], values: Mapping[str, Any] | Config | None, name: str) -> Config:
-    """A configuration from what may come from a file or over the wire.
+    """Make a configuration from values that may come from a file or over the network.
 
     Args:
         kind: The dataclass to make.
         values: Its fields by name, or the configuration itself, or None for the defaults.
-        name: What to call the argument in an error.
+        name: Name of the argument in error messages.
 
     Returns:
         The configuration.
 
     Raises:
-        ValueError: If there is no such field, or `values` is something else.
+        ValueError: If a field does not exist, or `values` has another type.
     """
     if values is None:
         return kind()
@@ -108,7 +108,7 @@ def config_from_mapping(kind: type[Config], values: Mapping[str, Any] | Config |
 
 
 def check_range(value: Any, name: str) -> tuple[float, float]:
-    """Two finite numbers in ascending order, as a tuple of floats.
+    """Convert to two finite numbers in ascending order, as a tuple of floats.
 
     Raises:
         ValueError: If `value` is anything else.

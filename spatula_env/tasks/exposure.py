@@ -1,4 +1,4 @@
-"""The share of a target that is seen along parallel lines of sight, past an organ and tools."""
+"""The share of a target that is visible along parallel lines of sight, past an organ and tools."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from spatula_env.contact.raycast import line_meets_triangle
 
 @array_kernel
 def turn_of(au: float, av: float, bu: float, bv: float, cu: float, cv: float) -> float:
-    """Twice the area of the triangle (a, b, c) in the plane: positive where it turns to the left."""
+    """Twice the signed area of the triangle (a, b, c) in the plane: positive if it turns to the left."""
     return (bu - au) * (cv - av) - (bv - av) * (cu - au)
 
 
@@ -27,7 +27,7 @@ def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
         outline: (2 K + 1,) int64, filled with indices into the reordered points.
 
     Returns:
-        How many points the hull has.
+        Number of points of the hull.
     """
     count = u.shape[0]
     for i in range(1, count):
@@ -39,7 +39,7 @@ def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
         u[k], v[k] = pu, pv
     size, least = 0, 2
     for step in range(2 * count - 1):
-        # Along the lower side from left to right, and back along the upper one.
+        # Along the lower side from left to right, then back along the upper side.
         i = step if step < count else 2 * count - 2 - step
         if step == count:
             least = size + 1
@@ -57,22 +57,23 @@ def fill_outline(u: np.ndarray, v: np.ndarray, outline: np.ndarray) -> int:
 def visible_points(
     nodes: np.ndarray, triangles: np.ndarray, corners: np.ndarray, points: np.ndarray, directions: np.ndarray
 ) -> np.ndarray:
-    """Which points are seen by someone who is far away.
+    """Determine which points are visible from far away.
 
-    A point is seen if the ray from it towards the eye meets neither a triangle of the organ nor a tool. As all rays of
-    a world are parallel, they are points of a plane across them; of the organ only the triangles matter whose bounding
-    box in that plane meets that of the points, and a convex tool is the outline of its corners. A tool counts if it is
-    on the line of sight at all, on whichever side of the point: it does not get under what lies on an organ.
+    A point is visible if the ray from it towards the eye meets neither a triangle of the organ nor a tool. As all rays
+    of a world are parallel, they are points in a plane perpendicular to them: only those triangles of the organ matter
+    whose bounding box in that plane meets that of the points, and a convex tool is the outline of its corners. A tool
+    counts if it is on the line of sight at all, on whichever side of the point, because it does not get below a surface
+    point.
 
     Args:
-        nodes: (W, V, 3) of the organ.
+        nodes: (W, V, 3) nodes of the organ.
         triangles: (T, 3).
         corners: (W, N, K, 3) of N convex tools.
-        points: (W, P, 3); those on the organ's surface must be a little above it.
+        points: (W, P, 3) points; those on the organ's surface must be slightly above it.
         directions: (W, 3) unit vectors towards the eye; not along x.
 
     Returns:
-        (W, P).
+        (W, P) whether each point is visible.
     """
     worlds, node_count, point_count = nodes.shape[0], nodes.shape[1], points.shape[1]
     tool_count, corner_count = corners.shape[1], corners.shape[2]
@@ -83,7 +84,7 @@ def visible_points(
     outline = np.empty(2 * corner_count + 1, dtype=np.int64)
     for w in range(worlds):
         dx, dy, dz = directions[w, 0], directions[w, 1], directions[w, 2]
-        # Two directions across the rays: u is x without its part along the ray, v = d x u.
+        # Two directions perpendicular to the rays: u is x without its component along the ray, v = d x u.
         ux, uy, uz = 1.0 - dx * dx, -dx * dy, -dx * dz
         size = np.sqrt(ux * ux + uy * uy + uz * uz)
         ux, uy, uz = ux / size, uy / size, uz / size

@@ -1,4 +1,4 @@
-"""The fissure: enter it edge-on, open it, and hold it open until a target on its floor is seen."""
+"""The fissure task: enter it edge-on, open it, and hold it open until a target on its floor is visible."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from spatula_env.tasks.organs import organ_with_parts
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 GREATEST_VIEW = 0.6
-"""Tilts of the blade and of the line of sight are reported up to this [rad]."""
+"""Greatest tilt of the blade and of the line of sight that is reported [rad]."""
 
 GREATEST_OFFSET = 0.1
-"""The way from the blade's edge to the target is reported up to this along each axis [m]."""
+"""Greatest component of the vector from the blade's edge to the target that is reported [m]."""
 
 SIGHT_LENGTH = 0.06
-"""Of the line of sight in pictures [m]."""
+"""Length of the line of sight in pictures [m]."""
 
 
 MOST_ASKED = 1000
-"""Of the target's points along either side."""
+"""Greatest number of the target's points along either side."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class FissureWeights(Weights):
     """Weights of the reward terms of `FissureTask`.
 
     Attributes:
-        reach: Of the closeness of the blade's edge to the target, 0..1.
-        align: Of that times the closeness of the blade's tilt to the line of sight, 0..1.
-        exposure: Of the share of the target that is seen, as a part of the share asked for, 0..1.
-        force: Of the contact force [1/N].
+        reach: Weight of the closeness of the blade's edge to the target, 0..1.
+        align: Weight of "reach" times the closeness of the blade's tilt to the line of sight, 0..1.
+        exposure: Weight of the visible share of the target, relative to the share asked for, 0..1.
+        force: Weight of the contact force [1/N].
     """
 
     reach: float = 0.15
@@ -54,29 +54,29 @@ class FissureWeights(Weights):
 
 @dataclass(frozen=True)
 class FissureConfig(TaskConfig):
-    """Configuration of the fissure's task.
+    """Configuration of the fissure task.
 
     Attributes:
         place_limit: The target's middle lies within this distance of the fissure's, along it [m].
         view_range: Least and greatest angle between the line of sight and the vertical, to either side [rad].
-        exposure_range: Least and greatest share of the target that is to be seen.
+        exposure_range: Least and greatest share of the target that has to be visible.
         target_size: Length of the target along the fissure, and its width across [m].
-        target_height: How high the target, a flat patch, lies above the lowest line of the floor [m].
-        target_grid: How many of its points are asked whether they are seen, along it and across.
+        target_height: Height of the target, a flat patch, above the lowest line of the floor [m].
+        target_grid: Number of its points that are tested for visibility, along it and across.
         place_tolerance: Allowed distance of the blade's middle from the target's, along the fissure [m].
         view_tolerance: Allowed angle between blade and line of sight [rad].
-        edge_height: What is seen counts while the blade's lower edge is this far above the target at most: in the
-            fissure down to its floor, and not between its lips [m].
-        hold_time: How long the target must be seen without a break [s].
+        edge_height: Visibility counts only while the blade's lower edge is at most this far above the target: inside
+            the fissure down to its floor, and not between its lips [m].
+        hold_time: Time for which the target must be visible without interruption [s].
         start_offset: The blade starts within this distance of the fissure's middle, along each horizontal axis [m].
         start_height_range: Least and greatest height of its lower edge above the organ's top at the start [m].
-        start_tilt: It starts with a tilt of this to either side at most [rad].
-        reach_height: How far above the target's middle the reward term "reach" wants the blade's edge [m].
-        reach_aside: How far beside it, on the side to which the line of sight leans [m].
-        reach_scale: Distance from there at which the term has fallen to 0.24 [m].
-        align_scale: Angle at which the closeness of tilt and line of sight has fallen to 0.24 [rad].
-        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
-        cost_budget: Up to which cost of an episode success counts as safe [s].
+        start_tilt: Greatest tilt of the blade at the start, to either side [rad].
+        reach_height: Height above the target's middle at which the reward term "reach" wants the blade's edge [m].
+        reach_aside: Distance beside it, on the side to which the line of sight leans [m].
+        reach_scale: Distance from there at which the term is 0.24 [m].
+        align_scale: Angle at which the closeness of tilt and line of sight is 0.24 [rad].
+        loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
+        cost_budget: Greatest cost of an episode with which success counts as safe [s].
     """
 
     place_limit: float = 0.01
@@ -101,7 +101,7 @@ class FissureConfig(TaskConfig):
     weights: FissureWeights = field(default_factory=FissureWeights)
 
     def __post_init__(self) -> None:
-        """Check the values, and take lists and mappings as they come from a file."""
+        """Check the values; convert lists and mappings from a file."""
         self._check_not_negative("place_limit", "start_offset", "start_tilt", "reach_height", "reach_aside")
         self._check_positive(
             "target_height",
@@ -141,19 +141,19 @@ class FissureConfig(TaskConfig):
 
 
 class FissureTask(Task):
-    """Judges how a fissure is held open.
+    """Evaluates how a fissure is held open.
 
-    The target is a flat patch a little above the lowest line of the fissure's floor. Someone looks at it from far
-    above, along a line of sight that is tilted towards one of the walls: as through an operating microscope. A point of
-    the target is seen if its ray towards the eye meets neither the organ nor the blade. At rest the wall is in the way.
+    The target is a flat patch slightly above the lowest line of the fissure's floor. It is viewed from far above, along
+    a line of sight tilted towards one of the walls, as through an operating microscope. A point of the target is
+    visible if its ray towards the eye meets neither the organ nor the blade. At rest the wall is in the way.
 
-    A goal is (place, view, exposure): where the target is along the fissure, from the middle of its floor; the tilt of
-    the line of sight, a rotation about x like the blade's: a positive one leans towards the operator; and the share of
-    the target that is to be seen. What is achieved is where the blade's edge is along the fissure, the blade's tilt,
-    and the share that is seen while the edge is near the floor, zero without. The share is that of the episode's target
-    along the episode's line of sight, so hindsight, which asks for another one, cannot know it. The goal is fulfilled
-    if the blade is at the target and along the line of sight, both within a wide tolerance, and no less is seen than is
-    asked for: more is better.
+    A goal is (place, view, exposure): the target's position along the fissure, from the middle of its floor; the tilt
+    of the line of sight, a rotation about x like the blade's, where a positive one leans towards the operator; and the
+    share of the target that has to be visible. What is achieved is the position of the blade's edge along the fissure,
+    the blade's tilt, and the visible share while the edge is near the floor, otherwise zero. The share is that of the
+    episode's target along the episode's line of sight, so it is unknown for the other goals of hindsight replay. The
+    goal is fulfilled if the blade is at the target and along the line of sight, both within a wide tolerance, and the
+    visible share is at least that asked for.
     """
 
     description = (
@@ -166,11 +166,11 @@ class FissureTask(Task):
     definition = 2
 
     def __init__(self, config: FissureConfig, setting: Setting) -> None:
-        """Prepare for a setting.
+        """Prepare the task for a setting.
 
         Args:
-            config: What is asked.
-            setting: Where: with an organ that is a `FissuredBlock`, and one tool.
+            config: Configuration of the task.
+            setting: Setting with an organ that is a `FissuredBlock`, and one tool.
 
         Raises:
             ValueError: If the organ has no fissure, there are several tools, or a goal or a start is out of reach.
@@ -197,7 +197,7 @@ class FissureTask(Task):
         self._check_reach()
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
-        """Draw the beginnings of episodes: everything uniform in its range, and the side of the sight by a coin.
+        """Draw the beginnings of episodes: everything uniform in its range, either side of the sight equally likely.
 
         Returns:
             Goals (W, 3), positions (W, 3) [m] and orientations (W, 4) of the blade.
@@ -223,7 +223,7 @@ class FissureTask(Task):
         """Check a goal (3,) that was not drawn by `sample`.
 
         Raises:
-            ValueError: If its place, its view or its exposure cannot be asked for.
+            ValueError: If its place, its view or its exposure is not allowed.
         """
         limit, steepest = self._greatest_place(), self.config.view_range[1]
         if not abs(goal[0]) <= limit:
@@ -238,9 +238,9 @@ class FissureTask(Task):
 
         Returns:
             Reward terms "reach", "align", "exposure", "hold", "force" and "action"; what was achieved; the measures
-            "exposure", wherever the edge is, "target_distance" [m] from the blade's edge to beside the target, and
-            "view_error" [rad] of the blade's tilt; and the part "target_offset", from the middle of the blade's edge
-            to the target's [m].
+            "exposure", wherever the edge is, "target_distance" [m] from the blade's edge to the place that "reach"
+            wants, and "view_error" [rad] of the blade's tilt; and the part "target_offset", from the middle of the
+            blade's edge to the target's [m].
         """
         config = self.config
         scale = situation.tool_scale
@@ -277,7 +277,7 @@ class FissureTask(Task):
         )
 
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Whether the blade is at the place and along the view, and as much is seen as desired, (..., 3) each."""
+        """Whether the blade is at the place and along the view, and enough is visible, (..., 3) each."""
         error = desired - achieved
         return np.asarray(
             (np.abs(error[..., 0]) <= self.config.place_tolerance)
@@ -307,7 +307,7 @@ class FissureTask(Task):
         return Path(np.array(outline)), Path(np.array([target, target + SIGHT_LENGTH * sight(goal[None, 1])[0]]))
 
     def _floor_line(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Of organs (W, V, 3): the middle of the floor's lowest line (W, 3) [m], and its direction (W, 3)."""
+        """For organs (W, V, 3): middle of the floor's lowest line (W, 3) [m], and its direction (W, 3)."""
         first, last = nodes[:, self._ends[0]], nodes[:, self._ends[1]]
         way = last - first
         return 0.5 * (first + last), way / np.sqrt((way**2).sum(axis=1, keepdims=True))
@@ -319,7 +319,7 @@ class FissureTask(Task):
     def _exposure(
         self, nodes: FloatArray, corners: FloatArray, target: FloatArray, along: FloatArray, view: FloatArray
     ) -> FloatArray:
-        """(W,) share of the target that is seen."""
+        """(W,) visible share of the target."""
         across = np.cross([0.0, 0.0, 1.0], along)
         points = target[:, None] + self._grid[:, :1] * along[:, None] + self._grid[:, 1:] * across[:, None]
         seen = visible_points(
@@ -332,7 +332,7 @@ class FissureTask(Task):
         return np.asarray(seen.mean(axis=1))
 
     def _greatest_place(self) -> float:
-        """How far from the middle of the fissure a target can be [m]."""
+        """Greatest distance of a target from the middle of the fissure [m]."""
         first, last = self.setting.rest_nodes[list(self._ends)]
         return float(0.5 * np.linalg.norm(last - first) - 0.5 * self.config.target_size[0])
 
@@ -348,9 +348,9 @@ class FissureTask(Task):
 
 
 _ROUND = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
-"""Once around the corners of a rectangle."""
+"""Corners of a rectangle, once around."""
 
 
 def sight(view: FloatArray) -> FloatArray:
-    """Unit vectors (W, 3) towards the eye, of lines of sight turned about x from the vertical by angles (W,) [rad]."""
+    """Unit vectors (W, 3) towards the eye for lines of sight rotated about x from the vertical by angles (W,) [rad]."""
     return np.column_stack([np.zeros(len(view)), -np.sin(view), np.cos(view)])

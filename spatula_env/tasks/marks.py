@@ -1,4 +1,4 @@
-"""Marks that show a goal in a picture, without saying how they are drawn.
+"""Marks that show a goal in a picture, independent of how they are drawn.
 
 Lengths are in metres and points in the workspace frame.
 """
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from spatula_env.arrays import FloatArray
 
 ROLES = ("goal", "target", "caution")
-"""What the colour of a patch may stand for: what is asked for, what is acted on, what must be spared."""
+"""Meanings of a patch's colour: what is asked for, what is acted on, what must be spared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +21,8 @@ class Ring:
     """A horizontal ring.
 
     Attributes:
-        point: (3,) its middle [m].
-        radius: [m].
+        point: (3,) centre [m].
+        radius: Radius [m].
     """
 
     point: FloatArray
@@ -31,10 +31,10 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A line from point to point.
+    """A polyline.
 
     Attributes:
-        points: (K, 3) [m].
+        points: (K, 3) its points [m].
     """
 
     points: FloatArray
@@ -42,10 +42,10 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Places.
+    """A set of points.
 
     Attributes:
-        points: (K, 3) [m].
+        points: (K, 3) the points [m].
     """
 
     points: FloatArray
@@ -53,11 +53,11 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A part of the organ's surface, wherever it has gone.
+    """A part of the organ's surface that moves with the organ.
 
     Attributes:
         nodes: (K,) indices of the organ's nodes; a triangle all of whose corners are among them belongs to it.
-        role: What its colour stands for, one of `ROLES`.
+        role: Meaning of its colour, one of `ROLES`.
     """
 
     nodes: NDArray[np.int64]
@@ -70,4 +70,4 @@ class Patch:
 
 
 Mark = Ring | Path | Points | Patch
-"""Anything that shows a goal."""
+"""Any of the marks that show a goal."""

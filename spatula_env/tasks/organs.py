@@ -1,4 +1,4 @@
-"""Organs whose parts have names, for tasks that ask for something at one of them."""
+"""Organs with named parts, for tasks whose goals refer to one of them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ Named = TypeVar("Named", bound=Organ)
 
 
 def organ_with_parts(setting: Setting, kind: type[Named], *parts: str) -> Named:
-    """The organ of a setting, if it is of the kind that names the parts a task needs.
+    """Return the organ of a setting, checking that it has the named parts that a task needs.
 
     Args:
-        setting: Whose.
-        kind: A kind of `Organ` with fields that hold the nodes of its parts.
-        *parts: Names of those that the task needs.
+        setting: The setting.
+        kind: Kind of `Organ` whose fields hold the nodes of its parts.
+        *parts: Names of the parts that the task needs.
 
     Returns:
         The organ.
 
     Raises:
-        ValueError: If the organ is of another kind; says where it is told how to make one.
+        ValueError: If the organ is of another kind; the message says where to find out how to make one.
     """
     organ: Any = setting.organ
     if isinstance(organ, kind):

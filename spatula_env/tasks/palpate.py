@@ -1,4 +1,4 @@
-"""The palpation: slide along a path on the organ, with a normal force in a band."""
+"""The palpation task: slide along a path on the organ, with a normal force in a band."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from spatula_env.tasks.situation import Setting, Situation, Start
 from spatula_env.tasks.surface import points_on_top
 
 PIECES = 40
-"""A path is divided into this many pieces of equal length, each of which is felt or not."""
+"""Number of pieces of equal length into which a path is divided; each counts as felt or not."""
 
 TENTHS = 10
-"""What has been felt is observed for this many parts of the path."""
+"""Number of parts of the path for which it is observed how much has been felt."""
 
 AHEAD = (0.0, 0.125, 0.25, 0.375, 0.5)
-"""Which points of the path are observed: how far ahead of where the spatula has got to, as parts of its length."""
+"""Observed points of the path: distances ahead of the spatula's progress, as shares of the path's length."""
 
 GREATEST_OFFSET = 0.09
-"""The way from the spatula to points of the path is observed up to this along each axis [m]."""
+"""Greatest component of the vector from the spatula to points of the path that is observed [m]."""
 
 GREATEST_NORMAL_FORCE = 1.0
-"""Normal forces are reported up to this, to either side [N]."""
+"""Greatest magnitude of a normal force that is reported [N]."""
 
 LEAST_FORCE = 0.01
-"""With less normal force the spatula touches nothing [N]."""
+"""Normal force below which the spatula counts as touching nothing [N]."""
 
 MARK_HEIGHT = 0.001
-"""How far above the organ at rest the path is drawn [m]."""
+"""Height above the organ at rest at which the path is drawn [m]."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class PalpateWeights(Weights):
     """Weights of the reward terms of `PalpateTask`.
 
     Attributes:
-        reach: Of the closeness of the spatula's underside to where it has got to on the path, 0..1.
-        force: Of the closeness of the normal force to the middle of the band, while on the path, 0..1.
-        felt: Of the share of the path that has been felt, as a part of the share asked for, 0..1.
+        reach: Weight of the closeness of the spatula's underside to the point of the path that it has reached, 0..1.
+        force: Weight of the closeness of the normal force to the middle of the band, while on the path, 0..1.
+        felt: Weight of the share of the path that has been felt, relative to the share asked for, 0..1.
     """
 
     reach: float = 0.1
@@ -58,24 +58,24 @@ class PalpateWeights(Weights):
 
 @dataclass(frozen=True)
 class PalpateConfig(TaskConfig):
-    """Configuration of a palpation.
+    """Configuration of the palpation task.
 
     Attributes:
-        middle_radius: The middle between the path's ends lies within this distance of the organ's axis [m].
+        middle_radius: Greatest distance of the midpoint between the path's ends from the organ's axis [m].
         length_range: Least and greatest distance of the path's ends, seen from above [m].
-        bend_limit: How far the path bends away from the straight line at its middle, at most, to either side [m].
-        force_range: Least and greatest middle of the force's band [N].
+        bend_limit: Greatest distance of the path from the straight line at its middle, to either side [m].
+        force_range: Least and greatest middle of the force band [N].
         force_tolerance: Half the width of the band [N].
-        share_range: Least and greatest share of the path that is to be felt.
+        share_range: Least and greatest share of the path that has to be felt.
         path_tolerance: Allowed horizontal distance of the centre of pressure from the path [m].
-        end_tolerance: Allowed horizontal distance of it from the path's end, at the end [m].
-        hold_time: How long it must stay there, with a force in the band, without a break [s].
+        end_tolerance: Allowed horizontal distance of the centre of pressure from the path's end, at the end [m].
+        hold_time: Time for which it must stay there, with a force in the band, without interruption [s].
         start_radius: The spatula starts within this horizontal distance of the path's beginning [m].
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
-        reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
-        force_scale: Error of the force at which the term "force" has fallen to 0.24 [N].
-        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
-        cost_budget: Up to which cost of an episode success counts as safe [s].
+        reach_scale: Distance at which the reward term "reach" is 0.24 [m].
+        force_scale: Error of the force at which the term "force" is 0.24 [N].
+        loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
+        cost_budget: Greatest cost of an episode with which success counts as safe [s].
     """
 
     middle_radius: float = 0.004
@@ -96,7 +96,7 @@ class PalpateConfig(TaskConfig):
     weights: PalpateWeights = field(default_factory=PalpateWeights)
 
     def __post_init__(self) -> None:
-        """Check the values, and take lists and mappings as they come from a file."""
+        """Check the values; convert lists and mappings from a file."""
         self._check_not_negative("middle_radius", "bend_limit", "start_radius")
         self._check_positive(
             "force_tolerance", "path_tolerance", "end_tolerance", "hold_time", "reach_scale", "force_scale"
@@ -126,21 +126,21 @@ class PalpateConfig(TaskConfig):
 
 
 class PalpateTask(Task):
-    """Judges a palpation.
+    """Evaluates a palpation.
 
-    A goal is (share, x, y, force): which share of the path is to be felt, where the path ends, and the middle of the
-    band of the normal force. A piece of the path is felt once the centre of pressure has passed over it, no farther to
-    the side than the tolerance, with a normal force in the band in this control step and, where it comes from another
-    piece, in the one before. In which order pieces are felt, and how often, does not matter. The normal force is the
-    part of the contact force that is perpendicular to the spatula's faces, and the centre of pressure is where it acts.
-    The path is on the organ, and moves with it.
+    A goal is (share, x, y, force): the share of the path to be felt, the position of the path's end, and the middle of
+    the band of the normal force. A piece of the path is felt once the centre of pressure has passed over it, no farther
+    to the side than the tolerance, with a normal force in the band in this control step and, if it comes from another
+    piece, in the previous one. Order and number of passes do not matter. The normal force is the component of the
+    contact force perpendicular to the spatula's faces, and the centre of pressure is the point where it acts. The path
+    is on the organ, and moves with it.
 
-    What is achieved is the share felt so far, the centre of pressure (the middle of the lower face where it touches
-    nothing) relative to where the path's end has gone, and the normal force. The share was felt along the episode's
-    path, in the episode's band: hindsight, which asks for another one, cannot know it.
+    What is achieved is the share felt so far, the centre of pressure (the middle of the lower face if it touches
+    nothing) relative to the present position of the path's end, and the normal force. The share was felt along the
+    episode's path, in the episode's band, so it is unknown for the other goals of hindsight replay.
 
     Attributes:
-        config: What is asked.
+        config: Configuration of the task.
     """
 
     description = (
@@ -153,11 +153,11 @@ class PalpateTask(Task):
     definition = 2
 
     def __init__(self, config: PalpateConfig, setting: Setting) -> None:
-        """Prepare for a setting.
+        """Prepare the task for a setting.
 
         Args:
-            config: What is asked.
-            setting: Where.
+            config: Configuration of the task.
+            setting: Setting of the task.
 
         Raises:
             ValueError: If a path or a start is out of the tool's reach.
@@ -184,11 +184,11 @@ class PalpateTask(Task):
         self._check_reach()
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
-        """Draw the beginnings of episodes: places uniform in discs, directions on the circle, all else in its range.
+        """Draw the beginnings of episodes: places uniform in discs, directions on the circle, the rest in their ranges.
 
         Returns:
-            Goals (W, 4) and tool positions (W, 3) [m]; drawn (W, 3) is the way from the path's end to its beginning
-            [m], and how far the path bends to the left of that [m].
+            Goals (W, 4) and tool positions (W, 3) [m]; drawn (W, 3) holds the vector from the path's end to its
+            beginning [m], and the distance by which the path bends to the left of that [m].
         """
         config = self.config
         share = generator.uniform(*config.share_range, size=count)
@@ -228,13 +228,13 @@ class PalpateTask(Task):
             )
 
     def new_memory(self, count: int) -> Memory:
-        """Room for paths and what has been felt of them.
+        """Allocate the memory of paths and of what has been felt.
 
         Returns:
-            "path" (W, P + 1, 3) corners of the path's P pieces, on the organ at rest [m]; "nodes" (W, P + 1, 3) of the
-            triangles that they lie on, and "shares" (W, P + 1, 3) of these nodes in them; "felt" (W, P) which have been
-            felt; "progress" (W,) the farthest place on the path that has been felt, in pieces; "last" (W,) where it was
-            in the step before, in pieces, and "was_feeling" (W,) whether it felt the path then.
+            "path" (W, P + 1, 3) corners of the path's P pieces, on the organ at rest [m]; "nodes" (W, P + 1, 3) nodes
+            of the triangles that they lie on, and "shares" (W, P + 1, 3) their weights; "felt" (W, P) whether each
+            piece has been felt; "progress" (W,) the farthest place on the path that has been felt, in pieces; "last"
+            (W,) the place in the previous step, in pieces, and "was_feeling" (W,) whether the path was felt then.
         """
         return {
             "path": np.zeros((count, PIECES + 1, 3)),
@@ -247,9 +247,9 @@ class PalpateTask(Task):
         }
 
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
-        """See `Task`: paths are laid on the organ at rest.
+        """See `Task`: lays the paths on the organ at rest.
 
-        If an end that was chosen does not fit the direction that was drawn, the path comes there over the organ's axis.
+        If a chosen end does not fit the direction that was drawn, the path approaches it over the organ's axis.
         """
         assert start.drawn is not None
         for row, goal, drawn, setting in zip(rows, start.goal, start.drawn, settings, strict=True):
@@ -263,13 +263,12 @@ class PalpateTask(Task):
         memory["progress"][rows], memory["last"][rows], memory["was_feeling"][rows] = 0.0, 0.0, False
 
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:
-        """Judge a situation, and remember what has been felt.
+        """Evaluate a situation, and remember what has been felt.
 
         Returns:
             Reward terms "reach", "force", "felt", "hold" and "action"; what was achieved; the measures "share",
             "progress", "normal_force" and "force_error" [N], "path_distance" of the centre of pressure [m] and
-            "end_distance" [m]; the parts "path_ahead" [m],
-            "progress", "felt" and "normal_force" [N].
+            "end_distance" [m]; the parts "path_ahead" [m], "progress", "felt" and "normal_force" [N].
         """
         config = self.config
         centre, force, touching = centre_of_pressure(situation, *self._plate, LEAST_FORCE)
@@ -279,7 +278,7 @@ class PalpateTask(Task):
         self._feel(memory, along, aside, force_error)
         share = memory["felt"].mean(axis=1)
 
-        # As if the organ's surface at the path's end were where it was at rest.
+        # Subtract the displacement of the organ's surface at the path's end, as if it were where it was at rest.
         place = centre[:, :2] - (path[:, -1, :2] - memory["path"][:, -1, :2])
         measured = np.column_stack([share, place, force])
         achieved, error, within = self.compare(measured, goal)
@@ -337,7 +336,7 @@ class PalpateTask(Task):
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
     ) -> tuple[Mark, ...]:
-        """The path, and a ring around its end; the ring alone while nobody knows the path."""
+        """The path, and a ring around its end; only the ring if the path is unknown."""
         if memory is None:
             height = self.setting.surface_heights(self.setting.rest_nodes[None], goal[None, 1:3])[0]
             return (Ring(np.array([*goal[1:3], height + MARK_HEIGHT]), self.config.end_tolerance),)
@@ -346,13 +345,13 @@ class PalpateTask(Task):
         return Path(path), Ring(path[-1], self.config.end_tolerance)
 
     def _feel(self, memory: Memory, along: FloatArray, aside: FloatArray, force_error: FloatArray) -> None:
-        """Remember that spatulas press at places on paths (W,), at a distance (W,), with a force's error (W,)."""
+        """Record the pieces felt by pressing at places on paths (W,), at a distance (W,), with a force error (W,)."""
         feeling = (aside <= self.config.path_tolerance) & (force_error <= self.config.force_tolerance)
         last = np.where(memory["was_feeling"], memory["last"], along)
         first_piece = np.floor(np.minimum(last, along))[:, None]
         last_piece = np.floor(np.maximum(last, along))[:, None]
         piece = np.arange(PIECES)
-        # At the very end of the path it is the last piece that is felt.
+        # At the very end of the path, the last piece counts.
         passed = (piece >= np.minimum(first_piece, PIECES - 1)) & (piece <= last_piece)
         memory["felt"] |= passed & feeling[:, None]
         memory["progress"][:] = np.where(feeling, np.maximum(memory["progress"], along), memory["progress"])
@@ -381,7 +380,7 @@ class PalpateTask(Task):
 
 
 def _present_path(memory: Memory, situation: Situation) -> FloatArray:
-    """(W, P + 1, 3) where paths are now [m]; a corner that lies on no triangle stays where it is."""
+    """(W, P + 1, 3) present positions of the paths [m]; a corner that lies on no triangle stays where it is."""
     row = np.arange(len(situation.nodes))[:, None, None]
     rest = situation.rest_nodes[row if len(situation.rest_nodes) > 1 else 0, memory["nodes"]]
     moved = situation.nodes[row, memory["nodes"]] - rest
@@ -389,7 +388,7 @@ def _present_path(memory: Memory, situation: Situation) -> FloatArray:
 
 
 def _project(paths: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Where places (W, 2) are on paths (W, P + 1, 2): how far along (W,), in pieces, and how far aside (W,) [m]."""
+    """Project places (W, 2) onto paths (W, P + 1, 2): position along (W,), in pieces, and distance (W,) [m]."""
     start, step = paths[:, :-1], np.diff(paths, axis=1)
     square = np.maximum((step**2).sum(axis=2), 1e-18)
     part = np.clip(((places[:, None] - start) * step).sum(axis=2) / square, 0.0, 1.0)
@@ -400,7 +399,7 @@ def _project(paths: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _points_at(paths: FloatArray, along: FloatArray) -> FloatArray:
-    """(W, K, 3) points of paths (W, P + 1, 3) at lengths along (W, K), in pieces."""
+    """(W, K, 3) points of paths (W, P + 1, 3) at positions along them (W, K), in pieces."""
     piece = np.minimum(along.astype(np.int64), paths.shape[1] - 2)
     row = np.arange(len(paths))[:, None]
     start, end = paths[row, piece], paths[row, piece + 1]

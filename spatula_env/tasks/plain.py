@@ -1,4 +1,4 @@
-"""Python's own numbers and lists, from NumPy's."""
+"""Conversion of NumPy's numbers and arrays to Python's own."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 def as_plain(value: Any) -> Any:
-    """Numbers and sequences as Python has them, which can be compared and written to a file.
+    """Convert numbers and sequences to Python's own types, which can be compared and written to a file.
 
     Args:
-        value: NumPy scalars become numbers, arrays without axes too, other arrays lists; so does what mappings, lists
-            and tuples hold. Anything else stays as it is.
+        value: NumPy scalars and arrays without axes become numbers, other arrays lists; the same applies to the content
+            of mappings, lists and tuples. Anything else stays as it is.
     """
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
@@ -30,7 +30,7 @@ def as_plain(value: Any) -> Any:
 
 
 def as_recorded(value: Any) -> Any:
-    """Like `as_plain`, and members of enumerations become their names in lower case."""
+    """Like `as_plain`; in addition, members of enumerations become their names in lower case."""
     if isinstance(value, Enum):
         return value.name.lower()
     if isinstance(value, Mapping):
@@ -39,6 +39,6 @@ def as_recorded(value: Any) -> Any:
 
 
 def make_fields_plain(config: DataclassInstance) -> None:
-    """Make the values of a frozen dataclass plain, from within its `__post_init__`."""
+    """Convert the values of a frozen dataclass by `as_plain`, from within its `__post_init__`."""
     for field in fields(config):
         object.__setattr__(config, field.name, as_plain(getattr(config, field.name)))

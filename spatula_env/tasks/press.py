@@ -1,4 +1,4 @@
-"""The press: push the organ's surface to a depth at a place, and hold it there."""
+"""The press task: push the organ's surface to a depth at a place, and hold it there."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from spatula_env.tasks.pose import moved_as_a_whole
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 LEAST_DEPTH, GREATEST_DEPTH = -0.03, 0.06
-"""Limits of a measured depth [m]: a surface that bulges, and one that has gone from under the tool."""
+"""Limits of a measured depth [m]: a surface that bulges, and one that has slipped from under the tool."""
 
 UPWARDS = (0.0, 0.0, 1.0)
-"""Against what the spatula's lower face presses, in its own frame."""
+"""Direction in the spatula's frame in which the organ pushes on its lower face."""
 
 RING_RATIO = 1.64
-"""Radius of the rings that show a goal, by half the spatula's width: they reach around it."""
+"""Radius of the rings that show a goal, relative to half the spatula's width: they reach around it."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class PressWeights(Weights):
     """Weights of the reward terms of `PressTask`.
 
     Attributes:
-        reach: Of the closeness of the spatula's underside to where it has to go, 0..1.
-        depth: Of the closeness of depth and place to the goal's, 0..1.
-        force: Of the contact force [1/N].
+        reach: Weight of the closeness of the spatula's underside to its target position, 0..1.
+        depth: Weight of the closeness of depth and place to the goal's, 0..1.
+        force: Weight of the contact force [1/N].
     """
 
     reach: float = 0.25
@@ -47,25 +47,26 @@ class PressWeights(Weights):
 
 @dataclass(frozen=True)
 class PressConfig(TaskConfig):
-    """Configuration of a press.
+    """Configuration of the press task.
 
     Attributes:
-        center: Where the middle of goals and starts is, seen from above, from the organ's axis (x, y) [m]. A ring has
-            no surface at its axis.
+        center: Middle of the region of goals and starts, seen from above, relative to the organ's axis (x, y) [m]. A
+            ring has no surface at its axis.
         place_radius: Goals lie within this distance of the center [m].
         depth_range: Least and greatest depth asked for [m].
         place_tolerance: Allowed horizontal distance between spatula and place [m].
         depth_tolerance: Allowed difference of the depth from the goal's [m].
-        least_force: The depth counts while the spatula's lower face presses on the organ with this at least [N].
-        hold_time: How long both must be kept without a break [s].
+        least_force: The depth counts only while the spatula's lower face presses on the organ with at least this force
+            [N].
+        hold_time: Time for which place and depth must be held without interruption [s].
         start_radius: The spatula starts within this distance of the center [m].
         start_height_range: Least and greatest height of its underside above the organ's top at the start [m].
-        pressure_per_depth: By how much deeper goals need more pressure than tissue bears, with care: the rim of a flat
-            spatula presses the more the deeper it is [Pa/m].
-        reach_scale: Distance at which the reward term "reach" has fallen to 0.24 [m].
-        depth_scale: Error of depth or of place at which the term "depth" has fallen to 0.24 [m].
-        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
-        cost_budget: Up to which cost of an episode success counts as safe [s].
+        pressure_per_depth: Additional pressure that deeper goals require beyond what tissue bears, with care: the rim
+            of a flat spatula presses harder the deeper it is [Pa/m].
+        reach_scale: Distance at which the reward term "reach" is 0.24 [m].
+        depth_scale: Error of depth or of place at which the corresponding closeness in the term "depth" is 0.24 [m].
+        loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
+        cost_budget: Greatest cost of an episode with which success counts as safe [s].
     """
 
     center: tuple[float, float] = (0.0, 0.0)
@@ -85,7 +86,7 @@ class PressConfig(TaskConfig):
     weights: PressWeights = field(default_factory=PressWeights)
 
     def __post_init__(self) -> None:
-        """Check the values, and take lists and mappings as they come from a file."""
+        """Check the values; convert lists and mappings from a file."""
         self._read_center()
         self._check_not_negative("place_radius", "start_radius", "pressure_per_depth")
         self._check_positive(
@@ -107,17 +108,17 @@ class PressConfig(TaskConfig):
 
 
 class PressTask(Task):
-    """Judges a press.
+    """Evaluates a press.
 
-    A goal is (x, y, depth): a place in the horizontal plane and how far the organ's surface is to be below
-    where it was at rest. What is achieved is measured at the spatula: the place is that of its centre, and
-    the depth is the height that the organ's surface would have at that place if nothing pressed on it, minus its
-    height now. It is the organ that is measured: a spatula that has sunk into the organ without moving it has achieved
-    nothing. Nor has one that does not touch it, or that has pushed it aside: the depth is that under a lower face that
-    presses on the organ, zero without, and the surface that it is measured against lies where the organ lies now.
+    A goal is (x, y, depth): a place in the horizontal plane, and the depth of the organ's surface below its height at
+    rest. What is achieved is measured at the spatula: the place is that of its centre, and the depth is the height that
+    the organ's surface would have there if nothing pressed on it, minus its present height. Since it is measured on the
+    organ, a spatula that has sunk into the organ without moving it has achieved nothing, and neither has one that does
+    not touch it or has pushed it aside: the depth counts only under a lower face that presses on the organ, and is
+    otherwise zero, and the reference surface lies where the organ lies now.
 
     Attributes:
-        config: What is asked.
+        config: Configuration of the task.
     """
 
     description = "Press the organ with the spatula to the given depth at the given place, and hold it there."
@@ -126,14 +127,14 @@ class PressTask(Task):
     definition = 2
 
     def __init__(self, config: PressConfig, setting: Setting) -> None:
-        """Prepare for a setting.
+        """Prepare the task for a setting.
 
         Args:
-            config: What is asked.
-            setting: Where.
+            config: Configuration of the task.
+            setting: Setting of the task.
 
         Raises:
-            ValueError: If the organ has no surface where goals are, or the deepest goal or a start is out of the tool's
+            ValueError: If the organ has no surface at the goals, or the deepest goal or a start is out of the tool's
                 reach.
         """
         low, high = setting.workspace_low, setting.workspace_high
@@ -143,7 +144,7 @@ class PressTask(Task):
         self._check_reach()
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
-        """Draw the beginnings of episodes: places uniform in discs, depths and heights in their ranges.
+        """Draw the beginnings of episodes: places uniform in discs, depths and heights uniform in their ranges.
 
         Returns:
             Goals (W, 3) and tool positions (W, 3) [m].
@@ -174,15 +175,15 @@ class PressTask(Task):
             raise ValueError(f"goal must have a depth from {least} to {greatest} m, got {goal[2]}")
 
     def pressure_limit(self, goal: FloatArray) -> FloatArray:
-        """See `Task`: it grows with the depth."""
+        """See `Task`: the pressure grows with the depth."""
         return np.asarray(COST_PRESSURE + self.config.pressure_per_depth * goal[:, 2])
 
     def new_memory(self, count: int) -> Memory:
-        """Room for the height that the surface is to have at the place, "target_height" (W,) [m]."""
+        """Allocate the memory: the target height of the surface at the place, "target_height" (W,) [m]."""
         return {"target_height": np.zeros(count)}
 
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
-        """See `Task`: the surface at rest is looked up once in an episode."""
+        """See `Task`: evaluates the surface at rest once per episode."""
         rest = np.stack([setting.rest_nodes for setting in settings])
         memory["target_height"][rows] = self.setting.surface_heights(rest, start.goal[:, :2]) - start.goal[:, 2]
 
@@ -238,7 +239,7 @@ class PressTask(Task):
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
     ) -> tuple[Mark, ...]:
-        """Rings at the place on the surface at rest and where it is to go, and a line from one to the other."""
+        """Rings at the place on the surface at rest and at the target depth, and a line from one to the other."""
         rest = self.setting.rest_nodes[None] if situation is None else situation.rest_nodes
         height = self.setting.surface_heights(rest, goal[None, :2])[0]
         points = np.array([[*goal[:2], height], [*goal[:2], height - goal[2]]])

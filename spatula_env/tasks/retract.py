@@ -1,4 +1,4 @@
-"""The retraction: move a marked patch of the organ's surface aside, and hold it there."""
+"""The retraction task: move a marked patch of the organ's surface aside, and hold it there."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from spatula_env.tasks.organs import organ_with_parts
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 GREATEST_SHIFT = 0.03
-"""Displacements of the patch are reported up to this along each axis [m]."""
+"""Greatest component of the patch's displacement that is reported [m]."""
 
 GREATEST_PLACE = 0.06
-"""Positions of the patch are reported up to this along each axis [m]."""
+"""Greatest component of the patch's position that is reported [m]."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class RetractWeights(Weights):
     """Weights of the reward terms of `RetractTask`.
 
     Attributes:
-        reach: Of the closeness of the blade to where it touches the patch, 0..1.
-        shift: Of the closeness of the patch's displacement to the goal, 0..1.
-        force: Of the contact force [1/N].
+        reach: Weight of the closeness of the blade to its contact position at the patch, 0..1.
+        shift: Weight of the closeness of the patch's displacement to the goal, 0..1.
+        force: Weight of the contact force [1/N].
     """
 
     reach: float = 0.25
@@ -44,27 +44,28 @@ class RetractWeights(Weights):
 
 @dataclass(frozen=True)
 class RetractConfig(TaskConfig):
-    """Configuration of a retraction.
+    """Configuration of the retraction task.
 
     Attributes:
         place_limit: The patch's middle lies within this distance of the fold's middle, along the fold [m].
         height_range: Least and greatest height of the patch's middle, 0 at the lowest nodes of the fold's flanks and 1
             at its crest.
-        patch_radius: Of the patch; nodes nearer its middle count for more [m].
+        patch_radius: Radius of the patch; nodes near its middle have more weight [m].
         shift_range: Least and greatest displacement asked for [m].
-        angle_limit: It is asked for across the fold, or turned away from that by this at most [rad].
+        angle_limit: Greatest angle between the displacement asked for and the direction across the fold [rad].
         tolerance: Allowed horizontal distance between displacement and goal [m].
-        least_push: It counts while the blade pushes against the flank with this at least, and with twice of what it
-            presses down with at least [N].
-        least_overlap: And while the blade's lower edge is lower than the patch's middle by this at least [m].
-        hold_time: How long it must be kept without a break [s].
+        least_push: The displacement counts only while the blade pushes against the flank with at least this force, and
+            with at least twice the force with which it presses down [N].
+        least_overlap: It also counts only while the blade's lower edge is at least this far below the patch's middle
+            [m].
+        hold_time: Time for which it must be held without interruption [s].
         start_offset: The blade starts within these distances of the fold's middle, across the fold and along it [m].
         start_height_range: Least and greatest height of its lower edge above the organ's top at the start [m].
-        edge_depth: How far below the patch's middle the term "reach" wants the blade's lower edge [m].
-        reach_scale: Distance from there at which the reward term "reach" has fallen to 0.24 [m].
-        shift_scale: Error of the displacement at which the term "shift" has fallen to 0.24 [m].
-        loading_limit: How fast the force on a tool may grow without being counted as a cost [N/s].
-        cost_budget: Up to which cost of an episode success counts as safe [s].
+        edge_depth: Depth below the patch's middle at which the term "reach" wants the blade's lower edge [m].
+        reach_scale: Distance from there at which the reward term "reach" is 0.24 [m].
+        shift_scale: Error of the displacement at which the term "shift" is 0.24 [m].
+        loading_limit: Rate at which the force on a tool may grow without causing a cost [N/s].
+        cost_budget: Greatest cost of an episode with which success counts as safe [s].
     """
 
     place_limit: float = 0.008
@@ -86,7 +87,7 @@ class RetractConfig(TaskConfig):
     weights: RetractWeights = field(default_factory=RetractWeights)
 
     def __post_init__(self) -> None:
-        """Check the values, and take lists and mappings as they come from a file."""
+        """Check the values; convert lists and mappings from a file."""
         self._check_not_negative("place_limit", "angle_limit", "edge_depth", "least_overlap")
         self._check_positive("patch_radius", "tolerance", "least_push", "hold_time", "reach_scale", "shift_scale")
         self._read_ranges("height_range", "shift_range")
@@ -107,15 +108,15 @@ class RetractConfig(TaskConfig):
 
 
 class RetractTask(Task):
-    """Judges a retraction.
+    """Evaluates a retraction.
 
-    A goal is (x, y): by how much the patch is to be displaced horizontally. The patch is on that flank of the fold from
-    which the goal leads into the fold. What is achieved is the weighted mean of the displacements of its nodes, while
-    the blade pushes against that flank, beside the patch; without, it is zero. A fold that is dragged along by its
-    crest is not retracted.
+    A goal is (x, y): the horizontal displacement of the patch. The patch is on the flank of the fold from which the
+    goal points into the fold. What is achieved is the weighted mean displacement of the patch's nodes while the blade
+    pushes against that flank, beside the patch; otherwise it is zero. A fold that is dragged along by its crest does
+    not count as retracted.
 
     Attributes:
-        config: What is asked.
+        config: Configuration of the task.
     """
 
     description = "Push the marked patch of the fold aside by the given displacement with the blade, and hold it there."
@@ -124,14 +125,14 @@ class RetractTask(Task):
     definition = 2
 
     def __init__(self, config: RetractConfig, setting: Setting) -> None:
-        """Prepare for a setting.
+        """Prepare the task for a setting.
 
         Args:
-            config: What is asked.
-            setting: Where; its organ is a `RidgedBlock`.
+            config: Configuration of the task.
+            setting: Setting whose organ is a `RidgedBlock`.
 
         Raises:
-            ValueError: If the organ is another one, or a start is out of the tool's reach.
+            ValueError: If the organ is of another kind, or a start is out of the tool's reach.
         """
         super().__init__(config, setting, np.full(2, -GREATEST_SHIFT), np.full(2, GREATEST_SHIFT))
         organ = organ_with_parts(setting, RidgedBlock, "flanks", "crest")
@@ -141,7 +142,7 @@ class RetractTask(Task):
         middle, across, _ = self._fold(setting.rest_nodes)
         crest = np.array(organ.crest, dtype=np.int64)
         place = (setting.rest_nodes[crest, :2] - middle) @ across
-        # Where patches can be: a flank, and its half of the crest.
+        # Nodes where patches can be: a flank, and its half of the crest.
         self._sides = (np.union1d(first, crest[place > 0.0]), np.union1d(second, crest[place < 0.0]))
         self._half_thickness = 0.5 * float(setting.tool_high[0] - setting.tool_low[0])
         self._underside = float(setting.tool_low[2])
@@ -152,11 +153,11 @@ class RetractTask(Task):
         self._check_reach()
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
-        """Draw the beginnings of episodes: either flank with equal chance, all else uniform in its range.
+        """Draw the beginnings of episodes: either flank with equal probability, the rest uniform in their ranges.
 
         Returns:
-            Goals (W, 2) and tool positions (W, 3) [m]; drawn (W, 2) is the patch's place along the fold [m] and its
-            height as a part of the fold's.
+            Goals (W, 2) and tool positions (W, 3) [m]; drawn (W, 2) holds the patch's position along the fold [m] and
+            its height relative to the fold's.
         """
         config = self.config
         middle, across, along = self._fold(setting.rest_nodes)
@@ -193,11 +194,11 @@ class RetractTask(Task):
             )
 
     def new_memory(self, count: int) -> Memory:
-        """Room for what is found on the organ at rest.
+        """Allocate the memory of the patch, which is determined on the organ at rest.
 
         Returns:
-            "weights" (W, V) of each node in the patch, "rest" (W, 3) the patch's middle [m], and "inwards" (W, 2) the
-            direction across the fold in which the patch's flank is pushed.
+            "weights" (W, V) weight of each node in the patch, "rest" (W, 3) the patch's middle [m], and "inwards" (W,
+            2) the direction across the fold in which the patch's flank is pushed.
         """
         return {
             "weights": np.zeros((count, len(self.setting.rest_nodes))),
@@ -206,7 +207,7 @@ class RetractTask(Task):
         }
 
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
-        """See `Task`: the patch is found on the organ at rest."""
+        """See `Task`: determines the patch on the organ at rest."""
         assert start.drawn is not None
         for row, goal, (place, height), setting in zip(rows, start.goal, start.drawn, settings, strict=True):
             nodes, weights = self._patch(setting.rest_nodes, goal, place, height)
@@ -220,13 +221,12 @@ class RetractTask(Task):
         """See `Task`.
 
         Returns:
-            Reward terms "reach", "shift", "hold", "force" and "action"; what was achieved; the measures "shift", how
-            far the patch is from where it was, horizontally, "shift_error" [m], and "pushing", whether that counts, 0
-            or 1; the parts "patch_position" and
-            "patch_shift" [m].
+            Reward terms "reach", "shift", "hold", "force" and "action"; what was achieved; the measures "shift", the
+            horizontal distance of the patch from its position at rest [m], "shift_error" [m], and "pushing", whether
+            the displacement counts, 0 or 1; the parts "patch_position" and "patch_shift" [m].
         """
         config = self.config
-        # A product of matrices for each world: einsum would be slower.
+        # A matrix product per world, which is faster than einsum.
         patch = (memory["weights"][:, None, :] @ situation.nodes)[:, 0]
         shift = patch - memory["rest"]
         pushing = self._pushes(situation, patch, memory["inwards"])
@@ -259,7 +259,7 @@ class RetractTask(Task):
         )
 
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
-        """Whether displacements (..., 2) are within tolerance of what is desired (..., 2) [m]."""
+        """Whether displacements (..., 2) are within tolerance of the desired ones (..., 2) [m]."""
         error = desired - achieved
         return np.asarray(np.hypot(error[..., 0], error[..., 1]) <= self.config.tolerance)
 
@@ -271,7 +271,7 @@ class RetractTask(Task):
     def marks(
         self, goal: FloatArray, situation: Situation | None = None, memory: Memory | None = None
     ) -> tuple[Mark, ...]:
-        """The patch, and the way of its middle from where it was at rest; nothing while nobody knows which it is."""
+        """The patch, and the path of its middle from rest to the goal; nothing if the patch is unknown."""
         if memory is None:
             return ()
         weights, rest = memory["weights"][0], memory["rest"][0]
@@ -285,8 +285,8 @@ class RetractTask(Task):
     def _pushes(self, situation: Situation, patch: FloatArray, inwards: FloatArray) -> BoolArray:
         """(W,) whether blades push against the flanks beside patches with middles (W, 3).
 
-        A blade that drags the fold along from above is pushed up by about as much as it is pushed back, or more,
-        however deep it is; one beside the fold is hardly pushed up.
+        A blade that drags the fold along from above is pushed up about as much as it is pushed back, or more, however
+        deep it is; a blade beside the fold is hardly pushed up.
         """
         push = -(situation.contact_force[:, :2] * inwards).sum(axis=1)
         edge = situation.tool_position[:, 2] + situation.tool_scale * self._underside
@@ -297,7 +297,7 @@ class RetractTask(Task):
         )
 
     def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of an organ (V, 3): the fold's middle (2,) [m], and the directions (2,) across it and along it."""
+        """For an organ (V, 3): the fold's middle (2,) [m], and the directions (2,) across it and along it."""
         first, second = (nodes[flank].mean(axis=0)[:2] for flank in self._flanks)
         across = (first - second) / np.linalg.norm(first - second)
         return 0.5 * (first + second), across, np.array([-across[1], across[0]])
@@ -305,7 +305,7 @@ class RetractTask(Task):
     def _patch(self, nodes: FloatArray, goal: FloatArray, place: float, height: float) -> tuple[IntArray, FloatArray]:
         """Nodes (K,) of a patch and their weights (K,), which sum to one."""
         middle, across, along = self._fold(nodes)
-        # Pushed across, from the second flank towards the first, it is the second flank that is touched.
+        # A push from the second flank towards the first touches the second flank.
         side = self._sides[1] if goal @ across > 0.0 else self._sides[0]
         points = nodes[side]
         sideways = (points[:, :2] - middle) @ along - place
@@ -333,7 +333,7 @@ class RetractTask(Task):
 
 
 def _check_pair(value: Any, name: str) -> tuple[float, float]:
-    """Two finite numbers of zero or more, as a tuple of floats."""
+    """Convert to two finite non-negative numbers, as a tuple of floats."""
     first, second = as_pair(value, name, "(across, along)")
     if first < 0.0 or second < 0.0:
         raise ValueError(f"{name} must be two finite numbers of zero or more, got {value!r}")

@@ -1,10 +1,10 @@
-"""Where a task is asked, how episodes begin, and how things stand in them.
+"""Input of tasks: the setting, how episodes begin, and the situation at the end of a control step.
 
-Everything is in SI units and in the workspace frame: origin in the middle of the space that the grip may move in,
-x to the right, y away from the operator, z up. The *grip* is the point that the agent moves: the position of the tool
-where there is one, the middle of the tools' positions where there are several.
+Everything is in SI units and in the workspace frame: origin in the middle of the space in which the grip may move, x to
+the right, y away from the operator, z up. The *grip* is the point that the agent moves: the position of a single tool,
+or the mean of the positions of several tools.
 
-W counts worlds, N tools, V an organ's nodes, F the faces of all tools, G the numbers in a goal, A those in an action.
+W counts worlds, N tools, V an organ's nodes, F the faces of all tools, G the numbers of a goal, A those of an action.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from spatula_env.tasks.surface import surface_heights
 
 @dataclass(frozen=True, eq=False)
 class ToolShape:
-    """A tool.
+    """Shape of a tool.
 
     Attributes:
         vertices: (K, 3) corners, in the tool's frame [m].
         orientation: (4,) at the start, quaternion xyzw.
-        offset: (3,) its position minus the grip's at the start [m].
+        offset: (3,) its position relative to the grip at the start [m].
         nodes: (n, 3) contact nodes, in the tool's frame [m].
         normals: (n, 3) outward normals of their faces.
         face: (n,) index of each node's face among the faces of this tool that carry nodes.
@@ -49,26 +49,26 @@ class ToolShape:
         return turn(self.orientation, self.vertices) + self.offset
 
     def face_towards(self, direction: ArrayLike) -> int:
-        """Which of the faces that carry nodes is turned in a direction (3,) of the workspace frame, at the start."""
+        """Index of the face with nodes that is turned towards a direction (3,) of the workspace frame, at the start."""
         normals = turn(self.orientation, self.normals) @ np.asarray(direction, dtype=np.float64)
         return int(self.face[np.argmax(normals)])
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What stays the same in an episode, and in all of them where nothing of it is drawn at random.
+    """What stays constant within an episode, and across all episodes unless it is randomised.
 
     Attributes:
         rest_nodes: (V, 3) the organ at rest [m].
         triangles: (T, 3) int32, counter-clockwise from outside.
-        ground_height: z of the ground, or of the lowest node at rest where there is no ground [m].
+        ground_height: z of the ground, or of the lowest node at rest if there is no ground [m].
         tools: The N tools.
-        workspace_low: (3,) lower corner of the space that the grip is kept in [m].
+        workspace_low: (3,) lower corner of the space within which the grip is kept [m].
         workspace_high: (3,) upper corner [m].
         period: Length of a control step [s].
-        organ: The organ of the scene, a `geometry.Organ` or one of its kinds, which name the nodes of its parts; its
-            lengths are in scene units. None where nobody asks for it.
-        organ_position: (3,) where the origin of the organ's frame is [m].
+        organ: The organ of the scene, a `geometry.Organ` or one of its subclasses, which name the nodes of their parts;
+            its lengths are in scene units. None if it is not needed.
+        organ_position: (3,) position of the origin of the organ's frame [m].
         length: Metres in a scene unit of length.
     """
 
@@ -99,19 +99,19 @@ class Setting:
         return sum(int(tool.face.max()) + 1 for tool in self.tools)
 
     def room_around(self, place: ArrayLike) -> float:
-        """How far the grip can go from a place (2,), along any horizontal axis, before the workspace ends [m]."""
+        """Distance that the grip can move from a place (2,) along any horizontal axis within the workspace [m]."""
         middle = np.asarray(place, dtype=np.float64)
         return float(np.minimum(self.workspace_high[:2] - middle, middle - self.workspace_low[:2]).min())
 
     def surface_heights(self, nodes: FloatArray, places: FloatArray) -> FloatArray:
-        """How high the organ's surface is.
+        """Height of the organ's surface.
 
         Args:
-            nodes: (W, V, 3) of the organ, or (1, V, 3): the same for all places [m].
+            nodes: (W, V, 3) nodes of the organ, or (1, V, 3) if they are the same for all places [m].
             places: (W, 2) x and y [m].
 
         Returns:
-            (W,) [m]; the ground's height where no organ is.
+            (W,) heights [m]; the ground's height where there is no organ.
         """
         nodes, places = np.ascontiguousarray(nodes), np.ascontiguousarray(places)
         heights: FloatArray = surface_heights(nodes, np.array(self.triangles), places, self.ground_height)
@@ -120,30 +120,30 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """How things stand at the end of a control step.
+    """State of W worlds at the end of a control step.
 
     Attributes:
-        tool_position: (W, 3) of the grip [m].
-        tool_velocity: (W, 3) of the grip during the control step [m/s].
-        tool_orientation: (W, 4) of the first tool, quaternion xyzw.
-        tool_rotation_rate: (W, 3) of the tools about the grip during the control step [rad/s].
-        tool_positions: (W, N, 3) [m].
-        tool_orientations: (W, N, 4).
-        tool_scale: (W,) how large the tools are: a factor on all their lengths.
-        control: (W, K) further coordinates that the control moves, such as the opening of jaws [m].
-        control_rate: (W, K) of their change [m/s].
-        contact_forces: (W, N, 3) what the organ did to each tool, averaged over the control step [N].
+        tool_position: (W, 3) position of the grip [m].
+        tool_velocity: (W, 3) velocity of the grip during the control step [m/s].
+        tool_orientation: (W, 4) orientation of the first tool, quaternion xyzw.
+        tool_rotation_rate: (W, 3) rate of rotation of the tools about the grip during the control step [rad/s].
+        tool_positions: (W, N, 3) positions of the tools [m].
+        tool_orientations: (W, N, 4) orientations of the tools.
+        tool_scale: (W,) factor on all lengths of the tools.
+        control: (W, K) further coordinates that the control changes, such as the opening of jaws [m].
+        control_rate: (W, K) rates of change of these [m/s].
+        contact_forces: (W, N, 3) forces of the organ on each tool, averaged over the control step [N].
         contact_force: (W, 3) their sum [N].
-        contact_torque: (W, 3) about the grip, averaged [N m].
+        contact_torque: (W, 3) torque about the grip, averaged [N m].
         peak_force: (W,) greatest magnitude of the force on a tool in a physics step of the control step [N].
         peak_pressure: (W,) greatest contact pressure on a node of a tool in a physics step [Pa].
-        mean_pressure: (W,) greatest of the tools' faces: mean normal force on it by its area [Pa].
+        mean_pressure: (W,) greatest mean pressure on a face of a tool: its normal force divided by its area [Pa].
         contact_share: (W, F) share of the contact nodes of each of the tools' faces that are in contact.
-        contact_depth: (W,) depth of the deepest contact, before the organ gives way [m].
-        nodes: (W, V, 3) the organ [m].
-        rest_nodes: (W, V, 3) the organ at rest; (1, V, 3) where it is the same in all worlds [m].
-        action: (W, A) what the agent asked for, in [-1, 1].
-        elapsed: (W,) since the episode began [s].
+        contact_depth: (W,) depth of the deepest contact, before it is resolved [m].
+        nodes: (W, V, 3) nodes of the organ [m].
+        rest_nodes: (W, V, 3) nodes of the organ at rest; (1, V, 3) if they are the same in all worlds [m].
+        action: (W, A) the agent's action, in [-1, 1].
+        elapsed: (W,) time since the episode began [s].
     """
 
     tool_position: FloatArray
@@ -177,14 +177,14 @@ class Situation:
         action_size: int = 3,
         **changes: Any,
     ) -> Situation:
-        """Tools that hold still and touch nothing, over organs at rest. No two attributes share an array.
+        """Make the situation of tools at rest without contact, over organs at rest. No two attributes share an array.
 
         Args:
             setting: Organ and tools.
-            tool_position: (W, 3) of the grip [m].
-            tool_orientation: (W, 4) of the first tool; by default as at the start.
-            action_size: A.
-            **changes: Other attributes than that, each with W rows.
+            tool_position: (W, 3) position of the grip [m].
+            tool_orientation: (W, 4) orientation of the first tool; by default as at the start.
+            action_size: Size A of an action.
+            **changes: Values of other attributes, each with W rows.
 
         Returns:
             The situation.
@@ -231,7 +231,7 @@ class Situation:
         return np.asarray((self.action**2).sum(axis=1))
 
     def rows(self, worlds: IntArray) -> Situation:
-        """The situation of some of the worlds (n,)."""
+        """Select the situation of some worlds (n,)."""
         count = len(self.tool_position)
         picked = {
             name: values if name == "rest_nodes" and len(values) < count else values[worlds]
@@ -245,12 +245,12 @@ class Start:
     """How episodes begin.
 
     Attributes:
-        goal: (W, G).
-        tool_position: (W, 3) of the grip [m].
-        tool_orientation: (W, 4) of the first tool, the others turned with it; None: as the scene has it.
-        control: (W, K) further coordinates of the control, such as the opening of jaws [m]; None: as the scene has
-            them.
-        drawn: (W, D) whatever else was drawn at random, for `Task.begin_memory`; None: nothing.
+        goal: (W, G) goals.
+        tool_position: (W, 3) position of the grip [m].
+        tool_orientation: (W, 4) of the first tool, with which the others turn; None for that of the scene.
+        control: (W, K) further coordinates of the control, such as the opening of jaws [m]; None for those of the
+            scene.
+        drawn: (W, D) further values drawn at random, for `Task.begin_memory`; None for none.
     """
 
     goal: FloatArray
@@ -261,7 +261,7 @@ class Start:
 
     @staticmethod
     def joined(starts: Sequence[Start]) -> Start:
-        """The beginnings of several lots of episodes, in a row."""
+        """Concatenate the starts of several groups of episodes."""
 
         def join(name: str) -> Any:
             parts = [getattr(start, name) for start in starts]

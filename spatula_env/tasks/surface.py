@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 @kernel("f8[::1](f8[:,:,::1], i4[:,::1], f8[:,::1], f8)")
 def surface_heights(nodes: np.ndarray, triangles: np.ndarray, places: np.ndarray, ground_height: float) -> np.ndarray:
-    """The height of surfaces, seen from straight above.
+    """Height of surfaces, seen vertically from above.
 
     Args:
-        nodes: (W, V, 3) of the surfaces, or (1, V, 3): the same one for all places.
+        nodes: (W, V, 3) nodes of the surfaces, or (1, V, 3) if the surface is the same for all places.
         triangles: (T, 3) of all of them.
-        places: (W, 2) x and y of the place asked about on each surface.
-        ground_height: What to return where nothing is below the sky.
+        places: (W, 2) x and y of the place on each surface.
+        ground_height: Height to return where there is no surface.
 
     Returns:
         (W,) the greatest z of the surface at each place, in the unit of `nodes`.
@@ -41,16 +41,16 @@ def surface_heights(nodes: np.ndarray, triangles: np.ndarray, places: np.ndarray
 
 
 def points_on_top(nodes: FloatArray, triangles: NDArray[np.int32], places: FloatArray) -> tuple[IntArray, FloatArray]:
-    """On which triangles of a surface places lie, seen from straight above.
+    """Find the triangles of a surface on which places lie, seen vertically from above.
 
     Args:
-        nodes: (V, 3) of the surface.
-        triangles: (T, 3) of it.
+        nodes: (V, 3) nodes of the surface.
+        triangles: (T, 3) its triangles.
         places: (K, 2) x and y, or (K, 3).
 
     Returns:
-        Nodes (K, 3) of the highest triangle at each place, and the weight (K, 3) of each in it: their sum is the place.
-        Zeros where nothing is below the sky.
+        Nodes (K, 3) of the highest triangle at each place, and their weights (K, 3): the weighted sum of the nodes is
+        the place. Zeros where there is no triangle.
     """
     a, b, c = (nodes[triangles[:, corner]] for corner in range(3))
     first, second, away = b - a, c - a, places[:, None, :2] - a[:, :2]
@@ -68,20 +68,20 @@ def points_on_top(nodes: FloatArray, triangles: NDArray[np.int32], places: Float
 
 
 def farthest_points(points: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Choose points that are spread out: first the highest, then always the one farthest from those chosen.
+    """Choose points that are spread out: first the highest, then repeatedly the farthest from those chosen.
 
     After Y. Eldar et al., The farthest point strategy for progressive image sampling, IEEE Transactions on
     Image Processing 6(9), 1997.
 
     Args:
-        points: (V, 3); nothing in the choice is random, and of equals the first is taken.
-        count: How many to choose.
+        points: (V, 3) points; the choice is deterministic, and takes the first of equal candidates.
+        count: Number of points to choose.
 
     Returns:
         (count,) indices, in the order of the choice.
 
     Raises:
-        ValueError: If there are fewer points than that.
+        ValueError: If there are fewer points than `count`.
     """
     positions = np.asarray(points, dtype=np.float64)
     if not 1 <= count <= len(positions):
@@ -96,16 +96,16 @@ def farthest_points(points: ArrayLike, count: int) -> NDArray[np.int64]:
 
 
 def surface_samples(vertices: ArrayLike, triangles: ArrayLike, count: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """Points spread evenly over a surface, always the same ones.
+    """Sample points spread evenly over a surface, deterministically.
 
-    They follow a sequence of low discrepancy, whose steps are powers of the reciprocal of the plastic number, through
-    area and the two coordinates in a triangle (M. Roberts, The unreasonable effectiveness of quasirandom sequences,
-    2018).
+    They follow a low-discrepancy sequence, whose steps are powers of the reciprocal of the generalised plastic number,
+    in the cumulative area and the two coordinates within a triangle (M. Roberts, The unreasonable effectiveness of
+    quasirandom sequences, 2018).
 
     Args:
         vertices: (V, 3).
         triangles: (T, 3).
-        count: How many.
+        count: Number of points.
 
     Returns:
         The triangle of each point (count,), and the weights of its corners (count, 3).
@@ -114,7 +114,7 @@ def surface_samples(vertices: ArrayLike, triangles: ArrayLike, count: int) -> tu
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     share = np.cumsum(areas) / areas.sum()
     index = np.arange(1, count + 1)
-    # The root of x^4 = x + 1, for three dimensions.
+    # The generalised plastic number for three dimensions, the root of x^4 = x + 1.
     steps = 1.2207440846057596 ** -np.arange(1.0, 4.0)
     along, u, v = (0.5 + index[:, None] * steps).T % 1.0
     chosen = np.minimum(np.searchsorted(share, along), len(areas) - 1)

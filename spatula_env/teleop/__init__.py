@@ -1,6 +1,6 @@
-"""Teleoperation: hand-held devices that move the tool and, some of them, let the hand feel what the tool feels.
+"""Teleoperation: hand-held devices that move the tool; some of them also render the tool's forces to the hand.
 
-Every device is a :class:`TeleopDevice`. Importing this package loads no driver and no library of any device.
+Every device is a :class:`TeleopDevice`. Importing this package loads neither drivers nor device libraries.
 """
 
 from __future__ import annotations

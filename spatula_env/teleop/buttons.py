@@ -1,8 +1,8 @@
-"""What devices call the buttons that end an episode."""
+"""Names that devices give to the buttons that end an episode."""
 
 from __future__ import annotations
 
 FINISH = "finish"
 DISCARD = "discard"
 QUIT = "quit"
-"""As it is, so that it counts for nothing, and the session with it."""
+"""Ends the episode where it stands, so that it does not count, and ends the session too."""

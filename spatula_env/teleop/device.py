@@ -1,11 +1,11 @@
-"""What every teleoperation device offers, whatever it is made of.
+"""The interface that every teleoperation device implements, independent of its hardware.
 
-The device's frame is the same for all of them: x to the operator's right, y away from the operator, z up, the origin in
-the middle of the workspace, metres. A driver translates from its hardware's own frame.
+The device frame is the same for all of them: x to the operator's right, y away from the operator, z up, origin in
+the middle of the workspace, in metres. Each driver converts from its hardware's own frame.
 
-There are two kinds of device. A *position* device (Novint Falcon, Force Dimension) has a grip that is somewhere; a
-*rate* device (gamepad, SpaceMouse, keyboard) has a stick that is deflected and springs back. `DeviceSample.kind` says
-which.
+There are two kinds of device. A *position* device (Novint Falcon, Force Dimension) measures where its grip is; a
+*rate* device (gamepad, SpaceMouse, keyboard) measures how far a stick that springs back is deflected.
+`DeviceSample.kind` tells them apart.
 
 The vocabulary maps onto LeRobot's `Teleoperator` as follows; the names on the left exist here too:
 
@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 Progress = Callable[[str], None]
-"""Takes a sentence for the operator, such as what to do with the grip now."""
+"""Receives a message for the operator, such as what to do with the grip now."""
 
 _Device = TypeVar("_Device", bound="TeleopDevice")
 
@@ -44,11 +44,11 @@ AXES = ("x", "y", "z")
 
 
 class DeviceError(RuntimeError):
-    """Something is wrong with a device; the message says what, and what to do."""
+    """A device failed; the message says what is wrong and what to do about it."""
 
 
 class DeviceNotFound(DeviceError):
-    """There is no such device."""
+    """The device was not found."""
 
 
 class DeviceBusy(DeviceError):
@@ -56,11 +56,11 @@ class DeviceBusy(DeviceError):
 
 
 class DeviceLost(DeviceError):
-    """A device that was open does not answer any more."""
+    """A device that was open no longer answers."""
 
 
 class NotCalibrated(DeviceError):
-    """The device does not know yet where its grip is."""
+    """The device does not know yet where its grip is because it is not calibrated."""
 
 
 class FirmwareError(DeviceError):
@@ -119,17 +119,17 @@ class DeviceSample:
 class TeleopDevice(ABC):
     """A device that an operator holds.
 
-    Opened by `open` or by a ``with`` statement, which closes it on every way out. `read` and `send_force` neither
-    wait nor block for longer than a few microseconds: a driver that must wait does so in a thread of its own.
+    Opened by `open` or by a ``with`` statement, which closes it however the block ends. `read` and `send_force` do not
+    wait and do not block for longer than a few microseconds: a driver that has to wait does so in a thread of its own.
 
     Attributes:
-        name: What to call the device in messages.
+        name: Name of the device in messages.
         kind: ``"position"`` or ``"rate"``.
-        button_names: All buttons there are.
-        has_force: Whether `send_force` can be felt.
-        workspace_low: Corner of the box that the grip is sure to reach, shape (3,) [m]; None for a rate device.
+        button_names: Names of all buttons of the device.
+        has_force: Whether the operator can feel `send_force`.
+        workspace_low: Lowest corner of a box that the grip can always reach, shape (3,) [m]; None for a rate device.
         workspace_high: The opposite corner, shape (3,) [m]; None for a rate device.
-        greatest_force: Greatest magnitude of a force; forces above are scaled down to it [N]. 0 without force.
+        greatest_force: Greatest magnitude of a force; larger forces are scaled down to it [N]. 0 without force.
         greatest_stiffness: Stiffest spring that a 1 kHz loop may render on the device [N/m]. 0 without force.
         greatest_damping: Strongest damper, likewise [N s/m]. 0 without force.
     """
@@ -147,11 +147,11 @@ class TeleopDevice(ABC):
     @property
     @abstractmethod
     def is_open(self) -> bool:
-        """Whether the device is open. A device that was lost stays open until it is closed."""
+        """Whether the device is open. A device whose connection was lost stays open until it is closed."""
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the device knows where its grip is. Devices without a calibration know it when they are open."""
+        """Whether the device knows where its grip is. Devices that need no calibration know it once they are open."""
         return self.is_open
 
     @abstractmethod
@@ -166,19 +166,19 @@ class TeleopDevice(ABC):
         """
 
     def calibrate(self, progress: Progress | None = None) -> None:  # noqa: B027 - most devices need nothing
-        """Find out where the grip is, with the operator's help. Waits until it is done; most devices need nothing.
+        """Find the grip's true position, with the operator's help. Blocks until done; most devices need no calibration.
 
         Args:
-            progress: Called with a sentence whenever there is something to tell the operator.
+            progress: Called with a message whenever the operator has to be told something.
 
         Raises:
-            NotCalibrated: If it was not done in time.
+            NotCalibrated: If calibration was not completed in time.
             DeviceLost: If the device does not answer any more.
         """
 
     @abstractmethod
     def read(self) -> DeviceSample:
-        """The latest measurement, at once. `DeviceSample.sequence` tells whether it is a new one.
+        """Return the latest measurement without waiting; `DeviceSample.sequence` tells whether it is a new one.
 
         Raises:
             NotCalibrated: If the device does not know yet where its grip is.
@@ -187,12 +187,12 @@ class TeleopDevice(ABC):
         """
 
     def send_force(self, force: ArrayLike) -> None:
-        """Let the operator feel a force, until the next call or until the device's watchdog ends it.
+        """Apply a force to the operator's hand, until the next call or until the device's watchdog ends it.
 
-        A device without force checks the argument and does nothing else.
+        A device without force feedback only checks the argument.
 
         Args:
-            force: What the grip does to the hand, shape (3,), device's frame [N].
+            force: Force of the grip on the hand, shape (3,), device frame [N].
 
         Raises:
             ValueError: If the force has another shape or is not finite.
@@ -202,7 +202,7 @@ class TeleopDevice(ABC):
         check_force(force)
 
     def stop_motors(self) -> None:
-        """End the forces of a device that another process had open and left behind. It is not open afterwards.
+        """End the forces on a device that another process left behind. The device is not open afterwards.
 
         Raises:
             DeviceError: As `open` does.
@@ -212,7 +212,7 @@ class TeleopDevice(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """End all forces and let go of the device. Closing twice is allowed."""
+        """End all forces and release the device. Closing twice is allowed."""
 
     @abstractmethod
     def now(self) -> float:
@@ -230,15 +230,15 @@ class TeleopDevice(ABC):
     ) -> None:
         self.close()
 
-    # LeRobot's names.
+    # The same methods under the names that LeRobot uses.
 
     @property
     def is_connected(self) -> bool:
-        """`is_open`, by LeRobot's name."""
+        """`is_open`, under LeRobot's name."""
         return self.is_open
 
     def connect(self, calibrate: bool = True) -> None:
-        """`open`, by LeRobot's name.
+        """`open`, under LeRobot's name.
 
         Args:
             calibrate: Whether to calibrate a device that needs it.
@@ -248,12 +248,12 @@ class TeleopDevice(ABC):
             self.calibrate()
 
     def disconnect(self) -> None:
-        """`close`, by LeRobot's name."""
+        """`close`, under LeRobot's name."""
         self.close()
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Keys and types of what `get_action` returns."""
+        """Keys and types of the dictionary that `get_action` returns."""
         main: dict[str, type] = {f"{self.kind}.{axis}": float for axis in AXES}
         return (
             main | {f"velocity.{axis}": float for axis in AXES} | {f"button.{name}": bool for name in self.button_names}
@@ -261,31 +261,31 @@ class TeleopDevice(ABC):
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """Keys and types of what `send_feedback` takes; empty without force."""
+        """Keys and types of the dictionary that `send_feedback` takes; empty without force."""
         return {f"force.{axis}": float for axis in AXES} if self.has_force else {}
 
     def get_action(self) -> dict[str, float | bool]:
-        """`read`, by LeRobot's name.
+        """`read`, under LeRobot's name.
 
         Returns:
             ``position.x`` … or ``rate.x`` …, ``velocity.x`` …, and ``button.NAME`` for each button.
         """
         sample = self.read()
         main = sample.position if sample.position is not None else sample.rate
-        assert main is not None  # DeviceSample has seen to it.
+        assert main is not None  # Checked by DeviceSample.
         action: dict[str, float | bool] = {}
         for label, values in ((self.kind, main), ("velocity", sample.velocity)):
             action |= {f"{label}.{axis}": float(value) for axis, value in zip(AXES, values, strict=True)}
         return action | {f"button.{name}": name in sample.buttons for name in self.button_names}
 
     def send_feedback(self, feedback: Mapping[str, float]) -> None:
-        """`send_force`, by LeRobot's name.
+        """Process all events that are due by now, moving the hand no further than they need.
 
         Args:
             feedback: ``force.x``, ``force.y`` and ``force.z`` [N]; nothing for a device without force.
 
         Raises:
-            ValueError: If one is missing on a device with force.
+            ValueError: If a component is missing on a device with force.
         """
         missing = [key for key in self.feedback_features if key not in feedback]
         if missing:
@@ -315,7 +315,7 @@ def check_force(force: ArrayLike) -> FloatArray:
 
 
 def limit_force(force: FloatArray, greatest: float) -> FloatArray:
-    """Scale a force down to a greatest magnitude; its direction stays.
+    """Scale a force down to a greatest magnitude, keeping its direction.
 
     Args:
         force: Shape (3,) [N].
@@ -324,6 +324,6 @@ def limit_force(force: FloatArray, greatest: float) -> FloatArray:
     Returns:
         The force, or a shorter one, shape (3,) [N].
     """
-    # No square that could overflow, and no array: this is done a thousand times a second.
+    # hypot: no square that could overflow, and no temporary array, as this runs a thousand times a second.
     magnitude = math.hypot(*force.tolist())
     return force if magnitude <= greatest else force * (greatest / magnitude)

@@ -13,20 +13,20 @@ from spatula_env.teleop.keys import RateDevice, check_rate_names, require_pygame
 AXES: Mapping[int, tuple[str, float]] = MappingProxyType(
     {0: ("x", 1.0), 1: ("y", -1.0), 3: ("rotation_x", 1.0), 4: ("z", -1.0)}
 )
-"""Rates by numbers of the axes: the left stick moves along x and y, the right one along z and turns about x. SDL's axes
-are positive to the right and towards the operator."""
+"""Rates by axis number: the left stick moves along x and y, the right one along z and turns about x. SDL's axes are
+positive to the right and towards the operator."""
 HAT: tuple[str, str] = ("jaw_speed", "rotation_z")
-"""Rates of the directional pad, to the right and up."""
+"""Rates of the directional pad, horizontal (positive right) and vertical (positive up)."""
 BUTTONS: Mapping[int, str] = MappingProxyType(
     {0: "center", 1: "discard", 2: "minus", 3: "plus", 6: "quit", 7: "finish"}
 )
-"""Names of the buttons by their numbers; as on a controller of the Xbox: A, B, X, Y, back, start."""
+"""Names of the buttons by number; on an Xbox controller: A, B, X, Y, back, start."""
 DEAD_ZONE = 0.1
-"""Deflection that counts as none."""
+"""Deflection up to which a stick counts as centred."""
 
 
 class Gamepad(RateDevice):
-    """A gamepad. Any that SDL knows; how its axes and buttons are numbered depends on the make."""
+    """A gamepad that SDL supports; how its axes and buttons are numbered depends on the make."""
 
     def __init__(
         self,
@@ -37,17 +37,17 @@ class Gamepad(RateDevice):
         buttons: Mapping[int, str] = BUTTONS,
         dead_zone: float = DEAD_ZONE,
     ) -> None:
-        """Describe it.
+        """Store the settings of the gamepad; `open` opens it.
 
         Args:
-            index: Which one, if there are several.
-            axes: Rates by numbers of the axes: name of the rate, and how much of it at full deflection.
-            hat: Rates of the directional pad, to the right and up.
-            buttons: Names of buttons by their numbers.
-            dead_zone: Deflection that counts as none, and from which on it is counted.
+            index: Number of the device, if there are several.
+            axes: Rates by axis number: name of the rate, and its value at full deflection.
+            hat: Rates of the directional pad, horizontal (positive right) and vertical (positive up).
+            buttons: Names of the buttons by number.
+            dead_zone: Deflection up to which a stick counts as centred; larger deflections are measured from there.
 
         Raises:
-            ValueError: If there is no such rate, or `dead_zone` is not in [0, 1).
+            ValueError: If a rate does not exist, or `dead_zone` is not in [0, 1).
         """
         check_rate_names([name for name, _ in axes.values()], "axes")
         check_rate_names(hat, "hat")
@@ -62,9 +62,9 @@ class Gamepad(RateDevice):
 
     def _start(self) -> None:
         pygame = require_pygame()
-        # SDL gives nothing to a program without the focus otherwise, and this one has no window.
+        # By default, SDL gives no events to a program without the focus, and this program has no window.
         os.environ.setdefault("SDL_JOYSTICK_ALLOW_BACKGROUND_EVENTS", "1")
-        # Events need a video driver, if only one that shows nothing; a display that is there already is left alone.
+        # Events need a video driver, even if a dummy; a display that is initialised already is left alone.
         if not pygame.display.get_init():
             if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
                 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")

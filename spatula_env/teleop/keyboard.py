@@ -32,45 +32,44 @@ KEYS: Mapping[str, tuple[str, float]] = MappingProxyType(
         ",": ("jaw_speed", -1.0),
     }
 )
-"""Rates, by pygame's names of the keys."""
+"""Rates by pygame's key names."""
 
 BUTTONS: Mapping[str, str] = MappingProxyType(
     {"space": "center", "return": "finish", "backspace": "discard", "escape": "quit"}
 )
-"""Buttons, likewise."""
+"""Buttons by pygame's key names."""
 
 SLOW_KEYS = ("left shift", "right shift")
 SLOW = 0.25
-"""What is left of a rate while one of `SLOW_KEYS` is held."""
+"""Factor on the rates while one of `SLOW_KEYS` is held."""
 BLIND_DRIVERS = ("dummy", "offscreen")
-"""SDL's video drivers that show no window, so that no keys come."""
+"""SDL's video drivers that show no window and therefore deliver no key events."""
 WINDOW = (420, 120)
-"""Width and height of the window that takes the keys [pixels]."""
+"""Width and height of the window that receives the keys [pixels]."""
 
 
 class Keyboard(RateDevice):
-    """The keyboard, in a window.
+    """The keyboard, read through a window.
 
     Arrows move along x and y, page up and page down along z; so do w, a, s, d, r and f. The pairs u and j, i and k, o
-    and l
-    turn about x, y and z; comma and full stop close and open jaws; shift is slow.
+    and l turn about x, y and z; comma and full stop close and open jaws; shift slows everything down.
 
-    A window of its own takes the keys, and has to have the focus; losing it lets go of all keys. Closing it is the
+    The window has to have the focus to receive keys; losing the focus releases all keys. Closing the window presses the
     button "quit".
     """
 
     def __init__(
         self, keys: Mapping[str, tuple[str, float]] = KEYS, buttons: Mapping[str, str] = BUTTONS, slow: float = SLOW
     ) -> None:
-        """Describe it.
+        """Store the settings of the keyboard; `open` opens it.
 
         Args:
-            keys: Rates by pygame's names of the keys: name of the rate, and how much of it.
-            buttons: Names of buttons by names of keys.
-            slow: What is left of a rate while shift is held.
+            keys: Rates by pygame's key names: name of the rate, and its value.
+            buttons: Names of buttons by key names.
+            slow: Factor on the rates while shift is held.
 
         Raises:
-            ValueError: If there is no such rate, or `slow` is not in (0, 1].
+            ValueError: If a rate does not exist, or `slow` is not in (0, 1].
         """
         check_rate_names([name for name, _ in keys.values()], "keys")
         if not 0.0 < slow <= 1.0:
@@ -91,7 +90,7 @@ class Keyboard(RateDevice):
             raise DeviceError(f"the keyboard needs a window, and there is no display: {error}") from error
         driver = pygame.display.get_driver()
         if driver in BLIND_DRIVERS:
-            # Without a display SDL draws into nothing, and no key would ever come.
+            # Without a display SDL draws into nothing, and no key event would ever arrive.
             pygame.display.quit()
             raise DeviceError(
                 f"the keyboard needs a window, and there is no display (SDL has {driver!r} only); --device web shows "
@@ -110,7 +109,7 @@ class Keyboard(RateDevice):
             elif event.type == pygame.KEYUP:
                 self._held.discard(pygame.key.name(event.key))
             elif event.type == pygame.WINDOWFOCUSLOST:
-                # The release of a key goes to whoever has the focus then.
+                # The key's release event goes to the window that has the focus then.
                 self._held.clear()
             elif event.type == pygame.QUIT:
                 self._quit = True

@@ -1,4 +1,4 @@
-"""What keyboards and gamepads have in common: pygame, and rates by name."""
+"""Common parts of keyboard and gamepad: pygame, and rates by name."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from spatula_env.teleop.device import DeviceError, DeviceSample, TeleopDevice
 
 AXIS_NAMES = ("x", "y", "z")
 RATE_NAMES = (*AXIS_NAMES, "rotation_x", "rotation_y", "rotation_z", "jaw_speed")
-"""What can be commanded."""
+"""Names of the rates that can be commanded."""
 
 
 def require_pygame() -> ModuleType:
     """Import pygame.
 
     Raises:
-        ImportError: If it is missing; says what to install.
+        ImportError: If it is missing; the message says what to install.
     """
-    # It greets on standard output otherwise.
+    # Otherwise pygame prints a greeting on standard output.
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     try:
         import pygame
@@ -36,19 +36,19 @@ def require_pygame() -> ModuleType:
 
 
 class RateDevice(TeleopDevice):
-    """A device that commands rates by name, and has to be asked for them.
+    """A device that commands rates by name and has to be polled.
 
-    Its events are taken in `read`, which for pygame has to be called in the main thread.
+    `read` processes its events; with pygame it has to be called in the main thread.
     """
 
     kind = "rate"
 
     def __init__(self, name: str, button_names: tuple[str, ...]) -> None:
-        """Describe it.
+        """Store name and buttons.
 
         Args:
-            name: What to call it.
-            button_names: All buttons there are.
+            name: Name of the device in messages.
+            button_names: Names of all buttons.
         """
         self.name = name
         self.button_names = button_names
@@ -77,7 +77,7 @@ class RateDevice(TeleopDevice):
         return DeviceSample("rate", self.now(), self._sequence, None, rate, np.zeros(3), buttons)
 
     def extra_rates(self) -> Mapping[str, float]:
-        """See `HasExtraRates`; as of the last `read`."""
+        """See `HasExtraRates`; the values of the last `read`."""
         return {name: min(1.0, max(-1.0, value)) for name, value in self._rates.items() if name not in AXIS_NAMES}
 
     def close(self) -> None:
@@ -93,7 +93,7 @@ class RateDevice(TeleopDevice):
 
     @abstractmethod
     def _start(self) -> None:
-        """Take possession of the device."""
+        """Open the device."""
 
     @abstractmethod
     def _poll(self) -> tuple[dict[str, float], frozenset[str]]:
@@ -101,11 +101,11 @@ class RateDevice(TeleopDevice):
 
     @abstractmethod
     def _stop(self) -> None:
-        """Let go of it."""
+        """Release the device."""
 
 
 def check_rate_names(names: Any, argument: str) -> None:
-    """Check names of rates.
+    """Check that all rates exist.
 
     Raises:
         ValueError: If one is unknown.

@@ -1,4 +1,4 @@
-"""From an operator's hand to a dataset."""
+"""Recording an operator's episodes into a dataset."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 TRACK_TIME = 300.0
-"""For so long at most an episode is recorded at the haptic loop's rate [s]."""
+"""Longest part of an episode that is recorded at the haptic loop's rate [s]."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class RecordingSummary:
     """The result of a recording.
 
     Attributes:
-        dataset_id: Of the dataset.
-        path: Its folder.
-        recorded: Episodes that were added.
-        discarded: Episodes that the operator discarded, or that failed where failures are dropped.
-        successes: How many of those added reached their goal.
-        total_episodes: How many the dataset has now.
-        lost: What the device said when it was lost; None if it was not.
+        dataset_id: Id of the dataset.
+        path: Folder of the dataset.
+        recorded: Number of episodes that were added.
+        discarded: Number of episodes that the operator discarded, or that failed where failures are dropped.
+        successes: Number of added episodes that reached their goal.
+        total_episodes: Number of episodes in the dataset now.
+        lost: The device's error message if it was lost; None if it was not.
     """
 
     dataset_id: str
@@ -71,42 +71,42 @@ def record(
     after_step: Callable[[Any, dict[str, Any]], None] | None = None,
     **teleop: Any,
 ) -> RecordingSummary:
-    """Record episodes of an operator, each on the disk before the next begins.
+    """Record episodes of an operator; each is on disk before the next begins.
 
-    An episode has the seed `seed` plus its number among those tried; in a dataset that has episodes, seeds go on from
-    the greatest of theirs, so that none comes twice.
+    Attempt number i uses the seed `seed` + i. In a dataset that has episodes already, seeds continue after the greatest
+    one used, so that no seed occurs twice.
 
     Args:
         env: One of the Spatula environments, from `gymnasium.make`, for one agent.
-        device: What the operator holds, open and calibrated.
-        dataset_id: As "spatula/press/human-v0"; is made, or added to.
-        episodes: How many to add.
-        total: Add until the dataset has so many, instead; None: `episodes` counts.
-        seed: Of the first episode, at least.
+        device: The operator's device, open and calibrated.
+        dataset_id: Id such as "spatula/press/human-v0"; the dataset is created, or extended if it exists.
+        episodes: Number of episodes to add.
+        total: Number of episodes that the dataset is to reach, instead of `episodes`; None to use `episodes`.
+        seed: Least seed of the first episode.
         root: Folder of all datasets; Minari's own by default.
-        options: Of every reset.
-        policy: What acts while the operator does not.
+        options: Options of every reset.
+        policy: Acts while the operator does not.
         keep_failures: Whether episodes that do not reach their goal are added, too.
-        attempts: After so many tries recording ends, kept or not; None: it goes on.
+        attempts: Recording ends after this number of attempts, kept or not; None for no limit.
         end_on_success: Whether reaching the goal ends an episode.
-        states: Whether the physics' state is recorded, so that a replay can be checked and shown without physics.
-        state_dtype: How precisely; see `EpisodeRecorder`.
-        author: Who holds the device; kept with each episode.
-        description: Of the dataset.
-        haptics: Whether what the haptic loop does is recorded at its own rate, in the folder `haptics` of the dataset,
-            a file for each episode; see `spatula_env.teleop.haptics.track`.
-        progress: Called after each episode with its fate, "recorded" or "discarded".
+        states: Whether to record the physics state, so that a replay can be checked, and shown without physics.
+        state_dtype: Precision of the states; see `EpisodeRecorder`.
+        author: Name of the operator; stored with each episode.
+        description: Description of the dataset.
+        haptics: Whether to record the haptic loop at its own rate, in the folder `haptics` of the dataset, one file per
+            episode; see `spatula_env.teleop.haptics.track`.
+        progress: Called after each episode with its summary and its outcome, "recorded" or "discarded".
         after_step: Called with observation and info after every reset and step.
-        **teleop: For `FalconTeleop`: mode, intervention ….
+        **teleop: Arguments for `FalconTeleop`: mode, intervention ….
 
     Returns:
-        The result. When the device is lost, the episode that was running is lost with it and nothing else.
+        The result. If the device is lost, only the episode in progress is lost with it.
 
     Raises:
         ImportError: If Minari is missing.
-        ValueError: If a number is not one of those allowed, `env` cannot be kept in a dataset, or the dataset has
-            episodes of another environment or with other options.
-        TypeError: If `haptics` is asked for and the device has no haptic loop.
+        ValueError: If a number is out of range, `env` cannot be recorded in a dataset, or the dataset holds episodes of
+            another environment or with other options.
+        TypeError: If `haptics` is set and the device has no haptic loop.
         DatasetBusy: If another program is recording into the dataset.
         OSError: If the dataset cannot be written to.
         DatasetWriteError: If an episode could not be written; those before it are intact.
@@ -119,7 +119,7 @@ def record(
         raise TypeError(f"haptics needs a device with a haptic loop, the {device.name} has none")
     operator = str(getattr(device, "operator", "human"))
     wrapped = FalconTeleop(env, device, **teleop)
-    # Before anything is made.
+    # Check before anything is created.
     check_target(dataset_id, env, root)
     with recording_lock(dataset_folder(dataset_id, root), dataset_id):
         writer = DatasetWriter(
@@ -163,20 +163,20 @@ def record_into(
     progress: Callable[[str, EpisodeSummary], None] | None = None,
     after_step: Callable[[Any, dict[str, Any]], None] | None = None,
 ) -> RecordingSummary:
-    """What `record` does when all is checked, and nobody else records into the dataset.
+    """Record episodes as `record` does, once everything is checked and the dataset is claimed.
 
     Args:
-        writer: Of the dataset.
+        writer: Writer of the dataset.
         env: The environment with its device.
-        recorder: For the environment.
-        episodes: How many to add; 0 or less: none.
-        seed: See `record`, and so for the others.
-        options: Of every reset.
-        policy: What acts while the operator does not.
+        recorder: Recorder for the environment.
+        episodes: Number of episodes to add; none if it is 0 or less.
+        seed: Least seed of the first episode.
+        options: Options of every reset.
+        policy: Acts while the operator does not.
         keep_failures: Whether episodes that do not reach their goal are added, too.
-        attempts: After so many tries recording ends.
+        attempts: Recording ends after this number of attempts.
         end_on_success: Whether reaching the goal ends an episode.
-        haptics: Whether the haptic loop is recorded at its own rate.
+        haptics: Whether to record the haptic loop at its own rate.
         progress: Called after each episode.
         after_step: Called after every reset and step.
 
@@ -208,7 +208,7 @@ def record_into(
             break
         tried += 1
         keep = summary.kept and (keep_failures or summary.success)
-        # Taken in any case: what is kept next is the next episode's.
+        # Always take the track, even of an episode that is dropped: the next one has to start empty.
         track = None if tracked is None else tracked.take_track()
         if keep:
             if track is not None:
@@ -232,21 +232,21 @@ def record_into(
 
 
 def haptics_file(folder: Path, episode: int) -> Path:
-    """Where the haptic loop's track of an episode is.
+    """File with the haptic loop's track of an episode.
 
     Args:
-        folder: Of the dataset.
-        episode: Its number.
+        folder: Folder of the dataset.
+        episode: Number of the episode.
     """
     return folder / "haptics" / f"episode_{episode}.npz"
 
 
 def next_seed(writer: DatasetWriter, least: int) -> int:
-    """The seed of the next episode of a dataset, so that none comes twice.
+    """Seed of the next episode of a dataset, chosen so that no seed occurs twice.
 
     Args:
-        writer: Of the dataset.
-        least: Of the first episode.
+        writer: Writer of the dataset.
+        least: Least seed of the first episode.
     """
     return least if writer.last_seed is None else max(least, writer.last_seed + 1)
 

@@ -1,4 +1,4 @@
-"""Devices by name, as the command line takes them."""
+"""Devices by name, as used on the command line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEVICES = (
 )
 """Names of the devices."""
 NEEDS_POLICY = ("scripted", "scripted-falcon")
-"""Those that act by a policy."""
+"""Devices that are driven by a policy."""
 
 
 def make_device(
@@ -35,28 +35,28 @@ def make_device(
     settings: HapticSettings | None = None,
     **options: Any,
 ) -> TeleopDevice:
-    """Make a device, not yet open. Devices with force come with their haptic loop in a process of its own.
+    """Make a device without opening it. Devices with force run their haptic loop in a process of its own.
 
     Args:
         name: One of `DEVICES`.
-        policy: What a scripted operator does.
-        firmware: File with the Falcon's firmware; None if it has it already.
-        index: Which one, if there are several.
+        policy: The policy of a scripted operator.
+        firmware: File with the Falcon's firmware; None if the Falcon has it loaded already.
+        index: Number of the device, if there are several.
         settings: Gains of the haptic loop.
-        **options: For the device: `reaction_delay`, `tremor`, `gain`, `generator` of a scripted operator, `keys` of a
-            keyboard, `host`, `port`, `token` of the web device ….
+        **options: Further arguments of the device: `reaction_delay`, `tremor`, `gain`, `generator` of a scripted
+            operator, `keys` of a keyboard, `host`, `port`, `token` of the web device ….
 
     Returns:
         The device.
 
     Raises:
-        ValueError: If there is no such device, or a scripted operator has no policy.
+        ValueError: If the device does not exist, or a scripted operator has no policy.
     """
     if name not in DEVICES:
         raise ValueError(f"device must be one of {list(DEVICES)}, got {name!r}")
     if name in NEEDS_POLICY and policy is None:
         raise ValueError(f"device {name!r} needs a policy")
-    # Imported when they are asked for: none of them needs what the others need.
+    # Imported on demand: each device has its own dependencies.
     if name in ("falcon", "forcedimension", "emulated-falcon"):
         return _haptic(name, firmware, index, settings, options)
     if name in NEEDS_POLICY:

@@ -1,4 +1,4 @@
-"""A recording as a device: it does again what somebody did."""
+"""A device that replays a recording."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from spatula_env.teleop.device import DeviceError, DeviceSample, TeleopDevice
 
 
 class ReplayDevice(TeleopDevice):
-    """Recorded actions as a rate device; afterwards it rests and holds "finish".
+    """Recorded actions as a rate device; at their end it stands still and holds "finish".
 
-    Where the tool was steered in every physics step, that is done again, and not the mean of it in each control step.
+    If the tool was steered in every physics step, those commands are replayed rather than their mean per control step.
 
     Attributes:
-        operator: Who acted in the recording, "human" or "scripted".
+        operator: Source of the recorded actions, "human" or "scripted".
     """
 
     kind = "rate"
     button_names = ("finish",)
 
     def __init__(self, actions: ArrayLike, operator: str = "human", tracks: ArrayLike | None = None) -> None:
-        """Describe it.
+        """Store the recording.
 
         Args:
             actions: (T, A) fractions of the greatest velocities.
-            operator: Who acted.
-            tracks: (T, S, A) the same for each physics step, NaN in control steps without steering; None: no steering.
+            operator: Source of the actions.
+            tracks: (T, S, A) actions of each physics step, NaN in control steps without steering; None if there was
+                none.
 
         Raises:
             ValueError: If actions or tracks have another shape.
@@ -54,11 +55,11 @@ class ReplayDevice(TeleopDevice):
 
     @classmethod
     def from_dataset(cls, dataset_id: str, episode: int = 0, root: str | Path | None = None) -> ReplayDevice:
-        """An episode of a dataset.
+        """Make a device from an episode of a dataset.
 
         Args:
-            dataset_id: Its id.
-            episode: Which.
+            dataset_id: Id of the dataset.
+            episode: Number of the episode.
             root: Folder of all datasets; Minari's own by default.
 
         Raises:
@@ -79,11 +80,11 @@ class ReplayDevice(TeleopDevice):
         return self._is_open
 
     def open(self) -> None:
-        """See `TeleopDevice`; begins at the beginning."""
+        """See `TeleopDevice`; starts from the beginning."""
         self._is_open, self._step = True, 0
 
     def watch(self, observation: Any, env: gymnasium.Env[Any, Any]) -> None:
-        """See `Watching`: after a reset the recording begins anew, and goes on with every step."""
+        """See `Watching`: a reset restarts the recording, and every step advances it."""
         made: Any = env.unwrapped
         self._names = made.control.names
         period = made.steps_per_action * made.simulation.dt
@@ -117,5 +118,5 @@ class ReplayDevice(TeleopDevice):
         self._is_open = False
 
     def now(self) -> float:
-        """The time of the episodes [s]."""
+        """The time of the episode [s]."""
         return self._time

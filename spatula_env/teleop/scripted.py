@@ -1,6 +1,6 @@
-"""Operators that are programs: a policy as a device, alone or with its hand on an emulated Falcon.
+"""Scripted operators: a policy as a device, either alone or with a simulated hand on an emulated Falcon.
 
-What they do is labelled "scripted" wherever it is recorded: it is no human's demonstration.
+Recordings of them are labelled "scripted", as they are not human demonstrations.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from spatula_env.teleop.haptics.device import HapticDevice
 from spatula_env.teleop.haptics.settings import HapticSettings
 
 Policy: TypeAlias = Callable[[Any], Any]
-"""Takes an observation and gives an action, fractions of the greatest velocities."""
+"""Maps an observation to an action, in fractions of the greatest velocities."""
 
 TREMOR_FREQUENCY = 9.0
-"""Middle of the 8 to 12 Hz of physiological tremor, as far as 20 control steps in a second can show it [Hz]."""
+"""Middle of the part of physiological tremor (8 to 12 Hz) that 20 control steps per second can represent [Hz]."""
 TREMOR_BANDWIDTH = 3.0
-"""How quickly the tremor's amplitude and phase wander [Hz]."""
+"""Rate at which the tremor's amplitude and phase wander [Hz]."""
 ARM_STIFFNESS = 800.0
 ARM_DAMPING = 25.0
-"""Of a scripted operator's arm, firmer than that of a hand at ease [N/m], [N s/m]."""
+"""Stiffness and damping of a scripted operator's arm, firmer than a relaxed human's [N/m], [N s/m]."""
 REACH = 0.036
-"""So far from the middle a scripted operator moves the grip before it uses the clutch [m]."""
+"""Distance from the centre at which a scripted operator uses the clutch [m]."""
 RETURN_SPEED = 0.15
-"""Of the grip on its way back to the middle, with the clutch held [m/s]."""
+"""Speed of the grip on its way back to the centre, with the clutch held [m/s]."""
 RETURNED = 0.004
-"""So near to the middle it lets go of the clutch [m]."""
+"""Distance from the centre at which it releases the clutch [m]."""
 
 
 class Tremor:
-    """An involuntary motion: narrow-band noise, the same for the same generator."""
+    """Involuntary motion: narrow-band noise, reproducible for the same generator."""
 
     def __init__(self, amplitude: float, generator: np.random.Generator) -> None:
-        """Prepare.
+        """Set up the noise.
 
         Args:
-            amplitude: Standard deviation of the velocity, along each axis, in the unit that is wanted.
-            generator: Where the randomness comes from.
+            amplitude: Standard deviation of the velocity along each axis, in any unit.
+            generator: Source of randomness.
 
         Raises:
             ValueError: If the amplitude is negative or not finite.
@@ -58,11 +58,11 @@ class Tremor:
         self._state = np.zeros((3, 2))
 
     def step(self, duration: float) -> FloatArray:
-        """The velocity (3,) after another [s]."""
+        """Velocity (3,) after a further time step [s]."""
         if self._amplitude == 0.0:
             return np.zeros(3)
-        # A vector that turns at the tremor's frequency, forgets slowly and is kicked at random; its first component has
-        # a standard deviation of one.
+        # A vector per axis that rotates at the tremor's frequency, decays slowly and is excited by noise; its first
+        # component has a standard deviation of one.
         keep = math.exp(-2.0 * math.pi * TREMOR_BANDWIDTH * duration)
         angle = 2.0 * math.pi * TREMOR_FREQUENCY * duration
         turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
@@ -72,7 +72,7 @@ class Tremor:
 
 
 class _Reaction:
-    """A policy's actions, delayed and with a tremor."""
+    """A policy's actions with delay, gain and tremor."""
 
     def __init__(
         self, policy: Policy, generator: np.random.Generator | None, delay: float, tremor: float, gain: float
@@ -87,11 +87,11 @@ class _Reaction:
         self._wanted: deque[FloatArray] = deque()
 
     def forget(self) -> None:
-        """What was wanted in the last episode is over."""
+        """Discard the actions of the last episode."""
         self._wanted.clear()
 
     def action(self, observation: Any, period: float) -> FloatArray:
-        """(A,) what is to be done now, fractions of the greatest."""
+        """(A,) action to take now, fractions of the greatest velocities."""
         self._wanted.append(np.asarray(self._policy(observation), dtype=np.float64))
         late = round(self._delay / period)
         wanted = self._wanted[0] if len(self._wanted) > late else np.zeros_like(self._wanted[0])
@@ -105,7 +105,7 @@ class _Reaction:
 class ScriptedOperator(TeleopDevice):
     """A policy as a rate device.
 
-    `FalconTeleop` shows it every observation; what it wants then is what it does a `reaction_delay` later, with a
+    `FalconTeleop` passes it every observation; the policy's action takes effect a `reaction_delay` later, with a
     tremor. Its clock is that of the episodes.
 
     Attributes:
@@ -124,14 +124,14 @@ class ScriptedOperator(TeleopDevice):
         tremor: float = 0.0,
         gain: float = 1.0,
     ) -> None:
-        """Describe the operator.
+        """Store the policy and the operator's properties.
 
         Args:
-            policy: What it wants to do; an expert, for example.
-            generator: Where its tremor comes from; None for one with seed 0.
-            reaction_delay: How late it acts, rounded to control steps [s].
-            tremor: Standard deviation of its tremor along each axis, share of the greatest speed.
-            gain: Factor on what the policy wants. A policy that regulates swings if it acts late; a slower one does
+            policy: Policy of the operator, for example an expert.
+            generator: Source of the tremor; None for a generator with seed 0.
+            reaction_delay: Delay of its actions, rounded to control steps [s].
+            tremor: Standard deviation of its tremor along each axis, as a share of the greatest speed.
+            gain: Factor on the policy's actions. A feedback policy oscillates if it acts late; at a lower gain it does
                 not.
 
         Raises:
@@ -180,15 +180,15 @@ class ScriptedOperator(TeleopDevice):
         self._is_open = False
 
     def now(self) -> float:
-        """The time that the operator has acted for [s]."""
+        """Time for which the operator has acted [s]."""
         return self._time
 
 
 class EmulatedFalcon(Falcon):
-    """A Falcon that is not there: the driver on an emulator, homed, without a thread of its own.
+    """A Falcon that exists in software only: the driver on an emulator, homed, without a thread of its own.
 
     Attributes:
-        emulator: The device and the hand on it.
+        emulator: The emulated device and the hand on it.
     """
 
     def __init__(
@@ -198,13 +198,13 @@ class EmulatedFalcon(Falcon):
         mechanism: Mechanism | None = None,
         **options: Any,
     ) -> None:
-        """Describe it.
+        """Make the emulator and its driver.
 
         Args:
             hand: What holds the grip; None for a hand at rest.
-            clock: Its time; None for a simulated one, which passes only in `sleep` and `exchange`.
-            mechanism: Weight, friction and bending links; None: there are none.
-            **options: Of `Falcon`.
+            clock: The clock; None for a simulated one, which advances only in `sleep` and `exchange`.
+            mechanism: Weight, friction and elasticity of the links; None for an ideal mechanism.
+            **options: Arguments of `Falcon`.
         """
         self.emulator = FalconEmulator(hand, clock=clock, homed=True, mechanism=mechanism)
         time = self.emulator.clock
@@ -214,19 +214,19 @@ class EmulatedFalcon(Falcon):
         )
 
     def sleep(self, duration: float) -> None:
-        """Wait by its clock [s]."""
+        """Wait by the emulator's clock [s]."""
         self.emulator.clock.sleep(duration)
 
 
 class ScriptedFalcon(HapticDevice):
-    """A policy whose hand moves the grip of an emulated Falcon, and feels the forces.
+    """A policy whose simulated hand moves the grip of an emulated Falcon and feels the forces.
 
-    All between the hand and the action is what a human uses: mechanism, encoders, USB packets, driver, haptic loop,
-    clutch. It lives in simulated time: as fast as the machine, and the same every time.
+    Everything between the hand and the action is the same as for a human: mechanism, encoders, USB packets, driver,
+    haptic loop, clutch. It runs in simulated time: as fast as the machine allows, and reproducibly.
 
     Attributes:
         operator: "scripted".
-        hand: That holds the grip.
+        hand: The hand that holds the grip.
     """
 
     operator: ClassVar[str] = "scripted"
@@ -241,15 +241,15 @@ class ScriptedFalcon(HapticDevice):
         tremor: float = 0.0,
         gain: float = 1.0,
     ) -> None:
-        """Describe the operator and the device.
+        """Set up the operator and the device.
 
         Args:
-            policy: What it wants to do; an expert, for example.
-            generator: Where its tremor comes from; None for one with seed 0.
+            policy: Policy of the operator, for example an expert.
+            generator: Source of the tremor; None for a generator with seed 0.
             settings: Gains of the haptic loop.
-            reaction_delay: How late it acts, rounded to control steps [s].
-            tremor: Standard deviation of its tremor along each axis, share of the greatest speed.
-            gain: Factor on what the policy wants. A policy that regulates swings if it acts late; a slower one does
+            reaction_delay: Delay of its actions, rounded to control steps [s].
+            tremor: Standard deviation of its tremor along each axis, as a share of the greatest speed.
+            gain: Factor on the policy's actions. A feedback policy oscillates if it acts late; at a lower gain it does
                 not.
 
         Raises:
@@ -276,7 +276,7 @@ class ScriptedFalcon(HapticDevice):
         self._falcon.emulator.press([*held, *self._buttons(action[3:])])
 
     def _buttons(self, extras: FloatArray) -> list[str]:
-        """The buttons for the first of the further numbers of an action: on or off, but right on average."""
+        """Buttons for the first of an action's further numbers: pulsed on and off so that the mean rate is right."""
         if len(extras) == 0:
             return []
         self._owed = np.clip(self._owed + extras, -1.0, 1.0)
@@ -288,7 +288,7 @@ class ScriptedFalcon(HapticDevice):
 
 
 class _Arm:
-    """Where a scripted operator wants the grip, against time: a motion at constant velocity, renewed all the time."""
+    """Where a scripted operator wants the grip, over time: motion at a constant velocity that is updated regularly."""
 
     def __init__(self) -> None:
         self._from: FloatArray = np.zeros(3)
@@ -297,12 +297,12 @@ class _Arm:
         self._returning = False
 
     def __call__(self, time: float) -> tuple[float, float, float]:
-        """The place in the Falcon's frame [m]."""
+        """The target position in the Falcon's frame [m]."""
         x, y, z = np.clip(self._place(time), -REACH, REACH).tolist()
         return position_to_falcon((x, y, z))
 
     def move(self, time: float, velocity: FloatArray) -> bool:
-        """Go on with another velocity (3,), device's frame [m/s]; True if the clutch is to be held instead."""
+        """Continue with a new velocity (3,), device frame [m/s]; True if the clutch is to be held on the way back."""
         self._from = np.clip(self._place(time), -REACH, REACH)
         self._since = time
         distance = float(np.linalg.norm(self._from))
@@ -320,11 +320,11 @@ class _Arm:
 
 
 def device_position(emulator: FalconEmulator) -> FloatArray:
-    """Where the grip of an emulated Falcon is, in the device's frame (3,) [m]."""
+    """Position (3,) of an emulated Falcon's grip, device frame [m]."""
     return np.array(position_to_device(emulator.grip))
 
 
 def _is_beginning(env: gymnasium.Env[Any, Any]) -> bool:
-    """Whether nothing has happened yet in the episode."""
+    """Whether the episode has just been reset."""
     made: Any = env.unwrapped
     return bool(made.simulation.time == 0.0)

@@ -1,6 +1,6 @@
-"""Scripted demonstrations: a policy whose hand moves the grip of an emulated Falcon, recorded as a human's are.
+"""Scripted demonstrations: a policy whose hand moves an emulated Falcon's grip, recorded like a human's episodes.
 
-No human has done them, and every episode says so.
+They are not human demonstrations, and every episode is labelled accordingly.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ AUTHOR = "a program of spatula_env"
 
 @dataclass(frozen=True)
 class Hand:
-    """How a scripted operator moves.
+    """How a scripted operator moves; see `ScriptedFalcon`.
 
     Attributes:
-        reaction_delay: How late it acts [s].
-        tremor: Standard deviation of its tremor along each axis, share of the greatest speed.
-        gain: Factor on what the policy wants.
+        reaction_delay: Delay of its actions [s].
+        tremor: Standard deviation of its tremor along each axis, as a share of the greatest speed.
+        gain: Factor on the policy's actions.
     """
 
     reaction_delay: float = 0.1
@@ -54,7 +54,7 @@ class Hand:
     gain: float = 0.4
 
     def __str__(self) -> str:
-        """What there is to know, for a description."""
+        """The properties in words, for a dataset's description."""
         return (
             f"{1000 * self.reaction_delay:g} ms late, with {100 * self.gain:g} % of its speed and a tremor of "
             f"{100 * self.tremor:g} % of the greatest speed"
@@ -63,12 +63,12 @@ class Hand:
 
 HANDS: Mapping[str, Hand] = MappingProxyType(
     {
-        # The jaws have to follow the lift, and a path has to be done in time: a slow hand is too late.
+        # The jaws have to follow the lift, and the path has a time limit: a slow hand would be too late.
         "Spatula/Clamp-v0": Hand(0.05, 0.01, 0.8),
         "Spatula/Palpate-v0": Hand(0.05, 0.01, 0.8),
     }
 )
-"""Of tasks that want another hand than others."""
+"""Hands of tasks that need other properties than the default."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class ScriptedDataset:
     """The result of making a dataset.
 
     Attributes:
-        recording: See `RecordingSummary`; nothing was recorded if all episodes were there already.
-        episode_seconds: How long each new episode took, in real time [s].
+        recording: See `RecordingSummary`; nothing was recorded if the dataset had all episodes already.
+        episode_seconds: Real time that each new episode took [s].
     """
 
     recording: RecordingSummary
@@ -91,7 +91,7 @@ def scripted_id(env_id: str) -> str:
 
 
 def scripted_ids() -> dict[str, str]:
-    """Ids of all tasks' scripted datasets, by those of the environments."""
+    """Ids of all tasks' scripted datasets, keyed by environment id."""
     return {env_id: scripted_id(env_id) for env_id in (f"Spatula/{name}-v0" for name in spatula_env.TASKS)}
 
 
@@ -110,29 +110,29 @@ def make_scripted(
     root: str | Path | None = None,
     progress: Progress | None = None,
 ) -> ScriptedDataset:
-    """Make a dataset of scripted demonstrations, or go on with it until it has so many.
+    """Make a dataset of scripted demonstrations, or extend it until it has a number of episodes.
 
-    The same episodes come of the same seeds, in one go or after an interruption: each has a tremor of its own.
+    The same seeds give the same episodes, with or without interruption: each episode has a tremor of its own.
 
     Args:
-        env_id: Of the environment.
-        make_policy: Makes what the operator wants, for an environment.
-        dataset_id: Of the dataset; `scripted_id` by default.
-        episodes: How many it is to have in the end.
-        seed: Of the first episode.
-        hand: How the operator moves; None: as is good for the task.
-        options: What the environment is made with.
+        env_id: Id of the environment.
+        make_policy: Makes the operator's policy for an environment.
+        dataset_id: Id of the dataset; `scripted_id` by default.
+        episodes: Number of episodes that the dataset is to reach.
+        seed: Seed of the first episode.
+        hand: How the operator moves; None for the task's default.
+        options: Arguments with which the environment is made.
         end_on_success: Whether reaching the goal ends an episode.
-        states: Whether the physics' state is recorded.
-        state_dtype: How precisely; see `EpisodeRecorder`.
+        states: Whether to record the physics state.
+        state_dtype: Precision of the states; see `EpisodeRecorder`.
         root: Folder of all datasets; Minari's own by default.
-        progress: Called after each episode with "recorded", how it went, and how long it took [s].
+        progress: Called after each episode with "recorded", its summary, and the time it took [s].
 
     Raises:
         ImportError: If Minari is missing.
-        ValueError: If `episodes` is not positive, or the dataset is one of another environment, has other options,
-            or is not scripted.
-        DatasetBusy: If another program is making it.
+        ValueError: If `episodes` is not positive, or the dataset belongs to another environment, has other options, or
+            is not scripted.
+        DatasetBusy: If another program is recording into it.
         OSError: If it cannot be written to.
         DatasetWriteError: If an episode could not be written; those before it are intact.
     """
@@ -170,7 +170,7 @@ def make_scripted(
                     if progress is not None:
                         progress(fate, summary, seconds[-1])
 
-                # A hand of its own for each: none begins where the last one has ended.
+                # A new hand for each episode, so that none starts where the last one ended.
                 with ScriptedFalcon(
                     policy,
                     np.random.default_rng([seed, number]),
@@ -195,7 +195,7 @@ def make_scripted(
 
 
 def _count(dataset_id: str, env_id: str, root: str | Path | None) -> int:
-    """How many episodes a dataset has already."""
+    """Number of episodes that a dataset has already."""
     data = dataset_folder(dataset_id, root) / "data"
     if not (data / METADATA_FILE).exists():
         return 0

@@ -1,4 +1,4 @@
-"""Episodes of an operator at a device."""
+"""Running episodes of an operator at a device."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EpisodeSummary:
-    """How an episode went.
+    """Result of an episode.
 
     Attributes:
-        steps: Control steps.
-        seed: Of the reset.
-        success: Whether the goal has been reached.
+        steps: Number of control steps.
+        seed: Seed of the reset.
+        success: Whether the goal was reached.
         total_reward: Sum of the rewards.
         peak_force: Greatest force on a tool [N].
-        operator_share: Share of the steps in which the operator acted, and no policy.
+        operator_share: Share of the steps in which the operator acted rather than a policy.
         kept: False if the operator discarded it.
-        quit: Whether the operator wants no further one.
+        quit: Whether the operator wants to end the session.
     """
 
     steps: int
@@ -51,24 +51,24 @@ def run_episode(
     end_on_success: bool = False,
     after_step: Callable[[Any, dict[str, Any]], None] | None = None,
 ) -> EpisodeSummary:
-    """Let the operator do an episode.
+    """Run one episode with the operator.
 
-    It ends as the environment says, or with the buttons "finish", "discard" and "quit".
+    It ends when the environment says so, or with the buttons "finish", "discard" and "quit".
 
     Args:
         env: The environment with its device.
-        seed: Of the reset.
-        options: Of the reset.
-        policy: What acts while the operator does not.
-        recorder: Takes what happens; its episode is finished by the caller.
+        seed: Seed of the reset.
+        options: Options of the reset.
+        policy: Acts while the operator does not.
+        recorder: Records the episode; the caller finishes the recorded episode.
         end_on_success: Whether reaching the goal ends the episode.
         after_step: Called with observation and info after the reset and every step.
 
     Returns:
-        How it went.
+        Result of the episode.
 
     Raises:
-        DeviceLost: If the device does not answer any more. What has happened so far is in the recorder.
+        DeviceLost: If the device does not answer any more. The recorder holds the episode up to that point.
     """
     chosen = None if options is None else dict(options)
     observation, info = env.reset(seed=seed, options=chosen)
@@ -90,7 +90,7 @@ def run_episode(
             recorder.add(info["action"], observation, float(reward), terminated, truncated, info)
         if after_step is not None:
             after_step(observation, info)
-        # Only what was pressed in this episode counts: the button that ended the last one may still be down.
+        # Only presses within this episode count: the button that ended the last one may still be held.
         held_before &= env.pressed
         ended = next((name for name in (QUIT, DISCARD, FINISH) if name in env.pressed - held_before), "")
         done = terminated or truncated or bool(ended) or (end_on_success and info["is_success"])
@@ -122,20 +122,20 @@ def play(
 
     Args:
         env: One of the Spatula environments, from `gymnasium.make`, for one agent.
-        device: What the operator holds, open and calibrated.
-        episodes: How many; None until the button "quit".
-        seed: Of the first episode; the others go on from it.
-        policy: What acts while the operator does not.
+        device: The operator's device, open and calibrated.
+        episodes: Number of episodes; None to continue until the button "quit".
+        seed: Seed of the first episode; increases by one for each further one.
+        policy: Acts while the operator does not.
         end_on_success: Whether reaching the goal ends an episode.
         progress: Called after each episode.
         after_step: Called with observation and info after every reset and step.
-        **teleop: For `FalconTeleop`: mode, intervention ….
+        **teleop: Arguments for `FalconTeleop`: mode, intervention ….
 
     Returns:
-        How the episodes went.
+        Results of the episodes.
 
     Raises:
-        ValueError: If a number is not one of those allowed.
+        ValueError: If a number is out of range.
         DeviceLost: If the device does not answer any more.
     """
     if episodes is not None and episodes < 1:

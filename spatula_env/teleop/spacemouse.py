@@ -11,29 +11,29 @@ from spatula_env.teleop.device import DeviceBusy, DeviceError, DeviceLost, Devic
 from spatula_env.teleop.keys import RateDevice
 
 BUTTONS: Mapping[int, str] = MappingProxyType({0: "minus", 1: "plus"})
-"""Names of the buttons by their numbers, left and right."""
+"""Names of the buttons by number: left and right."""
 DEAD_ZONE = 0.05
-"""Deflection that counts as none."""
+"""Deflection up to which the cap counts as centred."""
 MOST_READS = 64
-"""How many reports are taken at once; more have come if nobody has looked for long."""
+"""Number of reports that are processed at once; more can be queued after a long pause."""
 JAW_BUTTONS = ("minus", "plus")
 
 
 class SpaceMouse(RateDevice):
     """A SpaceMouse, through pyspacemouse.
 
-    Asked for in the convention ``HID_Z_UP``, whose axes are those of the device frame: x to the right, y away from the
-    operator, z up, and right-handed rotations about them. pyspacemouse's default is not consistent, and has changed.
-    The two buttons close and open jaws.
+    Opened in the convention ``HID_Z_UP``, whose axes are those of the device frame: x to the right, y away from the
+    operator, z up, and right-handed rotations about them. pyspacemouse's default is inconsistent, and has changed. The
+    two buttons close and open jaws.
     """
 
     def __init__(self, index: int = 0, *, buttons: Mapping[int, str] = BUTTONS, dead_zone: float = DEAD_ZONE) -> None:
-        """Describe it.
+        """Store the settings of the device; `open` opens it.
 
         Args:
-            index: Which one, if there are several.
-            buttons: Names of buttons by their numbers.
-            dead_zone: Deflection that counts as none, and from which on it is counted.
+            index: Number of the device, if there are several.
+            buttons: Names of buttons by number.
+            dead_zone: Deflection up to which the cap counts as centred; larger deflections are measured from there.
 
         Raises:
             ValueError: If `dead_zone` is not in [0, 1).
@@ -55,7 +55,7 @@ class SpaceMouse(RateDevice):
         try:
             found = pyspacemouse.get_connected_devices()
         except Exception as error:
-            # It says so by an error of no class of its own.
+            # pyspacemouse raises an error without a class of its own for this.
             raise DeviceError(
                 f"a SpaceMouse needs the system's HIDAPI, which does not work here ({error}): apt-get install "
                 "libhidapi-hidraw0, or brew install hidapi"
@@ -70,7 +70,7 @@ class SpaceMouse(RateDevice):
                 device_index=self._index, nonblocking=True, axis_convention=AxisConvention.HID_Z_UP
             )
         except Exception as error:
-            # Whatever it raises: its own errors have no common class.
+            # Catch everything: pyspacemouse's errors have no common class.
             raise DeviceBusy(f"the SpaceMouse could not be opened: {error}") from error
 
     def _poll(self) -> tuple[dict[str, float], frozenset[str]]:

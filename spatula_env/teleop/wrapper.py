@@ -1,4 +1,4 @@
-"""A Gymnasium wrapper by which an operator acts, instead of an agent or in its place whenever it is called for."""
+"""A Gymnasium wrapper through which an operator acts, instead of an agent or by taking over from it."""
 
 from __future__ import annotations
 
@@ -29,21 +29,22 @@ INTERVENTIONS = ("always", "button", "motion")
 CENTRE_ZONE = 0.1
 """Share of a position device's half workspace in which it commands no rate."""
 STANDSTILL, UNUSUAL = 0.04, 3.0
-"""After so long without a physics step hand and tool are matched anew [s], if that is so many times the last pause."""
+"""Hand and tool are matched anew after a pause between physics steps that is longer than the first [s] and longer than
+the second times the pause before."""
 RETURN = 0.1
-"""For so long after that the tool goes no deeper: in it the force comes back [s]."""
+"""Time after that in which the tool goes no deeper, while the force comes back [s]."""
 CENTRED = 0.006
-"""So near is near enough [m]."""
+"""Distance from the goal at which the grip counts as centred [m]."""
 CENTRING_TIME, CENTRING_LOOK = 20.0, 0.02
-"""How long the operator is waited for, and how often the grip is looked at [s]."""
+"""Longest time to wait for the operator, and interval at which the grip is checked [s]."""
 TELL_AGAIN = 5.0
-"""The operator is not told the same more often [s]."""
+"""Least time between two messages of the same kind to the operator [s]."""
 PACE_TIME, SLOW = 1.0, 0.9
-"""Over which time the simulation's pace is taken [s], and below which share of real time it is slow."""
+"""Time over which the simulation's pace is measured [s], and share of real time below which it counts as slow."""
 WAYS = (("to the right", "to the left"), ("away from you", "towards you"), ("up", "down"))
-"""Along the device's axes."""
+"""Words for the directions along the device's axes."""
 BEHIND = 2.0
-"""So many control periods the simulation may be behind real time before it stops trying to catch up."""
+"""Delay behind real time, in control periods, beyond which the simulation no longer tries to catch up."""
 
 
 @runtime_checkable
@@ -51,55 +52,56 @@ class HasExtraRates(Protocol):
     """A device that commands more than three rates."""
 
     def extra_rates(self) -> Mapping[str, float]:
-        """Fractions in [-1, 1] of the greatest rates, by names of an action's numbers: "rotation_x", "jaw_speed" …."""
+        """Fractions in [-1, 1] of the greatest rates, by names of action components: "rotation_x", "jaw_speed" …."""
 
 
 @runtime_checkable
 class HasSteering(Protocol):
-    """A device, such as a recording, that knows what it wants in each physics step."""
+    """A device, such as a recording, that knows its command for each physics step."""
 
     def steering(self) -> NDArray[np.float32] | None:
-        """(S, A) for the S physics steps of the coming control step; None: what `read` tells, all the time."""
+        """(S, A) commands for the S physics steps of the coming control step; None to use `read` for all of them."""
 
 
 @runtime_checkable
 class Watching(Protocol):
-    """A device, such as a scripted operator, that acts on what it sees."""
+    """A device, such as a scripted operator, that acts on observations."""
 
     def watch(self, observation: Any, env: gymnasium.Env[Any, Any]) -> None:
-        """Take what there is to see, once in each control step.
+        """Receive the current observation, once per control step.
 
         Args:
-            observation: Of the environment.
+            observation: Observation of the environment.
             env: The environment.
         """
 
 
 class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
-    """Takes actions from a device, and lets the hand feel the contact; for a Falcon and for any other `TeleopDevice`.
+    """Takes actions from a `TeleopDevice`, such as a Falcon, and renders the contact force to the hand.
 
-    *Position mode*: the grip is where the tool is to be, one to one (`scale`). At the beginning of an episode, and when
-    the operator takes over from a policy, the two are matched where they are, so that nothing jumps. While the clutch
-    is held the tool stands still, nothing is felt, and the grip can be moved to a more comfortable place. The tool
-    follows the grip in every physics step, with the velocity that brings it to the grip's place within that step,
-    clipped: a hand that is followed late is pushed late, and a late spring gives more energy than it took. What the
-    hand did in a control step is ``info["steering"]``, its mean ``info["action"]``.
+    *Position mode*: the tool follows the grip's position, one to one (`scale`). At the beginning of an episode, and
+    when the operator takes over from a policy, the two are matched where they are, so that nothing jumps. While the
+    clutch is held, the tool stands still, no force is rendered, and the grip can be moved to a more comfortable place.
+    The tool follows the grip in every physics step, with the velocity that brings it to the grip's position within that
+    step, clipped: following the hand late would delay the force, and a delayed spring gives out more energy than it
+    took in. What the hand did in a control step is ``info["steering"]``, its mean ``info["action"]``.
 
-    *Rate mode*: the deflection is the velocity. A position device then has a stick's zone of rest around its middle.
+    *Rate mode*: the deflection is the velocity. A position device then has a dead zone around its centre, like a stick.
 
-    What else an action moves, turns and jaws, comes from `HasExtraRates` or from two buttons: "plus" and "minus" move
-    the first of them, and every press of "forward" goes on to the next.
+    Further components of an action, rotations and jaws, come from `HasExtraRates` or from two buttons: "plus" and
+    "minus" move the first of them, and every press of "forward" selects the next.
 
-    *Force*: a `HapticDevice` is told after every physics step what the tool feels; its own loop makes forces of it. Any
-    other device with force gets the force itself, held. Whatever ends an episode or the wrapper ends the force.
+    *Force*: a `HapticDevice` is told after every physics step what the tool feels, and its own loop renders it. Any
+    other device with force gets the force itself, held in between. Whatever ends an episode or the wrapper ends the
+    force.
 
-    *Intervention*: with "always" the operator acts, and `step` may be given None. With "button" and "motion" the action
-    given to `step` counts, until the operator holds a button or moves.
+    *Intervention*: with "always", the operator acts all the time, and `step` may be given None. With "button" and
+    "motion", the action given to `step` is used until the operator holds a button or moves.
 
-    `info` has, besides what it has: ``acted_by`` ("human", "policy" or "scripted"), ``intervened`` (whether an action
-    of a policy was replaced), ``action`` (what was done; the mean of it, where it changed within the control step),
-    after `reset` too. In position mode there is ``steering`` as well, (S, A) float32: what was done in each of the S
-    physics steps, NaN where the tool was not steered. `SpatulaEnv.steer` does it again, to the last bit.
+    Added to `info`, by `reset` too: ``acted_by`` ("human", "policy" or "scripted"), ``intervened`` (whether a policy's
+    action was replaced), and ``action`` (the action taken; its mean, if it changed within the control step). In
+    position mode there is ``steering`` as well, (S, A) float32: the commands of the S physics steps, NaN where the tool
+    was not steered. `SpatulaEnv.steer` can repeat them bit by bit.
 
     Example:
         >>> import gymnasium as gym
@@ -113,7 +115,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         ...     observation, reward, terminated, truncated, info = env.step()
 
     Attributes:
-        device: What the operator holds; opened and closed by whoever made it.
+        device: The operator's device; opened and closed by the caller who made it.
         mode: "position" or "rate".
         pressed: Names of the buttons that were held down in the last step.
     """
@@ -141,30 +143,31 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
         Args:
             env: One of the Spatula environments, for one agent, wrapped or not.
-            device: Open and calibrated by the time of `reset`. Or its name, one of `registry.DEVICES`: it is made, and
-                whoever wants to use it opens and closes `device`. A specification keeps a name, and no device.
-            mode: "auto": what the device is.
-            scale: Way of the tool over way of the grip, in position mode; forces are not scaled by it.
+            device: Open and calibrated by the time of `reset`. Or its name, one of `registry.DEVICES`: it is then made
+                here, and the caller opens and closes the attribute `device`. An environment specification keeps a name,
+                but no device.
+            mode: "auto" chooses by the kind of device.
+            scale: Ratio of the tool's motion to the grip's, in position mode; forces are not scaled by it.
             clutch: Button that uncouples grip and tool, in position mode.
             intervention: When the operator acts.
-            intervention_button: Which button calls for it; for "button". It does not uncouple then.
-            motion_threshold: Speed of the grip [m/s], or for a rate device the deflection, that calls for it; for
-                "motion". By default 0.02 m/s, or a tenth of the way.
-            release_time: How long the operator has to be still before the policy acts again; for "motion" [s].
-            real_time: Whether every physics step waits for its time. Without, the environment runs as fast as it can; a
-                `HapticDevice` with its loop "here" is always waited for.
-            buttons: What a button of the device is to be taken for, by the names of both: {"forward": "finish"}.
-            centring: Whether a position device is brought to the middle before each episode, so that the whole task is
-                in reach: the operator is told where to, through `tell`, and waited for.
-            tell: Takes a sentence for the operator: where to bring the grip, and that the simulation is slow.
-            now: The clock; that of the device by default [s].
-            sleep: Waits by it; the device's `sleep`, if it has one, by default.
+            intervention_button: Button with which the operator takes over; for "button". It is then not used as clutch.
+            motion_threshold: Speed of the grip [m/s], or deflection of a rate device, with which the operator takes
+                over; for "motion". By default 0.02 m/s, or a tenth of the full deflection.
+            release_time: Time that the operator has to be still before the policy acts again; for "motion" [s].
+            real_time: Whether every physics step waits for its time. If not, the environment runs as fast as it can; a
+                `HapticDevice` whose loop runs "here" is always waited for.
+            buttons: Renames buttons of the device, from its own names to others: {"forward": "finish"}.
+            centring: Whether the grip of a position device is brought to the position that corresponds to the tool's
+                before each episode, so that the whole task is in reach: `tell` directs the operator, who is waited for.
+            tell: Receives messages for the operator: where to bring the grip, and that the simulation is slow.
+            now: Returns the time; by default the device's clock [s].
+            sleep: Waits by that clock; by default the device's `sleep`, if it has one.
 
         Raises:
-            ValueError: If an argument is not one of those allowed, or the device cannot do what `mode` asks.
-            TypeError: If `env` is none of this package, or there is no device.
+            ValueError: If an argument is invalid, or the device cannot provide what `mode` asks for.
+            TypeError: If `env` is not one of this package, or there is no device.
         """
-        # A device is a thing in the world, and a clock is somebody's: no specification can hold them.
+        # A device is a physical object and a clock cannot be serialised, so a specification can hold neither.
         arguments = {
             "mode": mode,
             "scale": scale,
@@ -201,7 +204,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._intervention: Intervention = intervention
         self._intervention_button = intervention_button
         self._motion_threshold, self._release_time = motion_threshold, release_time
-        # A haptic loop that goes round only while somebody waits has a time of its own, in which waiting costs nothing.
+        # A haptic loop that runs only within `sleep` has a time of its own, in which waiting costs nothing.
         self._real_time = real_time or (isinstance(device, HapticDevice) and device.where == "here")
         self._now = now if now is not None else device.now
         self._sleep: Callable[[float], None] = sleep if sleep is not None else getattr(device, "sleep", time.sleep)
@@ -239,12 +242,12 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         """See `gymnasium.Env.step`.
 
         Args:
-            action: The policy's; None if the operator always acts.
+            action: The policy's action; None if the operator always acts.
 
         Raises:
-            DeviceLost: If the device does not answer any more. The force is zero, and nothing has changed: after
-                opening the device again, go on with `step`.
-            ValueError: If there is no action of a policy, and the operator does not act.
+            DeviceLost: If the device no longer answers. The force is zero, and nothing has changed: after opening the
+                device again, continue with `step`.
+            ValueError: If there is no policy's action while the operator does not act.
         """
         try:
             sample = self._read()
@@ -253,7 +256,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._offset = None
             raise
         if self._lost:
-            # Matched anew: the hand may be anywhere by now.
+            # Match anew: the hand may be anywhere by now.
             self._offset, self._lost = None, False
         rates = self._rates(sample)
         acting = self._who(sample, rates)
@@ -292,7 +295,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._let_go()
         super().close()
 
-    # What the operator wants.
+    # The operator's commands.
 
     def _who(self, sample: DeviceSample, rates: FloatArray) -> bool:
         """Whether the operator acts in this step."""
@@ -309,7 +312,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         return self._still_for < self._release_time
 
     def _pilot(self) -> Pilot | None:
-        """Who steers in the coming control step."""
+        """Function that steers in the coming control step; None if the control step's action is used throughout."""
         if self.mode == "position":
             return self._steer
         track = self.device.steering() if isinstance(self.device, HasSteering) else None
@@ -328,17 +331,17 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         now = self.device.now()
         pause, self._told = now - self._told, now
         if pause > max(STANDSTILL, UNUSUAL * self._pause):
-            # The hand has gone on without the tool: to follow it now would be a plunge.
+            # The hand has moved on without the tool: to follow it now would make the tool plunge.
             self._offset = None
             if math.isfinite(pause):
                 self._yields_until = now + RETURN
         self._pause = pause
         if self._track:
-            # The first physics step goes by what the control step was decided by.
+            # The first physics step uses the sample that the control step was decided by.
             try:
                 self._sample = self._read()
             except DeviceError:
-                # The control step is finished without it; the next one tells.
+                # Finish the control step without the device; the next step raises the error.
                 self._let_go()
                 self._lost = True
         sample = self._sample
@@ -354,7 +357,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             wanted = self._scale * sample.position + self._offset
             deeper = float((wanted - grip) @ self._into)
             if now < self._yields_until and deeper > 0.0:
-                # The force is on its way back: the hand must not go deeper into what it cannot feel.
+                # The force is still coming back: the hand must not press deeper while it cannot feel the contact.
                 self._offset = self._offset - deeper * self._into
                 wanted = wanted - deeper * self._into
             chosen[:3] = (wanted - grip) / (self._tap.time_step * self._tap.control.max_speed)
@@ -363,25 +366,25 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         return action
 
     def _read(self) -> DeviceSample:
-        """The device's sample, with its buttons by the names that they are taken for."""
+        """The device's sample, with its buttons renamed."""
         sample = self.device.read()
         if not self._buttons or not sample.buttons:
             return sample
         return replace(sample, buttons=frozenset(self._buttons.get(name, name) for name in sample.buttons))
 
     def _confine(self) -> None:
-        """Tell a haptic device where the tool follows the hand."""
+        """Tell a haptic device in which region the tool follows the hand."""
         if not isinstance(self.device, HapticDevice):
             return
         if self._offset is None or not self._acting or self.mode != "position":
-            # The tool does not follow it at all: it may be anywhere.
+            # The tool does not follow the hand at all, so there are no bounds.
             self.device.confine(None, None)
             return
         low, high = self._tap.reach()
         self.device.confine((low - self._offset) / self._scale, (high - self._offset) / self._scale)
 
     def _centre(self) -> None:
-        """Ask the operator to bring the grip to where the tool is in its workspace, and wait until it is there."""
+        """Ask the operator to bring the grip to the tool's position in its workspace, and wait until it is there."""
         low, high = self.device.workspace_low, self.device.workspace_high
         goal = self._tap.grip() / self._scale
         if low is not None and high is not None:
@@ -400,7 +403,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._sleep(CENTRING_LOOK)
 
     def _rates(self, sample: DeviceSample) -> FloatArray:
-        """(A,) what the device commands as rates, fractions of the greatest."""
+        """(A,) rates that the device commands, fractions of the greatest."""
         rates = np.zeros(3 + len(self._extras))
         if sample.rate is not None:
             rates[:3] = sample.rate
@@ -421,10 +424,10 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             rates[self._extra] = float("plus" in sample.buttons) - float("minus" in sample.buttons)
         return rates
 
-    # What the operator gets.
+    # Feedback to the operator.
 
     def _after_physics(self, grip: FloatArray, force: FloatArray) -> None:
-        """Tell the hand, and wait for the time of the physics step."""
+        """Pass the force to the device, and wait for the time of the physics step."""
         device = self.device
         size = float(np.linalg.norm(force))
         self._into = -force / size if size > 0.0 else np.zeros(3)
@@ -439,7 +442,8 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             elif device.has_force:
                 device.send_force(force if self._acting else np.zeros(3))
         except DeviceError:
-            # The control step is finished without it, so that nothing of the episode is lost; the next step tells.
+            # Finish the control step without the device, so that nothing of the episode is lost; the next step raises
+            # it.
             self._let_go()
         if self._real_time:
             self._wait()
@@ -454,18 +458,18 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             due = now
         self._due = due + self._tap.time_step
         ahead = self._due - now
-        # Also with nothing to wait for: other threads, such as the device's, get their turn.
+        # Sleep even without time left, so that other threads, such as the device's, get to run.
         self._sleep(max(ahead, 0.0))
 
     def _let_go(self) -> None:
-        """Zero force; the device may be lost or closed."""
+        """Set the force to zero; the device may be lost or closed."""
         try:
             if isinstance(self.device, HapticDevice):
                 self.device.release()
             elif self.device.has_force:
                 self.device.send_force(np.zeros(3))
         except DeviceError:
-            # It makes no force any more.
+            # The device produces no force any more.
             pass
 
     def _show(self, observation: Any) -> None:
@@ -482,7 +486,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
 
 class Pace:
-    """How fast simulated time passes, and when that is to be told."""
+    """Measures how fast simulated time passes, and when to tell the operator that it is slow."""
 
     def __init__(self) -> None:
         self._start: float | None = None
@@ -490,18 +494,18 @@ class Pace:
         self._told = -math.inf
 
     def begin(self) -> None:
-        """An episode begins: what was before counts no more."""
+        """Begin an episode: restart the measurement."""
         self._start, self._simulated = None, 0.0
 
     def step(self, now: float, time_step: float) -> str | None:
-        """A physics step is over.
+        """Count a physics step.
 
         Args:
-            now: The time [s].
-            time_step: Of the simulation [s].
+            now: The current time [s].
+            time_step: Time step of the simulation [s].
 
         Returns:
-            A sentence for the operator, when there is one.
+            A message for the operator, or None.
         """
         if self._start is None:
             self._start = now
@@ -519,7 +523,7 @@ class Pace:
 
 
 def way_in_words(way: FloatArray) -> str:
-    """A way (3,) in the device's frame [m], for an operator: "12 mm to the right and 5 mm up"."""
+    """A displacement (3,) in the device frame [m] in words, for an operator: "12 mm to the right and 5 mm up"."""
     words = [
         f"{1000.0 * abs(part):.0f} mm {names[part < 0.0]}"
         for part, names in zip(way.tolist(), WAYS, strict=True)
@@ -533,7 +537,7 @@ def _tell_nobody(_: str) -> None:
 
 
 def _as_stick(sample: DeviceSample, device: TeleopDevice) -> FloatArray:
-    """The deflection (3,) of a position device from its middle, zero near it."""
+    """Deflection (3,) of a position device from its centre, zero near it."""
     assert sample.position is not None
     low, high = device.workspace_low, device.workspace_high
     if low is None or high is None:
@@ -549,7 +553,7 @@ def _check_choice(value: str, name: str, allowed: tuple[str, ...]) -> None:
 
 
 def _find_device(device: TeleopDevice | str | None) -> TeleopDevice:
-    """The device that is given, or made by its name."""
+    """The given device, or one made by its name."""
     if device is None:
         raise TypeError(
             "device must be a device or the name of one, got None: a specification holds no device; "
@@ -559,7 +563,7 @@ def _find_device(device: TeleopDevice | str | None) -> TeleopDevice:
 
 
 def _check_mode(mode: Mode, device: TeleopDevice) -> None:
-    """Raise a ValueError if a device without positions is to give them."""
+    """Raise a ValueError if position mode is asked of a device without positions."""
     if mode == "position" and device.kind != "position":
         raise ValueError(f"mode must be 'rate' or 'auto' with the {device.name}, got {mode!r}")
 

@@ -1,8 +1,8 @@
-"""LeRobot's names of observations, and the function that its EnvHub looks for.
+"""LeRobot's names of observations, and the factory function for its EnvHub.
 
-LeRobot itself (0.6, Python 3.12 or later) need not be installed for this module. In its evaluation of policies an
-environment observes "pixels", one picture or a dictionary of cameras, and "agent_pos", what the robot knows of
-itself; its datasets call the same `observation.images.<camera>` and `observation.state`, and those are the names that
+LeRobot itself (0.6, Python 3.12 or later) need not be installed for this module. When it evaluates policies, an
+environment observes "pixels", one picture or a dictionary of cameras, and "agent_pos", the robot's own state; in its
+datasets the same are called `observation.images.<camera>` and `observation.state`, the names that
 `spatula_env.data.export_lerobot` writes.
 """
 
@@ -19,7 +19,7 @@ from gymnasium.vector.utils import batch_space
 from spatula_env.envs.vector_wrapper import TransparentVectorWrapper
 
 CAMERA = "front"
-"""What `export_lerobot` calls the camera."""
+"""Name of the camera in datasets written by `export_lerobot`."""
 
 
 class LeRobotWrapper(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
@@ -36,11 +36,11 @@ class LeRobotWrapper(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstruc
         """Wrap an environment.
 
         Args:
-            env: With `obs_mode="rgb"` for pictures, or `"state"` for none, and `reward="dense"`.
-            camera: What to call the camera in the dictionary "pixels"; None: "pixels" is the picture itself.
+            env: An environment with `obs_mode="rgb"`, or `"state"` for no pictures, and `reward="dense"`.
+            camera: Name of the camera in the dictionary "pixels"; None to make "pixels" the picture itself.
 
         Raises:
-            ValueError: If the environment observes something for which LeRobot has no name.
+            ValueError: If the environment observes something that LeRobot has no name for.
         """
         RecordConstructorArgs.__init__(self, camera=camera)
         gymnasium.ObservationWrapper.__init__(self, env)
@@ -66,11 +66,11 @@ class LeRobotVectorWrapper(TransparentVectorWrapper, RecordConstructorArgs):
         """Wrap an environment.
 
         Args:
-            env: With `obs_mode="rgb"` for pictures, or `"state"` for none, and `reward="dense"`.
-            camera: What to call the camera in the dictionary "pixels"; None: "pixels" are the pictures themselves.
+            env: An environment with `obs_mode="rgb"`, or `"state"` for no pictures, and `reward="dense"`.
+            camera: Name of the camera in the dictionary "pixels"; None to make "pixels" the pictures themselves.
 
         Raises:
-            ValueError: If the environment observes something for which LeRobot has no name.
+            ValueError: If the environment observes something that LeRobot has no name for.
         """
         RecordConstructorArgs.__init__(self, camera=camera)
         TransparentVectorWrapper.__init__(self, env)
@@ -84,7 +84,7 @@ class LeRobotVectorWrapper(TransparentVectorWrapper, RecordConstructorArgs):
         return _renamed(observations, self._camera), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step all environments; what was seen last in an episode is renamed as well."""
+        """Step all environments; the final observations of episodes are renamed as well."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         for world, last in enumerate(infos.get("final_obs", ())):
             if last is not None:
@@ -95,14 +95,15 @@ class LeRobotVectorWrapper(TransparentVectorWrapper, RecordConstructorArgs):
 def make_hub_env(
     id: str, n_envs: int = 1, use_async_envs: bool = False, camera: str | None = CAMERA, **kwargs: Any
 ) -> LeRobotVectorWrapper:
-    """What `make_env(n_envs, use_async_envs)` in an EnvHub repository's `env.py` returns.
+    """Make environments as `make_env(n_envs, use_async_envs)` in an EnvHub repository's `env.py` has to return them.
 
     Args:
-        id: As `gymnasium.make_vec` takes it.
-        n_envs: How many environments.
-        use_async_envs: Whether each is a process of its own, with the engine "bullet"; else the batch engine steps all.
+        id: Id as `gymnasium.make_vec` takes it.
+        n_envs: Number of environments.
+        use_async_envs: Whether each runs in a process of its own, with the engine "bullet"; else the batch engine steps
+            all.
         camera: See `LeRobotVectorWrapper`.
-        **kwargs: Further arguments of the environment; `obs_mode` is "rgb" unless told.
+        **kwargs: Further arguments of the environment; `obs_mode` is "rgb" by default.
     """
     options: dict[str, Any] = {"obs_mode": "rgb", "render_mode": "rgb_array", **kwargs}
     if use_async_envs:

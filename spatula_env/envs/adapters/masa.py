@@ -1,7 +1,7 @@
-"""Labels for MASA-Safe-RL: names of what holds in each step, in a set.
+"""Labels for MASA-Safe-RL: a set of names of the conditions that hold in each step.
 
-MASA-Safe-RL (`pip install masa-safe-rl`) need not be installed for this module. Interface: `LabelledEnv` and
-`LabelFn` of masa.common, which label observations; here labels follow from info, where pressures are exact.
+MASA-Safe-RL (`pip install masa-safe-rl`) need not be installed for this module. Interface: `LabelledEnv` and `LabelFn`
+of masa.common, which derive labels from observations; here they are derived from info, where pressures are exact.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ LABELS: Mapping[str, str] = {
     "violation": "violation",
     "damage": "is_damaged",
 }
-"""The names, and what of info must not be zero for each: contact is any force, cost a force that grows too fast or a
-pressure beyond what the goal needs, dose a pressure beyond 2.67 kPa, violation one beyond 4.0 kPa, damage a dose of the
-episode beyond `damage_limit`."""
+"""The labels, and for each the entry of info that must not be zero: contact is any force, cost a force that grows too
+fast or a pressure beyond what the goal requires, dose a pressure above 2.67 kPa, violation one above 4.0 kPa, damage a
+dose of the episode above `damage_limit`."""
 
 
 def labels_of(info: Mapping[str, Any]) -> set[str]:
-    """The names in `LABELS` of what holds.
+    """The labels in `LABELS` that hold.
 
     Args:
-        info: Of a reset or a step of one environment.
+        info: Info of a reset or a step of one environment.
     """
     return {label for label, name in LABELS.items() if info[name]}
 
 
 class LabelsWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Puts labels into `info["labels"]`, a set, and offers MASA the `label_fn` that it asks environments for.
+    """Puts a set of labels into `info["labels"]`, and provides the `label_fn` that MASA asks environments for.
 
     Example:
         >>> import gymnasium as gym
@@ -55,7 +55,7 @@ class LabelsWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs
         self._labels: set[str] = set()
 
     def label_fn(self, observation: Any) -> set[str]:
-        """The labels of the environment's last step; the observation is not looked at."""
+        """The labels of the environment's last step; the observation is ignored."""
         return set(self._labels)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:

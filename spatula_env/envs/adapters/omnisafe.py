@@ -1,13 +1,13 @@
-"""The environments for OmniSafe, whose constrained learners ask for an environment class of its own.
+"""Adapter to OmniSafe, whose constrained learners need an environment class of its own.
 
-Importing this module makes `Spatula/Press-v0` and the others known to OmniSafe 0.5. Its own requirements are of 2023
-and cannot be met beside Gymnasium 1, so install it without them:
+Importing this module registers `Spatula/Press-v0` and the others with OmniSafe 0.5. OmniSafe's pinned requirements are
+of 2023 and conflict with Gymnasium 1, so install it without them:
 
     pip install --no-deps omnisafe==0.5.0
     pip install torch tensorboard wandb pyyaml moviepy typer seaborn pandas matplotlib gdown rich
 
-OmniSafe imports Safety-Gymnasium 1.0, which does not work with Gymnasium 1, for environments of its own. Where that
-cannot be imported, something that says so stands in its place while OmniSafe is imported: import this module first.
+OmniSafe imports Safety-Gymnasium 1.0 for its own environments, which does not work with Gymnasium 1. If that cannot be
+imported, a placeholder takes its place while OmniSafe is imported: import this module first.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from spatula_env.envs.episode_sums import values_of_step
 from spatula_env.geometry.checks import check_positive
 
 COST_SCALE = 1e3
-"""Factor on costs: in milliseconds the tasks' budgets are of the size of OmniSafe's default limit of 25 [1/s]."""
+"""Factor on costs: in milliseconds, the tasks' budgets are of the order of OmniSafe's default limit of 25 [1/s]."""
 
 
 class _NoSafetyGymnasium(ModuleType):
-    """Stands where OmniSafe looks for Safety-Gymnasium."""
+    """Placeholder for Safety-Gymnasium."""
 
     def __getattr__(self, name: str) -> Any:
         raise AttributeError(f"{name}: Safety-Gymnasium is not there; its own environments need it and Gymnasium 0.28")
@@ -75,10 +75,10 @@ StepTensors = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torc
 
 @env_register
 class SpatulaCMDP(CMDP):  # type: ignore[misc]
-    """The environments of this package as OmniSafe's, one world or many.
+    """An environment of this package for OmniSafe, with one or many worlds.
 
-    Episodes begin anew in the step that ends them, and costs are those of the step that was taken. All worlds are
-    stepped by the batch engine. OmniSafe reports the share of episodes that succeed as "Env/Success".
+    The step that ends an episode begins the next one, and its cost is that of the step taken. All worlds are stepped by
+    the batch engine. The success rate is reported to OmniSafe as "Env/Success".
 
     Example:
         >>> import spatula_env.envs.adapters.omnisafe
@@ -101,14 +101,14 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
         """Make an environment.
 
         Args:
-            env_id: Such as "Spatula/Press-v0".
-            num_envs: How many worlds, W.
-            device: Where tensors are.
+            env_id: Id such as "Spatula/Press-v0".
+            num_envs: Number of worlds, W.
+            device: Device of the tensors.
             cost_scale: Factor on costs [1/s].
-            **kwargs: Further arguments of the environment, OmniSafe's `env_cfgs`; observations must be one vector.
+            **kwargs: Further arguments of the environment, OmniSafe's `env_cfgs`; observations must be a single vector.
 
         Raises:
-            ValueError: If an argument is out of its range, or observations are none of one vector.
+            ValueError: If an argument is out of its range, or observations are not a single vector.
         """
         super().__init__(env_id)
         check_positive(cost_scale, "cost_scale")
@@ -131,11 +131,12 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
         """Step all worlds.
 
         Args:
-            action: (W, A), or (A,) where there is one world.
+            action: (W, A), or (A,) for a single world.
 
         Returns:
-            Observations (W, O), rewards (W,), costs (W,), whether episodes ended (W,), whether they were cut (W,),
-            without the first axis where there is one world; and info, with "final_observation" where one is over.
+            Observations (W, O), rewards (W,), costs (W,), whether episodes were terminated (W,), whether they were
+            truncated (W,), all without the first axis for a single world; and info, with "final_observation" if an
+            episode is over.
         """
         actions = action.detach().cpu().numpy().reshape(self._num_envs, -1)
         observations, rewards, terminations, truncations, infos = self._env.step(actions)
@@ -160,22 +161,22 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
         """Begin new episodes in all worlds.
 
         Args:
-            seed: World k's episode is drawn from seed + k; None goes on.
+            seed: World k's episode is drawn from seed + k; None to continue the random numbers.
             options: See `SpatulaVectorEnv.reset`.
 
         Returns:
-            Observations (W, O), or (O,), and nothing else to tell.
+            Observations (W, O), or (O,), and an empty info.
         """
         observations, _ = self._env.reset(seed=seed, options=options)
         return self._tensor(observations), {}
 
     def set_seed(self, seed: int) -> None:
-        """Start the random numbers anew: world k's from seed + k."""
+        """Seed the random numbers of world k with seed + k."""
         self.reset(seed=seed)
 
     @property
     def max_episode_steps(self) -> int | None:
-        """After how many steps episodes are cut."""
+        """Number of steps after which episodes are truncated."""
         steps: int | None = self._env.unwrapped.max_episode_steps  # type: ignore[attr-defined]
         return steps
 
@@ -184,7 +185,7 @@ class SpatulaCMDP(CMDP):  # type: ignore[misc]
         logger.store(self.env_spec_log)
 
     def render(self) -> Any:
-        """Pictures of the worlds, or of the one world, with `render_mode="rgb_array"`."""
+        """Pictures of the worlds, or of the single world, with `render_mode="rgb_array"`."""
         pictures = self._env.render()
         return pictures[0] if pictures is not None and self._num_envs == 1 else pictures
 

@@ -1,7 +1,7 @@
-"""The vector environments for rl_games, which has an interface of its own for them.
+"""Adapter to rl_games, which has its own interface for vector environments.
 
-rl_games makes many of an environment by itself, one process each; registered as here, all worlds are stepped by the
-batch engine. Needs `pip install rl-games`.
+By itself, rl_games would run each environment in a process of its own; registered as here, all worlds are stepped by
+the batch engine. Needs `pip install rl-games`.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ except ImportError as error:
     ) from error
 
 VECENV_TYPE = "SPATULA"
-"""What rl_games calls `RlGamesVecEnv`."""
+"""Name of `RlGamesVecEnv` in rl_games."""
 
 
 class RlGamesVecEnv(IVecEnv):  # type: ignore[misc]
     """Many environments behind rl_games' `IVecEnv`.
 
-    `infos` of a step are those of `gymnasium.make_vec`, and besides "time_outs" (W,), whether an episode was cut and
-    not ended, by which rl_games estimates what it would have gone on to (`value_bootstrap: True`); and "scores" (W,),
-    one where an ended episode was a success, whose mean rl_games reports.
+    `infos` of a step are those of `gymnasium.make_vec`, with two additions: "time_outs" (W,), whether an episode was
+    truncated rather than terminated, with which rl_games bootstraps the value (`value_bootstrap: True`); and "scores"
+    (W,), one where an ended episode was a success, whose mean rl_games reports.
 
     Attributes:
         envs: The vector environment.
@@ -42,16 +42,17 @@ class RlGamesVecEnv(IVecEnv):  # type: ignore[misc]
         """Make an environment.
 
         Args:
-            num_envs: How many worlds, W; rl_games' `num_actors`.
-            id: As `gymnasium.make_vec` takes it.
-            seed: World k's first episode is drawn from seed + k; None: by chance, or by `seed`.
+            num_envs: Number of worlds, W; rl_games' `num_actors`.
+            id: Id as `gymnasium.make_vec` takes it.
+            seed: World k's first episode is drawn from seed + k; None for a random seed, or the one set by the method
+                `seed`.
             **kwargs: Further arguments of the environment.
         """
         self.envs = gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **kwargs)
         self._seed = seed
 
     def seed(self, seed: int | None) -> None:
-        """Start the random numbers anew at the next `reset`."""
+        """Set the seed for the next `reset`."""
         self._seed = seed
 
     def reset(self) -> Any:
@@ -91,10 +92,10 @@ class RlGamesVecEnv(IVecEnv):  # type: ignore[misc]
 
 
 def register_rl_games(name: str = "spatula") -> None:
-    """Make the environments known to rl_games; calling it again is allowed.
+    """Register the environments with rl_games; calling it again is allowed.
 
     Args:
-        name: By which a configuration asks for them (`env_name`); its `env_config` holds `id` and further arguments.
+        name: Name in rl_games' configurations (`env_name`), whose `env_config` holds `id` and further arguments.
     """
 
     def make_many(config_name: str, num_actors: int, **kwargs: Any) -> RlGamesVecEnv:

@@ -1,6 +1,6 @@
 """Safety-Gymnasium's interface: `step` returns six values, the third of which is the cost.
 
-Safety-Gymnasium itself (1.0.0, 2023) is not needed, and does not install beside Gymnasium 1.
+Safety-Gymnasium itself (1.0.0, 2023) is not needed, and cannot be installed together with Gymnasium 1.
 Interface: https://safety-gymnasium.readthedocs.io.
 """
 
@@ -36,8 +36,8 @@ class SafetyGymnasiumWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstr
         """Wrap an environment.
 
         Args:
-            env: One whose info holds "cost" [s].
-            cost_scale: Factor on it [1/s]; `info["cost"]` stays as it is.
+            env: An environment whose info holds "cost" [s].
+            cost_scale: Factor on the cost [1/s]; `info["cost"]` is not scaled.
 
         Raises:
             ValueError: If the factor is not positive.
@@ -60,8 +60,8 @@ class SafetyGymnasiumWrapper(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstr
 class SafetyGymnasiumVectorWrapper(TransparentVectorWrapper, RecordConstructorArgs):
     """Many environments whose `step` returns observations, rewards, costs, terminations, truncations and infos.
 
-    In the autoreset mode "same_step", which is Safety-Gymnasium's own, costs are those of the step that was taken
-    even where it ended an episode, and `infos["final_observation"]` is another name for `infos["final_obs"]`.
+    In the autoreset mode "same_step", which is Safety-Gymnasium's own, costs are those of the step taken even if it
+    ended an episode, and `infos["final_observation"]` is an alias of `infos["final_obs"]`.
 
     Example:
         >>> import gymnasium as gym
@@ -75,8 +75,8 @@ class SafetyGymnasiumVectorWrapper(TransparentVectorWrapper, RecordConstructorAr
         """Wrap an environment.
 
         Args:
-            env: One whose infos hold "cost" [s].
-            cost_scale: Factor on it [1/s]; `infos["cost"]` stays as it is.
+            env: A vector environment whose infos hold "cost" [s].
+            cost_scale: Factor on the costs [1/s]; `infos["cost"]` is not scaled.
 
         Raises:
             ValueError: If the factor is not positive.

@@ -1,4 +1,4 @@
-"""The vector environments for Tianshou, whose collectors ask for a base class of their own.
+"""Adapter to Tianshou, whose collectors need a base class of its own.
 
 Needs `pip install tianshou`.
 """
@@ -24,10 +24,10 @@ Worlds = int | Sequence[int] | NDArray[np.int64] | None
 
 
 class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
-    """Many environments behind Tianshou's `BaseVectorEnv`; `len` is how many, W.
+    """Many environments behind Tianshou's `BaseVectorEnv`; `len` is their number W.
 
     Collectors reset the worlds whose episodes are over, and towards the end step only some of them. The batch engine
-    steps all: worlds that were not asked for have moved on meanwhile, and must be reset before they are asked for
+    always steps all: worlds that were left out have moved on meanwhile, and must be reset before they are stepped
     again, as collectors do.
 
     Example:
@@ -42,11 +42,11 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         """Make an environment.
 
         Args:
-            id: As `gymnasium.make_vec` takes it.
-            num_envs: How many worlds, W.
+            id: Id as `gymnasium.make_vec` takes it.
+            num_envs: Number of worlds, W.
             **kwargs: Further arguments of the environment.
         """
-        # Not that of the base class, which would make W workers.
+        # Do not call the base class's constructor, which would make W workers.
         self.envs: VectorEnv[Any, Any, Any] = gymnasium.make_vec(
             id, num_envs=num_envs, autoreset_mode="next_step", **kwargs
         )
@@ -62,7 +62,7 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         """Begin new episodes in all worlds, or in some.
 
         Args:
-            env_id: In which (n,); None: in all.
+            env_id: (n,) worlds to reset; None for all.
             **kwargs: "seed" and "options", as Gymnasium's `reset` takes them.
 
         Returns:
@@ -86,8 +86,8 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         """Step some worlds.
 
         Args:
-            action: (n, A).
-            id: Which (n,); None: all.
+            action: (n, A) actions.
+            id: (n,) worlds to step; None for all.
 
         Returns:
             Observations, rewards (n,), terminations (n,), truncations (n,), and (n,) dictionaries of info.
@@ -117,7 +117,7 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         )
 
     def seed(self, seed: int | Sequence[int] | None = None) -> list[int | None]:
-        """Choose what the next `reset` draws from: world k from seed + k, or from element k.
+        """Set the seeds for the next `reset`: seed + k for world k, or element k of a sequence.
 
         Returns:
             The seeds of the worlds.
@@ -143,7 +143,7 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         self.is_closed = True
 
     def get_env_attr(self, key: str, id: Worlds = None) -> list[Any]:
-        """An attribute of each world; all share what does not belong to one.
+        """An attribute of each world; attributes that do not belong to single worlds are shared by all.
 
         Raises:
             AttributeError: If there is none.
@@ -154,10 +154,10 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         return [value for _ in self._indices(id)]
 
     def set_env_attr(self, key: str, value: Any, id: Worlds = None) -> None:
-        """Refuse: worlds share their attributes, which are chosen when they are made.
+        """Raise an error: worlds share their attributes, which are set on construction.
 
         Raises:
-            AttributeError: In any case.
+            AttributeError: Always.
         """
         raise AttributeError(f"{key!r} cannot be set for single worlds; make the environment with it")
 
@@ -165,7 +165,7 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
         return np.arange(self.env_num) if id is None else np.atleast_1d(np.asarray(id, dtype=np.int64))
 
     def _infos(self, infos: dict[str, Any], worlds: NDArray[np.int64]) -> NDArray[np.object_]:
-        """(n,) dictionaries of plain numbers."""
+        """(n,) dictionaries of Python numbers."""
         names = [name for name in infos if not name.startswith("_")]
         result = np.empty(len(worlds), dtype=object)
         result[:] = [{**{name: infos[name][world].item() for name in names}, "env_id": world} for world in worlds]
@@ -173,7 +173,7 @@ class TianshouVectorEnv(BaseVectorEnv):  # type: ignore[misc]
 
 
 def _rows(observations: Any, worlds: NDArray[np.int64]) -> Any:
-    """Observations of some worlds (n,); dictionaries as an array of one for each, which is what Tianshou stacks."""
+    """Observations of some worlds (n,); dictionaries become an array of one dictionary each, which Tianshou stacks."""
     if not isinstance(observations, dict):
         return observations[worlds]
     result = np.empty(len(worlds), dtype=object)

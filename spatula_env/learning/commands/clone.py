@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 PROGRAM = "spatula clone"
 
 GRADIENT_STEPS = 6_000
-"""Usual number of gradient steps."""
+"""Default number of gradient steps."""
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Clone.
+    """Run the command.
 
     Args:
-        arguments: What follows the command's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the command's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = argparse.ArgumentParser(prog=program, description="Imitate demonstrations.")
     source = parser.add_mutually_exclusive_group(required=True)
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
 
 
 def _run(chosen: argparse.Namespace, program: str) -> Path:
-    """Clone as the command line says; returns the folder of the policy."""
+    """Clone as the command line asks; return the folder of the policy."""
     from spatula_env.learning.checks import rehearse_clone
     from spatula_env.learning.folders import check_place, occupied
     from spatula_env.learning.imitation import CloneConfig
@@ -131,16 +131,16 @@ def _learn(
     chosen: argparse.Namespace,
     saved: list[str],
 ) -> None:
-    """Imitate, and be corrected, and save what comes of it.
+    """Imitate, run the rounds of corrections, and save the results.
 
     Args:
         output: Folder of the policy.
-        plan: Of the demonstrations.
-        config: What is trained.
-        how: How it imitates.
-        shown: The demonstrations, where they are from, and how many control steps were made for them.
-        chosen: Says how often it is corrected, and whether it replaces another.
-        saved: Told what has been saved.
+        plan: Plan of the demonstrations.
+        config: Training configuration.
+        how: Settings of cloning.
+        shown: The demonstrations, a description of their source, and the number of control steps made for them.
+        chosen: Command line, with the number of rounds and whether to overwrite.
+        saved: Called with a description of what has been saved.
     """
     from spatula_env.learning.cloning import clone, correct
     from spatula_env.learning.demonstrations import steps_of
@@ -184,7 +184,7 @@ def _learn(
 
 
 def _planned(chosen: argparse.Namespace, config: TrainingConfig | None) -> Plan:
-    """In what episodes there are demonstrations; nothing is demonstrated yet."""
+    """Plan of the episodes to demonstrate; demonstrates nothing yet."""
     from spatula_env.learning.demonstrations import recorded_in
     from spatula_env.learning.evaluation import Plan
 
@@ -201,7 +201,7 @@ def _planned(chosen: argparse.Namespace, config: TrainingConfig | None) -> Plan:
 def _demonstrate(
     chosen: argparse.Namespace, plan: Plan, config: TrainingConfig
 ) -> tuple[list[Demonstration], str, int]:
-    """The demonstrations that the command line asks for, in words where they are from, and the steps made for them."""
+    """The requested demonstrations, a description of their source, and the number of control steps made for them."""
     from spatula_env.learning.demonstrations import collect_successes, read_minari, steps_of
 
     parts = config.environment.parts
@@ -213,5 +213,5 @@ def _demonstrate(
 
 
 def _noise(text: str) -> float | str:
-    """A number, or "auto"."""
+    """Parse a number or "auto"."""
     return text if text == "auto" else float(text)

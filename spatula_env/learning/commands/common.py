@@ -1,4 +1,4 @@
-"""Options, errors and refusals that the commands share."""
+"""Options and error handling shared by the commands."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from spatula_env.printing import printable
 Config = TypeVar("Config")
 
 INTERRUPTED = 130
-"""The exit status after Ctrl-C, as the shell has it."""
+"""Exit status after Ctrl-C, as shells use it."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C; the message says what has been saved, and how to go on."""
+    """Ctrl-C was pressed; the message says what has been saved, and how to continue."""
 
 
 def run_command(program: str, what: str, extra: str, run: Callable[[], None]) -> int:
-    """Run a command, and tell in a line what went wrong.
+    """Run a command, and report errors in one line.
 
     Args:
-        program: The command as it was typed, such as "spatula train".
-        what: What it does, such as "training".
-        extra: That what it needs is part of, such as "train".
-        run: Does it.
+        program: The command as the user typed it, such as "spatula train".
+        what: Description of the activity, such as "training".
+        extra: The package's extra with the dependencies of the command, such as "train".
+        run: Does the work.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     try:
         run()
@@ -53,7 +53,7 @@ _OURS = ("spatula_env",)
 
 
 def fail(program: str, message: str, status: int = 1) -> int:
-    """Say on standard error what is wrong.
+    """Print an error on standard error.
 
     Returns:
         The exit status.
@@ -63,24 +63,24 @@ def fail(program: str, message: str, status: int = 1) -> int:
 
 
 def warn(program: str, message: str) -> None:
-    """Say on standard error what may not be as it is meant."""
+    """Print a warning on standard error."""
     print(f"{program}: note: {message}", file=sys.stderr, flush=True)
 
 
 def add_overwrite_option(parser: argparse.ArgumentParser) -> None:
-    """Add --overwrite."""
+    """Add the option --overwrite."""
     parser.add_argument("--overwrite", action="store_true", help="replace what is there already; else it is an error")
 
 
 def check_free(path: Path, overwrite: bool) -> None:
-    """Check that a file can be written without the loss of another, before anything is done for it.
+    """Check before any work that a file can be written without losing an existing one.
 
     Args:
-        path: Of the file.
-        overwrite: Whether it may replace one.
+        path: Path of the file.
+        overwrite: Whether it may replace an existing file.
 
     Raises:
-        FileExistsError: If there is one, and it may not.
+        FileExistsError: If the file exists and may not be replaced.
         IsADirectoryError: If it is a folder.
     """
     if path.is_dir():
@@ -90,12 +90,12 @@ def check_free(path: Path, overwrite: bool) -> None:
 
 
 def run_parser(program: str, description: str, change: str) -> argparse.ArgumentParser:
-    """A parser of what every command that trains is told.
+    """Make a parser with the options that all training commands share.
 
     Args:
         program: The command's name.
-        description: What it does.
-        change: An example of a change of the configuration.
+        description: Description of the command.
+        change: Example of a change of the configuration.
     """
     parser = argparse.ArgumentParser(prog=program, description=description)
     what = parser.add_mutually_exclusive_group(required=True)
@@ -116,14 +116,14 @@ def choose_run(
     """Find the folder and the configuration of a run.
 
     Args:
-        chosen: What the command was told.
+        chosen: Parsed command line.
         read: Reads a configuration from a file, with changes.
-        changes: Of the configuration that a new run begins with.
-        holds: A key that its configurations have; see `find_config`.
+        changes: Changes of the configuration with which a new run begins.
+        holds: Key that identifies configurations of the right kind; see `find_config`.
 
     Raises:
         FileNotFoundError: If there is no such configuration.
-        ValueError: If the configuration is not valid, or a run is already where a new one would be.
+        ValueError: If the configuration is invalid, or a new run would be put where another run is.
     """
     if chosen.resume is not None:
         return chosen.resume, read(chosen.resume / "config.yaml", ())

@@ -1,4 +1,4 @@
-"""The command that rewrites runs of earlier versions: `spatula convert`, or `python -m agents.convert`."""
+"""The command that converts runs of earlier versions: `spatula convert`, or `python -m agents.convert`."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from spatula_env.learning.saving import write_folder
 PROGRAM = "spatula convert"
 
 MOVED = ("networks", "replay")
-"""Modules whose classes such runs name, under `agents`, where they were then."""
+"""Modules whose classes such runs refer to by their former place under `agents`."""
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Convert.
+    """Run the command.
 
     Args:
-        arguments: What follows the command's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the command's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = argparse.ArgumentParser(
         prog=program, description="Convert runs of earlier versions. This runs whatever code their files hold."
@@ -73,10 +73,10 @@ def find_pickled(run: Path) -> list[Path]:
 
 
 def convert(folder: Path) -> None:
-    """Convert a policy or a checkpoint; it is there as before or converted. This runs whatever code it holds.
+    """Convert a policy or a checkpoint atomically. This runs whatever code its files hold.
 
     Args:
-        folder: Of a policy or checkpoint.
+        folder: Folder of the policy or checkpoint.
     """
     import numpy as np
     import torch
@@ -90,7 +90,8 @@ def convert(folder: Path) -> None:
     sys.modules.setdefault("agents", spatula_env.learning)
     for name in MOVED:
         sys.modules.setdefault(f"agents.{name}", import_module(f"spatula_env.learning.{name}"))
-    # To act there is no need for room for what is seen; and hindsight replay could not be set up without worlds.
+    # The model is only needed to act: no replay buffer is needed, and hindsight replay could not be set up without
+    # worlds.
     acting: dict[str, Any] = {"buffer_size": 1, "replay_buffer_class": None, "replay_buffer_kwargs": {}}
     model: Any = algorithm_class(read_saved_config(folder)).load(folder / MODEL, device="cpu", custom_objects=acting)
     loaded = {name: pickle.loads((folder / name).read_bytes()) for name in PICKLES if (folder / name).exists()}
@@ -100,7 +101,7 @@ def convert(folder: Path) -> None:
             if file.is_file() and file.name not in PICKLES:
                 shutil.copy2(file, place / file.name)
         write_model(place, model, loaded.get("normalizer.pkl"))
-        # As it was: with what Stable-Baselines3 needs to load it.
+        # Keep the original file, from which Stable-Baselines3 can load the model.
         shutil.copy2(folder / MODEL, place / MODEL)
         state = loaded.get("state.pkl")
         if state is None:

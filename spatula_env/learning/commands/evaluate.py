@@ -20,14 +20,14 @@ PROGRAM = "spatula evaluate"
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Evaluate.
+    """Run the command.
 
     Args:
-        arguments: What follows the command's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the command's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = argparse.ArgumentParser(prog=program, description="Evaluate a policy.")
     parser.add_argument(
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
 
 
 def run(chosen: argparse.Namespace) -> dict[str, Any]:
-    """Evaluate as the command line says; returns what there is to report."""
+    """Evaluate as the command line asks; return the report."""
     from spatula_env.learning.evaluation import Plan, evaluate, film, summarize
     from spatula_env.learning.finding import find_policy
 
@@ -101,7 +101,7 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
 
 
 def describe(report: dict[str, Any]) -> str:
-    """A report for people."""
+    """Format a report for reading."""
     low, high = report["success_interval"]
     took = report["time_to_success"]
     lines = [

@@ -17,14 +17,14 @@ PROGRAM = "spatula export"
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Export the policy of a run, with its provenance beside it.
+    """Export the policy of a run, with its provenance in a file beside it.
 
     Args:
-        arguments: What follows the command's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the command's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = argparse.ArgumentParser(prog=program, description="Write a policy that needs no torch.")
     parser.add_argument("run", type=Path, help="folder of a run, or of one of its policies or checkpoints")
@@ -59,12 +59,13 @@ def _export(chosen: argparse.Namespace) -> None:
 
 
 def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = None, env: str | None = None) -> None:
-    """Write the policy of a run as weights, and where it comes from as a JSON file beside it.
+    """Write the policy of a run as weights, with its provenance as a JSON file beside it.
 
     Args:
         path: See `find_saved`.
         output: Ends with .npz.
-        episodes: In how many it is evaluated, by engine; those of `spatula evaluate` with `--seed 0`.
+        episodes: Number of episodes to evaluate it in, by engine; the same as those of `spatula evaluate` with `--seed
+            0`.
         env: The environment as the user names it; needed to evaluate if its module has to be imported.
     """
     from spatula_env.learning.evaluation import Plan, evaluate, summarize
@@ -91,7 +92,7 @@ def export_saved(path: Path, output: Path, episodes: Mapping[str, int] | None = 
     evaluation: dict[str, Any] = {}
     if (folder / EVALUATION).exists():
         evaluation["training"] = json.loads((folder / EVALUATION).read_text(encoding="utf-8"))
-    # Both files appear when all is known, or none.
+    # Write both files or none, once everything is known.
     with whole_file(output) as unfinished:
         exported.save(unfinished)
         for engine, count in (episodes or {}).items():

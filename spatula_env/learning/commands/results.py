@@ -24,14 +24,14 @@ PROGRAM = "python -m spatula_env.learning.commands.results"
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Do what is left of a plan, and write its page.
+    """Run the part of a plan that is not done yet, and write its page.
 
     Args:
-        arguments: What follows the module's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the module's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = argparse.ArgumentParser(
         prog=program,
@@ -89,10 +89,10 @@ def _run(chosen: argparse.Namespace, program: str, command: str) -> int:
 
 
 def _with_engines(plan: ResultsPlan, engines: Sequence[str] | None) -> ResultsPlan:
-    """A plan with some of its engines only.
+    """A plan reduced to some of its engines.
 
     Raises:
-        ValueError: If it has not got one of them.
+        ValueError: If the plan lacks one of them.
     """
     if engines is None:
         return plan

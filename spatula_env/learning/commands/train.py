@@ -11,14 +11,14 @@ PROGRAM = "spatula train"
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Train.
+    """Run the command.
 
     Args:
-        arguments: What follows the command's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the command's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = run_parser(program, "Train agents.", "hyperparameters.gamma=0.9")
     parser.add_argument("--seed", type=int, nargs="+", help="one agent is trained for each; default: those of the file")

@@ -18,14 +18,14 @@ PROGRAM = "python -m spatula_env.learning.commands.train_rllib"
 
 
 def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
-    """Train.
+    """Run the command.
 
     Args:
-        arguments: What follows the module's name; None takes them from the command line.
-        program: The command as it was typed.
+        arguments: Arguments after the module's name; None takes them from the command line.
+        program: The command as the user typed it.
 
     Returns:
-        The exit status: 0 if all went well.
+        Exit status: 0 on success.
     """
     parser = run_parser(program, "Train an agent with RLlib.", "env_runners.count=4")
     parser.add_argument(

@@ -1,6 +1,6 @@
 """Scripted policies that solve the tasks from observations alone.
 
-They demonstrate, and they show what is possible.
+They provide demonstrations, and show what is possible.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What scripted policies have in common: they read observations by the names of their parts, one or many at once."""
+"""Base of scripted policies: reads observations by the names of their parts, single or in batches."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ if TYPE_CHECKING:
 
 
 class Expert(ABC):
-    """A policy without memory: the action follows from the observation. It sees no more than an agent does.
+    """A memoryless policy: the action depends on the observation only, which is the same as an agent's.
 
     Attributes:
         task: Name of the task it solves, as in the environment's `Definition`.
-        max_speed: Of the grip along each axis [m/s].
-        max_rotation_rate: Of the tools about each axis [rad/s].
-        max_jaw_speed: At which jaws open and close [m/s].
-        names: Of the numbers in an action.
+        max_speed: Greatest speed of the grip along each axis [m/s].
+        max_rotation_rate: Greatest rate of rotation of the tools about each axis [rad/s].
+        max_jaw_speed: Greatest speed of the jaws [m/s].
+        names: Names of the action's components.
     """
 
     task: ClassVar[str]
 
     def __init__(self, env: gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
-        """Learn how the observations and the actions of an environment are laid out.
+        """Read the layout of an environment's observations and actions.
 
         Args:
-            env: Of the task, for one agent or many, wrapped or not, in the modes "state" or "dict", with all parts
-                and any reward, noise, delay and history.
+            env: Environment of the task, for one agent or many, wrapped or not, in the mode "state" or "dict", with all
+                parts and any reward, noise, delay and history.
 
         Raises:
-            ValueError: If it is another one.
+            ValueError: If it is none of these.
         """
         made: Any = env.unwrapped
         definition = getattr(made, "definition", None)
@@ -55,10 +55,10 @@ class Expert(ABC):
 
     @abstractmethod
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
-        """What to do, in SI units, by names of numbers in an action: (...) each; what is not named stays still.
+        """Velocities in SI units, (...) each, by names of action components; components that are left out are zero.
 
         Args:
-            observation: One or a batch; read it with `part`, `goal` and `error`.
+            observation: An observation or a batch; read it with `part`, `goal` and `error`.
         """
 
     def __call__(self, observation: Any) -> NDArray[np.float32]:
@@ -72,7 +72,7 @@ class Expert(ABC):
         return np.asarray(np.clip(np.stack(columns, axis=-1), -1.0, 1.0), dtype=np.float32)
 
     def part(self, observation: Any, name: str) -> FloatArray:
-        """A part (..., k) of an observation or of many; the newest where several are shown at once."""
+        """A part (..., k) of one or many observations; the newest if several are stacked."""
         if isinstance(observation, Mapping) and name in observation:
             values = np.asarray(observation[name], dtype=np.float64)
         else:
@@ -81,12 +81,12 @@ class Expert(ABC):
         return values[..., -1, :] if self._stacked and name not in GOAL_ENTRIES else values
 
     def goal(self, observation: Any) -> FloatArray:
-        """What is asked (..., G), whatever the reward."""
+        """The goal (..., G), for any reward."""
         sparse = isinstance(observation, Mapping) and "desired_goal" in observation
         return self.part(observation, "desired_goal" if sparse else "goal")
 
     def error(self, observation: Any) -> FloatArray:
-        """What is asked minus what is achieved (..., G), whatever the reward."""
+        """The goal minus what has been achieved (..., G), for any reward."""
         if isinstance(observation, Mapping) and "desired_goal" in observation:
             return self.part(observation, "desired_goal") - self.part(observation, "achieved_goal")
         return self.part(observation, "error")

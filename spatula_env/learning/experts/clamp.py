@@ -14,57 +14,57 @@ if TYPE_CHECKING:
     import gymnasium
 
 WIDTH = 0.016
-"""Of the ridge [m]."""
+"""Width of the ridge [m]."""
 
 SQUEEZE = 0.75
-"""Free width between the jaws that is held, as a part of the ridge's width."""
+"""Free width between the jaws while gripping, as a share of the ridge's width."""
 
 SQUEEZE_OF_TISSUE = 0.85
-"""The same with the engine "tissue", whose ridge resists more."""
+"""The same for the engine "tissue", whose ridge resists more."""
 
 TIGHTER, SLIPPING, SLIPPED = 0.1, 0.0007, 0.0012
-"""By how much narrower that is if the ridge slips, and slips from where that begins to where it ends [m]."""
+"""Share by which the grip narrows if the ridge slips, and the slips at which this begins and is complete [m]."""
 
 CLOSED = 0.0004
-"""How far from that the jaws may be for the lift to begin [m]."""
+"""Greatest excess over that width at which the lift begins [m]."""
 
 OPEN = 0.024
-"""Free width with which the jaws go down beside the ridge [m]."""
+"""Free width of the jaws while they go down beside the ridge [m]."""
 
 GAIN, FREE_SPEED = 9.0, 0.05
-"""Speed per distance [1/s], and the greatest [m/s]."""
+"""Speed per distance [1/s], and greatest speed [m/s]."""
 
 LIFT_GAIN, LIFT_SPEED = 6.0, 0.03
-"""Speed per missing lift [1/s], and the greatest [m/s]."""
+"""Speed per missing lift [1/s], and greatest speed [m/s]."""
 
 CLOSING_GAIN, CLOSING_SPEED, FREE_CLOSING_SPEED = 10.0, 0.022, 0.05
-"""Speed of the jaws per width [1/s], and the greatest [m/s]: on the ridge, and until they touch it."""
+"""Speed of the jaws per width [1/s], and greatest speed [m/s] on the ridge, and before they touch it."""
 
 TOUCHING = 0.0175
-"""Free width between the jaws from which on they may touch the ridge [m]."""
+"""Free width between the jaws below which they may touch the ridge [m]."""
 
 ABOVE, BESIDE = 0.024, 0.02
-"""Heights of the grip above the ridge's middle [m]: where it waits until it is in line, and where it is beside it."""
+"""Heights of the grip above the ridge's middle [m]: where it waits until aligned, and below which it goes on down."""
 
 AT, LOW = 0.006, 0.0025
-"""Heights of the grip above the ridge's middle [m]: from where on the jaws close, and where they grip."""
+"""Heights of the grip above the ridge's middle [m]: below which the jaws close, and where they grip."""
 
 IN_LINE, IN_PLACE = 0.0012, 0.002
-"""How far off the grip may be to go down: across and along the ridge [m]."""
+"""Greatest misalignment with which the grip goes down: across and along the ridge [m]."""
 
 
 class ClampExpert(Expert):
-    """Goes above the ridge, down beside it with open jaws, closes them, and lifts.
+    """Moves above the ridge, goes down beside it with open jaws, closes them, and lifts.
 
     Attributes:
-        squeeze: Free width between the jaws that is held, as a part of the ridge's width; one number, or (W,).
+        squeeze: Free width between the jaws while gripping, as a share of the ridge's width; one number, or (W,).
     """
 
     task = "clamp"
     squeeze: float | FloatArray
 
     def __init__(self, env: gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
-        """See `Expert`; how far it closes the jaws depends on the engine."""
+        """See `Expert`; the width while gripping depends on the engine."""
         super().__init__(env)
         made: Any = env.unwrapped
         self.squeeze = SQUEEZE_OF_TISSUE if made.settings.engine == "tissue" else SQUEEZE

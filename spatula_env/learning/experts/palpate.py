@@ -11,19 +11,19 @@ from spatula_env.arrays import FloatArray
 from spatula_env.learning.experts.base import Expert
 
 RADIUS = 0.06
-"""Of the organ: it is touched where its surface is as steep as the spatula's face [m]."""
+"""Radius of the organ, which is touched where its surface is as steep as the spatula's face [m]."""
 
 NEAR = 0.003
-"""The spatula goes down when it is closer to the path than this, horizontally [m]."""
+"""Horizontal distance to the path below which the spatula descends [m]."""
 
 PLACE_GAIN = 10.0
-"""Horizontal speed per distance to where the spatula is to be [1/s]."""
+"""Horizontal speed per distance to the target position [1/s]."""
 
 TURN_GAIN = 8.0
 """Rate of rotation per angle [1/s]."""
 
 STEER = 1.5
-"""Rate at which the face is tilted for a centre of pressure that is off, per tilt that a round organ asks for [1/s]."""
+"""Rate of tilting for an offset centre of pressure, per tilt that a round organ requires for that offset [1/s]."""
 
 APPROACH_GAIN = 10.0
 """Speed of the descent per height above the path [1/s]."""
@@ -32,29 +32,29 @@ APPROACH_SPEEDS = (0.01, 0.05)
 """Least and greatest speed of the descent [m/s]."""
 
 TOUCH = 0.01
-"""Force that tells that the spatula touches the organ [N]."""
+"""Force from which on the spatula counts as touching the organ [N]."""
 
 FORCE_GAIN = 0.12
-"""Speed per error of the force [m/(s N)]."""
+"""Speed per force error [m/(s N)]."""
 
 FORCE_SPEED = 0.02
-"""Greatest speed that the error of the force leads to [m/s]."""
+"""Greatest speed from the force error [m/s]."""
 
 SAFE_ERROR = 0.025
-"""With a greater error of the force the spatula does not go on [N]."""
+"""Force error above which the spatula does not advance [N]."""
 
 SAFE_PLACE = 0.003
-"""Nor while it presses farther from where it has got to on the path [m]."""
+"""Distance of the centre of pressure from the current point of the path above which it does not advance [m]."""
 
 AHEAD = 0.0035
-"""How far ahead of what has been felt the centre of pressure is to be [m]."""
+"""Distance by which the centre of pressure leads the part of the path felt so far [m]."""
 
 
 class PalpateExpert(Expert):
-    """Goes above the path, descends, and rolls and slides along it while it regulates the force; it stays at the end.
+    """Moves above the path, descends, and rolls and slides along it while regulating the force; it stays at the end.
 
-    A flat face touches a round organ where both are equally steep. So the expert tilts the spatula as steep as the
-    organ is where it wants to press, corrects that by where it does press, and keeps the spatula's middle there.
+    A flat face touches a round organ where both are equally steep. So the expert tilts the spatula as steeply as the
+    organ is where it wants to press, corrects this by where it actually presses, and keeps the spatula's middle there.
     """
 
     task = "palpate"
@@ -70,7 +70,7 @@ class PalpateExpert(Expert):
         direction = step / np.maximum(length, 1e-9)
 
         touching = force > TOUCH
-        # Where it presses, from where it has got to on the path, seen from above.
+        # Centre of pressure relative to the current point of the path, seen from above.
         pressed = goal[..., 1:3] - error[..., 1:3] - middle[..., :2] - here[..., :2]
         sliding = (
             touching
@@ -93,7 +93,7 @@ class PalpateExpert(Expert):
         near = np.hypot(here[..., 0], here[..., 1]) < NEAR
         down = np.clip(-APPROACH_GAIN * here[..., 2], *APPROACH_SPEEDS)
         pressing = np.clip(FORCE_GAIN * error[..., 3], -FORCE_SPEED, FORCE_SPEED)
-        # In contact the spatula keeps its force, also where it has come off the path.
+        # In contact, keep regulating the force even if the spatula has left the path.
         inwards = np.where(touching, pressing, np.where(near, down, 0.0))
         along = PLACE_GAIN * way
         slope = steep / np.sqrt(1.0 - (steep**2).sum(axis=-1, keepdims=True))

@@ -11,24 +11,24 @@ from spatula_env.arrays import FloatArray
 from spatula_env.learning.experts.base import Expert
 
 PLACE_GAIN = 10.0
-"""Horizontal speed per distance to the place [1/s]."""
+"""Horizontal speed per distance to the target place [1/s]."""
 
 DEPTH_GAIN, PRESS_SPEED = 9.0, 0.035
-"""Vertical speed per error of the depth [1/s], and the greatest [m/s]: faster, and the force would grow too fast."""
+"""Vertical speed per depth error [1/s], and greatest speed [m/s]; faster, the force would grow too quickly."""
 
 APPROACH_GAIN, TOUCH_SPEED = 12.0, 0.03
-"""Speed of the descent per height above the organ [1/s], and the least [m/s]."""
+"""Speed of the descent per height above the organ [1/s], and least speed [m/s]."""
 
 TOP, RADIUS, HALF_THICKNESS = -0.025, 0.06, 0.00125
-"""Height of the organ's top at rest, in the workspace frame, its radius, and half of the spatula's thickness [m]."""
+"""Height of the organ's top at rest, in the workspace frame, its radius, and half the spatula's thickness [m]."""
 
 NEAR, WAITING = 0.004, 0.005
-"""The spatula touches the organ when it is closer to the place than this, horizontally; it waits this high above
-[m]."""
+"""Horizontal distance to the target place below which the spatula touches the organ, and height above the organ at
+which it waits until then [m]."""
 
 
 class PressExpert(Expert):
-    """Goes above the place, comes down with care, and regulates the depth that it sees."""
+    """Moves above the target place, descends carefully, and regulates the observed depth."""
 
     task = "press"
 

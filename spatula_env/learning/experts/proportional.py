@@ -1,7 +1,7 @@
-"""Proportional controllers: the tools go towards where they are to be, in proportion to how far that is.
+"""Proportional controllers: the tools move towards their target positions at a speed proportional to the distance.
 
-They are to compare with: what a task asks beyond a straight way is what they fail at. Each has one gain for distances
-and no phases, so that it neither goes around an obstacle nor slows down before contact.
+They serve for comparison: a task is harder than straight motion where they fail. Each has one gain for distances and no
+phases, so that it neither avoids obstacles nor slows down before contact.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GAIN = 8.0
 
 
 class ProportionalPress(Expert):
-    """Horizontally towards the place, vertically by the error of the depth, which is the depth itself in the air."""
+    """Moves horizontally towards the place, and vertically by the depth error, which in the air is the full depth."""
 
     task = "press"
 
@@ -36,7 +36,7 @@ class ProportionalPress(Expert):
 
 
 class ProportionalRetract(Expert):
-    """Towards the patch, from the side that it is pushed from, and on by what its displacement lacks."""
+    """Moves towards the patch, from the side from which it is pushed, and on by the displacement that is missing."""
 
     task = "retract"
 
@@ -53,7 +53,7 @@ class ProportionalRetract(Expert):
 
 
 class ProportionalFissure(Expert):
-    """The edge towards beside the target, and the tilt towards the line of sight."""
+    """Moves the edge beside the target, and tilts the blade to the line of sight."""
 
     task = "fissure"
 
@@ -63,7 +63,7 @@ class ProportionalFissure(Expert):
         view = self.goal(observation)[..., 1]
         tilt = self.part(observation, "tool_orientation")[..., 0]
         rate = GAIN * (view - tilt)
-        # The blade turns about its middle; its edge is to go straight.
+        # The blade rotates about its middle: compensate, so that its edge moves straight.
         return {
             "velocity_x": GAIN * along,
             "velocity_y": GAIN * (across - np.sign(view) * WALL) - ARM * np.cos(tilt) * rate,
@@ -73,7 +73,7 @@ class ProportionalFissure(Expert):
 
 
 class ProportionalClamp(Expert):
-    """Towards the ridge while it is not between the jaws; then the jaws close, and the lift follows its error."""
+    """Moves towards the ridge until it is between the jaws; then closes the jaws and lifts by the error of the lift."""
 
     task = "clamp"
 
@@ -92,7 +92,7 @@ class ProportionalClamp(Expert):
 
 
 class ProportionalPalpate(Expert):
-    """Towards the next point of the path, tilted as a round organ is there, with a speed by the error of the force."""
+    """Moves towards the next point of the path, tilted as a round organ is there, and presses by the force error."""
 
     task = "palpate"
 

@@ -11,41 +11,41 @@ from spatula_env.arrays import FloatArray
 from spatula_env.learning.experts.base import Expert
 
 HALF_THICKNESS = 0.0009
-"""Of the blade [m]."""
+"""Half the thickness of the blade [m]."""
 
 EDGE = 0.02
-"""How far the blade's lower edge is below its middle [m]."""
+"""Distance from the blade's middle down to its lower edge [m]."""
 
 TOP = -0.02
 """Height of the organ's top at rest, in the workspace frame [m]."""
 
 CLEARANCE = 0.004
-"""How high the lower edge passes over the fold [m]."""
+"""Clearance of the lower edge above the organ's top when it passes over the fold [m]."""
 
 GAP = 0.005
-"""How far from the flank the blade goes down [m]."""
+"""Distance from the flank at which the blade goes down [m]."""
 
 EDGE_DEPTH = 0.008
-"""How far below the patch's middle the lower edge pushes [m]."""
+"""Depth below the patch's middle at which the lower edge pushes [m]."""
 
 PLACE_GAIN = 8.0
 """Speed per distance to a place, in the air [1/s]."""
 
 LIFT_SPEED, PUSH_SPEED = 0.04, 0.015
-"""Upwards in the air, and against the fold [m/s]."""
+"""Speed upwards in the air, and speed against the fold [m/s]."""
 
 SHIFT_GAIN = 6.0
 """Speed per error of the patch's displacement [1/s]."""
 
 TOUCH = 0.005
-"""Force that tells that the blade touches the fold [N]."""
+"""Force from which on the blade counts as touching the fold [N]."""
 
 LOW, BESIDE, ALIGNED = 0.003, 0.002, 0.004
-"""How exactly the blade is where it goes down, or pushes: above, across the fold, and along it [m]."""
+"""Tolerances of the blade's position for going down or pushing: in height, across the fold, and along it [m]."""
 
 
 class RetractExpert(Expert):
-    """Goes over to the patch's side of the fold, down, and pushes as far as the patch's displacement asks for."""
+    """Moves over to the patch's side of the fold, goes down, and pushes until the patch has the wanted displacement."""
 
     task = "retract"
 

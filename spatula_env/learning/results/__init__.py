@@ -1,3 +1,3 @@
-"""The documentation's results of training: planned, made, evaluated, and written as a page."""
+"""The training results in the documentation: planned, computed, evaluated, and written as a page."""
 
 from __future__ import annotations

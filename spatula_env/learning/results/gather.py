@@ -1,4 +1,4 @@
-"""Rows of results, from finished runs and their evaluations."""
+"""Collects rows of results from finished runs and their evaluations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from spatula_env.learning.results.statistics import Estimate, Reached, estimate,
 from spatula_env.learning.saving import read_curve
 
 QUANTITIES = ("success_rate", "safe_success_rate", "return", "cost", "violation_rate", "time_to_success")
-"""What the tables have of an evaluation."""
+"""Quantities of an evaluation that the tables show."""
 
 REFERENCE_LABELS: Mapping[str, str] = MappingProxyType(
     {
@@ -26,26 +26,27 @@ REFERENCE_LABELS: Mapping[str, str] = MappingProxyType(
         "pretrained": "pretrained policy",
     }
 )
-"""What policies to compare with are called."""
+"""Labels of the reference policies."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What is said of one algorithm, or of one policy to compare with, on one task.
+    """Results of one algorithm, or of one reference policy, on one task.
 
     Attributes:
         task: Name of the task.
-        name: Of the algorithm or policy.
-        label: For people.
-        planned: How many seeds there are to be; 0 for a policy to compare with.
-        finished: How many there are.
-        rates: Success rates of the seeds, for each engine that they were evaluated in.
-        quantities: For each engine, what `QUANTITIES` names; nothing if there is no evaluation.
-        reached: When each threshold was; nothing for what is not trained.
-        curves: Of the seeds.
-        steps: Control steps of training, the mean; None for what is not trained.
-        demonstration_steps: Control steps that were made for demonstrations, the mean; None for what has not learned.
-        seconds: Of training, the mean [s]; None for what is not trained.
+        name: Name of the algorithm or policy.
+        label: Label for display.
+        planned: Planned number of seeds; 0 for a reference policy.
+        finished: Number of finished seeds.
+        rates: Success rates of the seeds, by the engine of evaluation.
+        quantities: By engine, the quantities in `QUANTITIES`; empty without an evaluation.
+        reached: When each threshold was reached; empty for policies that are not trained.
+        curves: Learning curves of the seeds.
+        steps: Mean number of control steps of training; None for policies that are not trained.
+        demonstration_steps: Mean number of control steps made for demonstrations; None for policies that have not
+            learned.
+        seconds: Mean training time [s]; None for policies that are not trained.
     """
 
     task: str
@@ -63,12 +64,12 @@ class Row:
 
     @property
     def all_steps(self) -> float | None:
-        """Control steps of training and for demonstrations; None for what has not learned."""
+        """Control steps of training and for demonstrations; None for policies that have not learned."""
         return None if self.demonstration_steps is None else self.demonstration_steps + (self.steps or 0.0)
 
 
 def gather(plan: ResultsPlan) -> list[Row]:
-    """The rows of all tasks, those of what learns first; an algorithm without a finished run has none."""
+    """The rows of all tasks, learning algorithms first; an algorithm without a finished run has no row."""
     rows = []
     runs, references = planned_runs(plan), planned_references(plan)
     for task, planned in plan.tasks.items():
@@ -84,20 +85,20 @@ def gather(plan: ResultsPlan) -> list[Row]:
 
 
 def names_of(plan: ResultsPlan, rows: Sequence[Row]) -> dict[str, str]:
-    """What there is to be told of on any task, what learns first: names, and what people call them."""
+    """Names and labels of everything that has a row on any task, learning algorithms first."""
     labels = {row.name: row.label for row in rows}
     learned = {name: label for name, label in labels.items() if name not in plan.references}
     return {**learned, **labels}
 
 
 def read_evaluation(run: Run, engine: str) -> dict[str, Any] | None:
-    """The evaluation of a run, if there is one."""
+    """Read the evaluation of a run, if there is one."""
     file = evaluation_file(run, engine)
     return json.loads(file.read_text(encoding="utf-8")) if file.exists() else None
 
 
 def read_machines(plan: ResultsPlan) -> list[dict[str, Any]]:
-    """Where runs and evaluations took place: what their provenances say, each once."""
+    """The distinct machines of all runs and evaluations, from their provenance files."""
     found: list[dict[str, Any]] = []
     for run in [*planned_runs(plan), *planned_references(plan)]:
         places = [run.folder / "provenance.json", *run.folder.glob("seed-*/provenance.json")]
@@ -145,7 +146,7 @@ def _reference(plan: ResultsPlan, run: Run) -> Row | None:
         if read is not None:
             summary = read["summary"]
             rates[engine] = [summary["success_rate"]]
-            # One policy: what varies is the episodes, and success has Wilson's interval.
+            # There is a single policy: the variation is over episodes, and success has Wilson's interval.
             quantities[engine] = {
                 quantity: Estimate(summary[quantity]) for quantity in QUANTITIES if summary[quantity] is not None
             }
@@ -156,7 +157,7 @@ def _reference(plan: ResultsPlan, run: Run) -> Row | None:
 
 
 def _demonstrated(run: Run) -> int:
-    """How many control steps were made for the demonstrations of a finished agent."""
+    """Number of control steps that were made for the demonstrations of a finished agent."""
     if run.plan is not None and run.plan.clone:
         told = json.loads((run.folder / "provenance.json").read_text(encoding="utf-8"))
         return int(told["demonstrations"]["steps_made"] + sum(each["steps"] for each in told["rounds"]))

@@ -1,4 +1,4 @@
-"""The page of results, in Markdown."""
+"""Writes the page of results in Markdown."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ COMMAND = "python -m agents.results"
 def write_page(
     plan: ResultsPlan, rows: Sequence[Row], machines: Sequence[Mapping[str, Any]], command: str = COMMAND
 ) -> str:
-    """The page.
+    """Compose the page.
 
     Args:
-        plan: What there is to be.
-        rows: From `gather`.
-        machines: From `read_machines`.
-        command: That was last given, which the page tells if it is about a part of the plan.
+        plan: The plan of results.
+        rows: Rows from `gather`.
+        machines: Machines from `read_machines`.
+        command: The last command given, which the page shows if it covers a part of the plan only.
     """
     engines = plan.evaluation.engines
     parts = [
@@ -75,7 +75,7 @@ def write_page(
 
 
 def picture_name(task: str) -> str:
-    """File of the learning curves of a task."""
+    """File name of the learning curves of a task."""
     return f"results_{task}.png"
 
 
@@ -94,7 +94,7 @@ def _missing(plan: ResultsPlan, rows: Sequence[Row]) -> str:
 
 
 def _all_tasks(plan: ResultsPlan, rows: Sequence[Row]) -> str:
-    """Success by task and algorithm, and over the tasks together."""
+    """Table of success by task and algorithm, and over all tasks together."""
     labels = names_of(plan, rows)
     if not labels:
         return ""
@@ -220,7 +220,7 @@ def _machines(machines: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _link(plan: ResultsPlan, name: str) -> str:
-    """A picture as seen from the page."""
+    """Link to a picture, relative to the page."""
     page, pictures = Path(plan.page), Path(plan.pictures)
     return Path(os.path.relpath(pictures / name, page.parent)).as_posix()
 
@@ -231,19 +231,19 @@ def _table(lines: Sequence[Sequence[str]]) -> str:
 
 
 def _mean_and_worst(rates: Sequence[float]) -> tuple[str, str]:
-    """Of the success rates of some seeds."""
+    """Mean and worst of the success rates of some seeds."""
     if not rates:
         return NONE, NONE
     return f"{100 * sum(rates) / len(rates):.1f}", f"{100 * min(rates):.1f}"
 
 
 def _enumerated(names: Sequence[str]) -> str:
-    """Names as a sentence has them."""
+    """Join names as in a sentence."""
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def _definitions(plan: ResultsPlan) -> list[int]:
-    """The numbers of the definitions of a plan's tasks, each once."""
+    """The distinct definition numbers of a plan's tasks."""
     return sorted({definition_number(task.environment) for task in plan.tasks.values()}) or [FIRST]
 
 

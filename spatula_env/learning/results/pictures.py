@@ -1,4 +1,4 @@
-"""The pictures of the page of results."""
+"""Draws the pictures of the page of results."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ COLORS: Mapping[str, str] = MappingProxyType(
         "pretrained": "#e69f00",
     }
 )
-"""Of algorithms, told apart by colour-blind people too (M. Okabe and K. Ito, 2002)."""
+"""Colours of the algorithms, distinguishable for colour-blind readers (M. Okabe and K. Ito, 2002)."""
 
 OTHERS = ("#8c564b", "#7f7f7f", "#bcbd22")
 
 GRID = 120
-"""Points of a curve."""
+"""Number of points of a curve."""
 
 DPI = 110
 
 
 def draw_pictures(plan: ResultsPlan, rows: Sequence[Row]) -> list[Path]:
-    """Draw all pictures that there is something for.
+    """Draw all pictures for which there are results.
 
     Returns:
         Their files.
@@ -97,7 +97,7 @@ def _draw_curves(plan: ResultsPlan, rows: Sequence[Row], file: Path, colors: Map
 
 
 def _draw_curve(axes: Any, plan: ResultsPlan, row: Row, curves: Sequence[Any], color: str) -> None:
-    """The interquartile mean with its band, as far as any run went; thin lines are the runs."""
+    """Draw the interquartile mean with its band, up to the end of the longest run; thin lines are the single runs."""
     first = max(steps_at(curve[0]) for curve in curves)
     last = max(steps_at(curve[-1]) for curve in curves)
     grid = np.linspace(first, max(last, first + 1), GRID)
@@ -112,7 +112,7 @@ def _draw_curve(axes: Any, plan: ResultsPlan, row: Row, curves: Sequence[Any], c
 
 
 def _draw_level(axes: Any, plan: ResultsPlan, row: Row, color: str, style: str) -> None:
-    """A line for what does not learn by steps."""
+    """Draw a horizontal line for a policy that does not learn in steps."""
     engine = plan.evaluation.engines[0]
     if engine in row.quantities:
         rate = 100 * row.quantities[engine]["success_rate"].value
@@ -120,7 +120,7 @@ def _draw_level(axes: Any, plan: ResultsPlan, row: Row, color: str, style: str) 
 
 
 def _draw_success(plan: ResultsPlan, rows: Sequence[Row], file: Path, colors: Mapping[str, str]) -> Path:
-    """Points with intervals: a panel for each task, a row for each algorithm, a mark for each engine."""
+    """Draw points with intervals: a panel for each task, a row for each algorithm, a mark for each engine."""
     from matplotlib import pyplot
     from matplotlib.lines import Line2D
 

@@ -21,7 +21,7 @@ from spatula_env.learning.ranges import Checked, Count, Natural, Rule
 from spatula_env.naming import find_environment, same_environment
 
 REFERENCES = ("expert", "proportional", "random", "pretrained")
-"""Policies that are there already, to compare with."""
+"""Existing policies, for comparison."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class AlgorithmPlan(Checked):
 
     Attributes:
         config: Name or path of a configuration of training.
-        clone: Number of demonstrations that are imitated, instead of training; 0: it is trained.
-        rounds: How often what has imitated them acts and is corrected; see `cloning.correct`.
-        changes: Of the configuration, each "key=value".
-        label: What it is called on the page; None: its name.
+        clone: Number of demonstrations to imitate instead of training; 0 to train.
+        rounds: Number of rounds in which a clone acts and is corrected; see `cloning.correct`.
+        changes: Changes of the configuration, each "key=value".
+        label: Label on the page; None for the algorithm's name.
     """
 
     config: str
@@ -49,18 +49,18 @@ class AlgorithmPlan(Checked):
             raise ValueError(f"rounds must be 0 without clone, got {self.rounds}")
 
     def read(self, seed: int) -> TrainingConfig:
-        """The configuration for one seed."""
+        """Read the configuration for one seed."""
         return read_training(find_config(self.config), [*self.changes, f"seeds=[{seed}]"])
 
 
 @dataclass(frozen=True)
 class TaskPlan:
-    """What is trained on one task.
+    """The agents to train on one task.
 
     Attributes:
-        environment: Its id.
-        algorithms: By name.
-        note: A sentence for the page.
+        environment: Id of the environment.
+        algorithms: Plans of the algorithms, by name.
+        note: A sentence to show on the page.
     """
 
     environment: str
@@ -73,9 +73,9 @@ class ScoringPlan(Checked):
     """How finished agents are evaluated.
 
     Attributes:
-        episodes: In each engine.
-        seed: Of the first episode; agents are never trained or chosen by these.
-        engines: In which; the first one is that of training.
+        episodes: Number of episodes in each engine.
+        seed: Seed of the first episode; no agent is trained or selected on these episodes.
+        engines: Engines to evaluate in; the first one is that of training.
     """
 
     section: ClassVar[str] = "evaluation"
@@ -93,12 +93,12 @@ class ScoringPlan(Checked):
 
 @dataclass(frozen=True)
 class BootstrapPlan(Checked):
-    """How intervals are found.
+    """How confidence intervals are computed.
 
     Attributes:
-        resamples: How many.
-        confidence: Of the intervals.
-        seed: Of the resamples.
+        resamples: Number of resamples.
+        confidence: Confidence level of the intervals.
+        seed: Seed of the resampling.
     """
 
     section: ClassVar[str] = "bootstrap"
@@ -110,18 +110,18 @@ class BootstrapPlan(Checked):
 
 @dataclass(frozen=True)
 class ResultsPlan:
-    """All that the page is made of.
+    """Everything that the page is made of.
 
     Attributes:
-        tasks: By name.
+        tasks: Plans of the tasks, by name.
         runs: Folder of the runs.
-        page: File that is written.
+        page: File of the page.
         pictures: Folder of its pictures.
-        seeds: One agent is made for each.
-        evaluation: Of finished agents.
-        thresholds: Success rates; the page says when training first reached them.
-        bootstrap: Of intervals.
-        references: Policies to compare with.
+        seeds: Seeds; one agent is made for each.
+        evaluation: How finished agents are evaluated.
+        thresholds: Success rates for which the page says when training first reached them.
+        bootstrap: How intervals are computed.
+        references: Existing policies for comparison.
     """
 
     tasks: dict[str, TaskPlan]
@@ -148,15 +148,15 @@ class ResultsPlan:
 
 @dataclass(frozen=True)
 class Run:
-    """One agent that is to be made, or one policy to compare with.
+    """One agent to make, or one reference policy.
 
     Attributes:
-        task: Its name.
-        environment: Its id.
-        name: Of the algorithm, or of the policy.
-        seed: None for a policy to compare with.
-        plan: How it is made; None for a policy to compare with.
-        folder: Where it is kept.
+        task: Name of the task.
+        environment: Id of the environment.
+        name: Name of the algorithm or of the policy.
+        seed: Seed; None for a reference policy.
+        plan: How it is made; None for a reference policy.
+        folder: Folder of its files.
     """
 
     task: str
@@ -168,19 +168,19 @@ class Run:
 
     @property
     def title(self) -> str:
-        """For people."""
+        """Title for display."""
         return f"{self.task} {self.name}" + ("" if self.seed is None else f" seed {self.seed}")
 
 
 def read_plan(path: str | os.PathLike[str]) -> ResultsPlan:
-    """Read which runs there are to be.
+    """Read a plan of results.
 
     Args:
-        path: Of a YAML file.
+        path: Path of a YAML file.
 
     Raises:
         FileNotFoundError: If there is no such file, or a configuration that it names is missing.
-        ValueError: If a key is unknown, one is missing, or a value is not allowed.
+        ValueError: If a key is unknown or missing, or a value is not allowed.
     """
     file = Path(path)
     content = load_yaml(file)
@@ -219,16 +219,16 @@ def planned_runs(
     algorithms: Iterable[str] | None = None,
     seeds: Sequence[int] | None = None,
 ) -> list[Run]:
-    """The agents that a plan has, seed by seed, so that an interrupted plan has a few seeds of everything.
+    """List the agents of a plan seed by seed, so that an interrupted plan has a few seeds of everything.
 
     Args:
-        plan: Of everything.
-        tasks: Of some tasks only; None: of all.
-        algorithms: Of some algorithms only; None: of all.
-        seeds: With some seeds only; None: with all of the plan.
+        plan: The plan.
+        tasks: Restrict to these tasks; None for all.
+        algorithms: Restrict to these algorithms; None for all.
+        seeds: Restrict to these seeds; None for all of the plan.
 
     Raises:
-        ValueError: If there is no such task, algorithm or seed.
+        ValueError: If a task, algorithm or seed does not exist.
     """
     known = {name for task in plan.tasks.values() for name in task.algorithms}
     for what, chosen, allowed in (
@@ -251,7 +251,7 @@ def planned_runs(
 
 
 def planned_references(plan: ResultsPlan, tasks: Iterable[str] | None = None) -> list[Run]:
-    """The policies to compare with, of all tasks or of some."""
+    """List the reference policies, of all tasks or of some."""
     return [
         Run(name, task.environment, reference, None, None, Path(plan.runs) / f"{name}-{reference}")
         for name, task in plan.tasks.items()

@@ -1,4 +1,4 @@
-"""Training and evaluating what a plan names, each once."""
+"""Trains and evaluates the agents of a plan, each once."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from spatula_env.policies import pretrained_path
 LOG = "log.txt"
 
 SPATULA = (sys.executable, "-m", "spatula_env.cli")
-"""The `spatula` command, in a process of its own."""
+"""Command line that runs `spatula` in a process of its own."""
 
 Say = Callable[[str], None]
 
 
 def is_finished(run: Run) -> bool:
-    """Whether an agent is made; policies to compare with always are."""
+    """Whether an agent is finished; reference policies always are."""
     if run.plan is None:
         return True
-    # What is written last appears whole.
+    # The file that is written last is written atomically, so its presence shows that the run is complete.
     if not run.plan.clone:
         return (run.folder / "summary.json").exists()
     provenance = run.folder / "provenance.json"
@@ -45,17 +45,17 @@ def is_finished(run: Run) -> bool:
 
 
 def command_of(run: Run) -> list[str]:
-    """What makes an agent, or goes on with it.
+    """Command line that makes an agent, or continues it.
 
     Raises:
-        ValueError: If a run is in its place that was begun with another configuration.
+        ValueError: If its folder holds a run that was begun with another configuration.
     """
     assert run.plan is not None and run.seed is not None
     changes = [argument for change in run.plan.changes for argument in ("--set", change)]
     common = ["--config", run.plan.config, *changes, "--seed", str(run.seed), "--output", str(run.folder)]
     if run.plan.clone:
         rounds = ("--rounds", str(run.plan.rounds)) if run.plan.rounds else ()
-        # What is there was interrupted between two rounds.
+        # An unfinished clone in the folder was interrupted between two rounds: start again.
         more = (*rounds, "--overwrite")
         return [*SPATULA, "clone", "--expert", str(run.plan.clone), *more, *common]
     begun = run.folder / "config.yaml"
@@ -70,7 +70,7 @@ def check_same_configuration(run: Run) -> None:
     """Check that a run was begun with the configuration that the plan has now.
 
     Raises:
-        ValueError: If not; the message says where they differ.
+        ValueError: If the configurations differ; the message says where.
     """
     assert run.plan is not None and run.seed is not None
     begun, planned = run.folder / "config.yaml", to_mapping(run.plan.read(run.seed))
@@ -84,15 +84,15 @@ def make_agents(runs: Sequence[Run], jobs: int, say: Say) -> list[str]:
     """Make the agents that are not finished.
 
     Args:
-        runs: All that are wanted.
-        jobs: How many processes at once.
-        say: Told what is done.
+        runs: All agents that are wanted.
+        jobs: Number of processes at once.
+        say: Receives progress messages.
 
     Returns:
-        What failed, a line for each.
+        One line for each agent that failed.
 
     Raises:
-        ValueError: See `command_of`; before anything is begun.
+        ValueError: See `command_of`; raised before any work begins.
     """
     todo = [run for run in runs if not is_finished(run)]
     commands = [command_of(run) for run in todo]
@@ -122,7 +122,7 @@ def make_agents(runs: Sequence[Run], jobs: int, say: Say) -> list[str]:
         try:
             results = [future.result() for future in futures]
         except BaseException:
-            # An interrupted run keeps its checkpoint; the next start goes on with it.
+            # An interrupted run keeps its checkpoint; the next start resumes it.
             with lock:
                 stopped = True
                 for process in processes:
@@ -132,24 +132,25 @@ def make_agents(runs: Sequence[Run], jobs: int, say: Say) -> list[str]:
 
 
 def evaluation_file(run: Run, engine: str) -> Path:
-    """Where the evaluation of an agent is kept."""
+    """File of an agent's evaluation."""
     return run.folder / f"evaluation-{engine}.json"
 
 
 def evaluate_agent(run: Run, scoring: ScoringPlan, engine: str, *, again: bool = False) -> bool:
-    """Evaluate an agent, if that has not been done.
+    """Evaluate an agent, if that has not been done yet.
 
     Args:
-        run: A finished one.
-        scoring: In which episodes.
+        run: A finished agent.
+        scoring: How to evaluate it.
         engine: "batch", "tissue" or "bullet".
-        again: Whether to do it even so.
+        again: Whether to repeat an existing evaluation.
 
     Returns:
-        Whether there was anything to do.
+        Whether an evaluation was made.
 
     Raises:
-        ValueError: If the agent was made for another definition of the task: its results would not be of this one.
+        ValueError: If the agent was made for another definition of the task, so that its results would not be
+            comparable.
     """
     source = _source_of(run)
     present = definition_number(run.environment)
@@ -170,14 +171,14 @@ def evaluate_agent(run: Run, scoring: ScoringPlan, engine: str, *, again: bool =
     if not again and file.exists() and json.loads(file.read_text(encoding="utf-8"))["key"] == key:
         return False
     plan = Plan(run.environment, source.kwargs, engine, scoring.episodes, scoring.seed)
-    # As in use: nobody goes on pressing when it is done.
+    # End at success, as in practice, where a tool does not go on acting after that.
     episodes, rate = evaluate(source, plan, end_at_success=True)
     write_json(
         file,
         {
             "key": key,
             "summary": {**summarize(episodes), "steps_per_second": rate},
-            # JSON knows no NaN, which is the time of what has not succeeded.
+            # JSON has no NaN, which is the time of success of an episode that has not succeeded.
             "episodes": {name: _as_list(episodes[name]) for name in MEASURES},
             "provenance": provenance(run.environment),
         },
@@ -194,7 +195,7 @@ def _source_of(run: Run) -> PolicySource:
 
 
 def _fingerprint(run: Run) -> str:
-    """Tells one policy from another."""
+    """A value that identifies a policy, to detect changes."""
     if run.plan is not None:
         folder = find_saved(run.folder)
         files = [folder / name for name in (MODEL, NORMALIZER)]

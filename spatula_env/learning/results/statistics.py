@@ -1,9 +1,10 @@
-"""Interquartile means with bootstrap intervals, and when training first reached a success rate.
+"""Interquartile means with bootstrap intervals, and the time at which training first reached a success rate.
 
-R. Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice", NeurIPS 2021, say why: with
-few seeds a mean hangs on one of them, and a median hardly on any. Their package rliable is not used, because it cannot
-be imported with pandas 3: its release 1.2.0 needs arch, whose release 7.2.0 calls a function of pandas in a way that is
-no longer possible. SciPy's bootstrap draws the same resamples: of seeds, within each task.
+The reasons are given by R. Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice",
+NeurIPS 2021: with few seeds a mean depends strongly on single seeds, and a median uses hardly any of them. Their
+package rliable is not used because it cannot be imported with pandas 3: its release 1.2.0 needs arch, whose release
+7.2.0 calls a pandas function in a way that no longer works. SciPy's bootstrap draws the same resamples: of seeds,
+within each task.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from spatula_env.arrays import FloatArray
 from spatula_env.learning.results.plan import BootstrapPlan
 
 TRIMMED = 0.25
-"""Share that is left out on each side."""
+"""Share of samples that is left out at each end."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval.
+    """A number with its confidence interval.
 
     Attributes:
         value: The number.
         low: Lower end; None with too few samples for an interval.
-        high: Upper end; None likewise.
+        high: Upper end; None with too few samples for an interval.
     """
 
     value: float
@@ -42,10 +43,11 @@ class Reached:
     """When the runs of an algorithm first reached a success rate.
 
     Attributes:
-        count: How many did.
-        of: Of how many.
-        steps: Control steps, with those of demonstrations, the median over all runs; None if most did not.
-        seconds: Wall-clock time until then, likewise [s].
+        count: Number of runs that reached it.
+        of: Number of runs.
+        steps: Median over all runs of the control steps needed, including demonstrations; None if most did not reach
+            it.
+        seconds: Median over all runs of the wall-clock time needed [s]; None if most did not reach it.
     """
 
     count: int
@@ -55,18 +57,18 @@ class Reached:
 
 
 def interquartile_mean(samples: FloatArray, axis: int = -1) -> Any:
-    """Mean of the middle half."""
+    """Mean of the middle half of the samples."""
     from scipy.stats import trim_mean
 
     return trim_mean(samples, TRIMMED, axis=axis)
 
 
 def estimate(groups: Sequence[Sequence[float] | FloatArray], plan: BootstrapPlan) -> Estimate:
-    """The interquartile mean of some groups of samples together.
+    """Interquartile mean over several groups of samples together.
 
     Args:
         groups: Samples, such as the success rates of the seeds, for each task. Resamples are drawn within each group.
-        plan: How the interval is found.
+        plan: How the interval is computed.
 
     Raises:
         ValueError: If a group is empty.
@@ -82,14 +84,14 @@ def estimate(groups: Sequence[Sequence[float] | FloatArray], plan: BootstrapPlan
 
 
 def estimate_columns(samples: FloatArray, plan: BootstrapPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The interquartile means of columns, and the ends of their intervals.
+    """Interquartile means of columns, with the ends of their intervals.
 
     Args:
-        samples: (R, N) of R runs.
-        plan: How the intervals are found.
+        samples: (R, N) samples of R runs.
+        plan: How the intervals are computed.
 
     Returns:
-        Three times (N,); with one run only, the intervals are empty.
+        Three arrays (N,): means, lower and upper ends; with one run only, the intervals are empty.
     """
     value = np.asarray(interquartile_mean(samples, axis=0), dtype=np.float64)
     if len(samples) < 2:
@@ -119,12 +121,12 @@ def _interval(arrays: list[FloatArray], plan: BootstrapPlan, axis: int = -1) -> 
 
 
 def steps_at(line: Mapping[str, Any]) -> float:
-    """How many control steps an agent had cost when it was evaluated: its own, and those of its demonstrations."""
+    """Number of control steps that an agent had used when it was evaluated, including those of its demonstrations."""
     return float(line["step"] + line.get("demonstration_steps", 0))
 
 
 def first_reaching(curve: Sequence[Mapping[str, Any]], threshold: float) -> tuple[float, float] | None:
-    """The step and the second at which an evaluation first was at a success rate; None if none was."""
+    """Steps and seconds of the first evaluation that reached a success rate; None if none did."""
     for line in curve:
         if line["success_rate"] >= threshold:
             return steps_at(line), float(line["seconds"])
@@ -134,7 +136,7 @@ def first_reaching(curve: Sequence[Mapping[str, Any]], threshold: float) -> tupl
 def when_reached(curves: Sequence[Sequence[Mapping[str, Any]]], threshold: float) -> Reached:
     """When the runs of an algorithm first reached a success rate.
 
-    A run that never did counts as infinitely long.
+    A run that never reached it counts as infinitely long.
     """
     found = [first_reaching(curve, threshold) or (math.inf, math.inf) for curve in curves]
     steps, seconds = (float(np.median([each[k] for each in found])) if found else math.inf for k in (0, 1))
@@ -147,14 +149,14 @@ def when_reached(curves: Sequence[Sequence[Mapping[str, Any]]], threshold: float
 
 
 def on_grid(curve: Sequence[Mapping[str, Any]], grid: FloatArray) -> FloatArray:
-    """The success rates of a run at some steps: between evaluations on a line, and after the last one as it was.
+    """Interpolate a run's success rates at some steps: linear between evaluations, constant after the last one.
 
     Args:
-        curve: Of a run, with one line at least.
-        grid: (N,) steps, with those of demonstrations.
+        curve: Curve of a run, with at least one line.
+        grid: (N,) steps, including those of demonstrations.
 
     Returns:
-        (N,); NaN before the first evaluation.
+        (N,) success rates; NaN before the first evaluation.
     """
     steps = np.array([steps_at(line) for line in curve])
     rates = np.array([line["success_rate"] for line in curve], dtype=np.float64)

@@ -1,20 +1,20 @@
-"""A Novint Falcon that exists in software only, down to the bytes on the USB.
+"""A Novint Falcon emulated in software, down to the bytes on the USB.
 
-`FalconEmulator` is what the cable leads to: an FTDI chip, a boot loader, firmware, three encoders and motors, a
-mechanism, and a simulated hand that holds the grip. The driver talks to it through the same transfers as to the real
-device. Nothing
-here uses the driver's packets or kinematics, so that the two can be checked against each other::
+`FalconEmulator` stands for everything at the far end of the cable: an FTDI chip, a boot loader, firmware, three
+encoders and motors, a mechanism, and a simulated hand that holds the grip. The driver talks to it through the same
+transfers as to the real device. Nothing here uses the driver's packets or kinematics, so that the two implementations
+can be checked against each other::
 
-    falcon     FalconEmulator: all parts, their time, the plug
+    falcon     FalconEmulator: puts all parts together in time, and can be unplugged
     chip       the FTDI chip: control requests, baud rate, latency timer, status bytes
-    boot       the boot loader and what firmware needs to get in
-    program    what runs on the device afterwards: packets, homing
-    legs       the mechanism, from vectors along its links
-    hand       the operator's hand, and where the energy goes
-    mechanism  weight, friction and bending links, on request
-    faults     what can go wrong, for tests to switch on
+        boot       the boot loader and the conditions under which it accepts firmware
+        program    the firmware that runs afterwards: packets, homing
+        legs       the mechanism, computed from vectors along its links
+        hand       the operator's hand, and an account of energy
+        mechanism  weight, friction and elastic links; optional
+        faults     failures that tests can switch on
     clock      simulated time
-    wire       all of it in a process of its own, at the other end of a socket
+        wire       the whole emulator in a process of its own, at the other end of a socket
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The boot loader of an emulated Falcon.
 
-It waits for a reset by DTR, then for a greeting at 9,600 baud, answers it, and takes the firmware at 142,857 baud
-once DTR is low again and an 'A' has come and gone. It echoes every byte. Whatever else it hears before spoils it: the
-firmware it is given afterwards does not run, until the device has been without power. That is what happens to real
-Falcons whose program is looked for before it is loaded.
+It waits for a reset by DTR, then for a greeting at 9,600 baud, which it answers, and accepts the firmware at 142,857
+baud once DTR is low again and an 'A' has been sent and echoed. It echoes every byte of the firmware. Any other data
+that it receives before the upload spoils it: firmware loaded afterwards does not run until the device has been without
+power. Real Falcons behave like this when the host looks for a running program before it loads one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ DIVISOR_UPLOAD = 0x0015
 
 
 class Stage(Enum):
-    """How far the boot loader has come."""
+    """Progress of the boot loader."""
 
     WAITING_FOR_RESET = "waiting for reset"
     WAITING_FOR_GREETING = "waiting for greeting"
@@ -32,19 +32,19 @@ class Stage(Enum):
 
 
 class BootLoader:
-    """Takes firmware byte by byte.
+    """Receives firmware byte by byte.
 
     Attributes:
-        stage: How far it has come.
-        is_spoiled: Whether it has heard what it should not.
+        stage: Progress so far.
+        is_spoiled: Whether it has received data that it should not have.
     """
 
     def __init__(self, firmware: bytes, faults: Faults) -> None:
         """Power up.
 
         Args:
-            firmware: What has to be loaded, to the last byte.
-            faults: What goes wrong.
+            firmware: The firmware that has to be loaded, compared byte by byte.
+            faults: Failures to simulate.
         """
         self.stage = Stage.WAITING_FOR_RESET
         self.is_spoiled = False
@@ -53,19 +53,19 @@ class BootLoader:
         self._heard = b""
 
     def reset(self) -> None:
-        """DTR has gone from low to high."""
+        """Handle a reset: DTR has gone from low to high."""
         self.stage = Stage.WAITING_FOR_GREETING
         self._heard = b""
 
     def receive(self, data: bytes, settings: LineSettings) -> bytes:
-        """Hear bytes.
+        """Receive bytes.
 
         Args:
             data: What was sent.
-            settings: How.
+            settings: Settings of the line over which they were sent.
 
         Returns:
-            What it answers.
+            The answer; empty if there is none.
         """
         if self.stage in (Stage.WAITING_FOR_GREETING, Stage.GREETED) and settings.divisor == DIVISOR_GREETING:
             return self._hear_greeting(data, settings)

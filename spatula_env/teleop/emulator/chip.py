@@ -1,8 +1,8 @@
-"""The FTDI chip of an emulated Falcon: what control requests do to it, and when it hands over what it has received.
+"""The FTDI chip of an emulated Falcon: effects of control requests, and when received data are handed over.
 
-After power-up, nothing about the line is set, and what is set wrongly makes the bytes on it unreadable: a driver has
-to make all the requests. The chip fills IN packets of 64 bytes, of which two are status; it hands one over when it is
-full, or when the latency timer runs out, with whatever there is. The timer starts anew with every packet.
+After power-up no line setting is made, and wrong settings make the bytes on the line unreadable: a driver has to send
+all the requests. The chip fills IN packets of 64 bytes, two of which are status bytes; it hands a packet over when it
+is full, or with whatever it holds when the latency timer runs out. The timer restarts with every packet.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 
 CLOCK = 3_000_000.0
-"""What the chip's divisors divide [Hz]."""
+"""Input frequency of the chip's baud rate divisors [Hz]."""
 
 
 @dataclass(frozen=True)
 class LineSettings:
-    """How the serial line is set up; None where nothing has been said since power-up.
+    """Settings of the serial line; None for those that have not been made since power-up.
 
     Attributes:
         divisor: Raw baud rate value.
@@ -43,15 +43,15 @@ class LineSettings:
 
     @property
     def is_readable(self) -> bool:
-        """Whether a device that keeps to 8N1 without flow control can read what is sent, at the right baud rate."""
+        """Whether a device that uses 8N1 without flow control can read the data, if the baud rate is right."""
         return self.data_format == 8 and self.flow_control == 0
 
     @property
     def byte_time(self) -> float:
-        """How long a byte takes on the line [s]."""
+        """Time that one byte takes on the line [s]."""
         if self.divisor is None:
             return BITS_PER_BYTE / 9600.0
-        # Bits 14 and 15 are eighths of the divisor in a code of their own: 0, 1/2, 1/4, 1/8. 0 and 1 are special.
+        # Bits 14 and 15 encode eighths of the divisor: 0, 1/2, 1/4, 1/8. Divisors 0 and 1 are special cases.
         whole = self.divisor & 0x3FFF
         if whole == 0:
             return BITS_PER_BYTE / CLOCK
@@ -64,12 +64,12 @@ class RefusedRequest(ValueError):
 
 
 class FtdiChip:
-    """The chip's registers and its buffer for what comes from the Falcon.
+    """The chip's registers and its buffer for data from the Falcon.
 
     Attributes:
-        settings: Of the serial line.
-        latency: Of the timer [s].
-        purges: How often each direction was purged: received, to send.
+        settings: Settings of the serial line.
+        latency: Period of the latency timer [s].
+        purges: Number of purges of each direction: received data, data to send.
     """
 
     def __init__(self, now: float, leftover: bytes = b"") -> None:
@@ -77,7 +77,7 @@ class FtdiChip:
 
         Args:
             now: The time [s].
-            leftover: What is in the buffer, for a chip that has been used before.
+            leftover: Content of the buffer, for a chip that has been used before.
         """
         self.settings = LineSettings()
         self.latency = 0.016
@@ -86,7 +86,7 @@ class FtdiChip:
         self._last_packet = now
 
     def control(self, request_type: int, request: int, value: int, index: int) -> bool:
-        """Do what a control request asks for.
+        """Execute a control request.
 
         Args:
             request_type: bmRequestType.
@@ -98,7 +98,7 @@ class FtdiChip:
             Whether DTR has gone from low to high.
 
         Raises:
-            RefusedRequest: If the chip does not know it.
+            RefusedRequest: If the chip does not know the request.
         """
         if request_type != 0x40 or index != 0:
             raise RefusedRequest(f"request type 0x{request_type:02x}, index {index}")
@@ -117,7 +117,7 @@ class FtdiChip:
         elif request == 0 and value == 0:
             self._received.clear()
         elif request == 1 and value & 0x0300:
-            # The high byte says which lines are meant, the low byte what they shall be.
+            # The high byte selects the lines to change, the low byte holds their new values.
             ready = bool(value & 0x01) if value & 0x0100 else ready
             sending = bool(value & 0x02) if value & 0x0200 else sending
         elif request == 2:
@@ -134,7 +134,7 @@ class FtdiChip:
         return old.is_terminal_ready is False and ready is True
 
     def receive(self, data: bytes) -> None:
-        """Take bytes from the Falcon.
+        """Receive bytes from the Falcon.
 
         Args:
             data: The bytes.
@@ -142,7 +142,7 @@ class FtdiChip:
         self._received += data
 
     def ready_at(self, now: float) -> float:
-        """When the next IN packet can be taken, if the Falcon sends nothing more.
+        """Time at which the next IN packet can be taken, if the Falcon sends nothing more.
 
         Args:
             now: The time [s].
@@ -155,7 +155,7 @@ class FtdiChip:
         return max(now, self._last_packet + self.latency)
 
     def take_packet(self, now: float) -> bytes:
-        """Hand an IN packet over.
+        """Hand over an IN packet.
 
         Args:
             now: The time [s].

@@ -1,4 +1,4 @@
-"""The time in which an emulated device lives: real, or simulated."""
+"""Clocks of an emulated device: real or simulated time."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ class Clock(Protocol):
     """A clock, and a way to wait by it."""
 
     def now(self) -> float:
-        """The time; never goes back [s]."""
+        """The current time, which never decreases [s]."""
 
     def sleep(self, duration: float) -> None:
         """Wait.
 
         Args:
-            duration: How long; nothing happens if it is not positive [s].
+            duration: How long; returns at once if it is not positive [s].
         """
 
 
@@ -36,16 +36,16 @@ class RealClock:
 
 
 class SimulatedClock:
-    """A clock that stands still until somebody waits, and then is there at once.
+    """A clock that advances only when something waits for it, and then jumps to the end of the wait at once.
 
-    Simulations by it are as fast as the machine, and the same every time. May be used from several threads.
+    Simulations with it run as fast as the machine allows and are reproducible. May be used from several threads.
     """
 
     def __init__(self, start: float = 0.0) -> None:
         """Set the clock.
 
         Args:
-            start: The time at first [s].
+            start: Initial time [s].
         """
         self._now = start
         self._lock = threading.Lock()
@@ -58,5 +58,5 @@ class SimulatedClock:
         """See `Clock`."""
         if duration > 0.0:
             with self._lock:
-                # At least one step of the floating-point numbers, or a short wait late in the day would last for ever.
+                # Advance by at least one unit in the last place, or a short wait at a large time would never end.
                 self._now = max(self._now + duration, math.nextafter(self._now, math.inf))

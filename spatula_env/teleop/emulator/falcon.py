@@ -1,4 +1,4 @@
-"""The emulated Falcon: its parts put together, in time."""
+"""The emulated Falcon: its parts put together and advanced in time."""
 
 from __future__ import annotations
 
@@ -22,23 +22,22 @@ from spatula_env.teleop.emulator.program import Counts, Program
 STEP = 1e-3
 """Longest step of the hand [s]."""
 REAL_TIME_STEP = 1e-3
-"""How often `FalconEmulator.running` moves on [s]."""
+"""Interval at which `FalconEmulator.running` advances the device [s]."""
 HISTORY_LENGTH = 20_000
-"""How many motor commands are remembered."""
+"""Number of motor commands that are kept."""
 
 BUTTONS = {"plus": 1, "forward": 2, "center": 4, "minus": 8}
 
 MADE_UP_FIRMWARE = bytes(index * 37 % 251 for index in range(1500))
-"""What an emulated Falcon takes for its firmware unless it is told otherwise. It means nothing."""
+"""The firmware that an emulated Falcon expects unless told otherwise: arbitrary bytes."""
 
 
 class FalconEmulator:
-    """A Falcon and the hand on it.
+    """A Falcon and the hand that holds its grip.
 
-    Its time is that of its clock. With a `SimulatedClock` time passes only while somebody waits for the device or
-    calls `advance`, so that everything is the same in every run. With a `RealClock` it passes by itself; the device
-    catches up whenever it is looked at, and `running` makes it move on when nobody looks. All methods may be called
-    from any thread.
+    It lives in the time of its clock. With a `SimulatedClock`, time passes only while a caller waits for the device or
+    calls `advance`, so that every run is the same. With a `RealClock`, time passes by itself: the device catches up
+    whenever it is accessed, and `running` keeps it moving in between. All methods may be called from any thread.
 
     Positions, velocities and forces are in the Falcon's own frame (:mod:`spatula_env.teleop.falcon.frames`).
 
@@ -56,11 +55,11 @@ class FalconEmulator:
         >>> falcon.close()
 
     Attributes:
-        name: What to call it.
-        clock: Its time.
-        hand: What holds the grip, with the mechanism between. Its time begins when the emulator is made.
-        faults: What goes wrong; change it at any time.
-        motor_history: The last motor commands: when each arrived [s], and the counts after they were cut.
+        name: Name of the device in messages.
+        clock: The clock that the device lives by.
+        hand: What holds the grip, the mechanism included. Its time begins when the emulator is made.
+        faults: Failures to simulate; may be changed at any time.
+        motor_history: The last motor commands: arrival time [s] and the counts after clipping.
     """
 
     def __init__(
@@ -75,17 +74,17 @@ class FalconEmulator:
         mechanism: Mechanism | None = None,
         name: str = "emulated Falcon",
     ) -> None:
-        """Plug a Falcon in.
+        """Plug in a Falcon.
 
         Args:
             hand: What holds the grip; None for a hand at rest in the middle.
-            clock: Its time; None for a `SimulatedClock`.
-            firmware: What has to be loaded.
-            loaded: Whether it is loaded already.
+            clock: The clock that the device lives by; None for a `SimulatedClock`.
+            firmware: The firmware that has to be loaded.
+            loaded: Whether the firmware is loaded already.
             homed: Whether the encoders have found their zeros already; needs ``loaded``.
-            faults: What goes wrong.
-            mechanism: Weight, friction and bending links; None: there are none.
-            name: What to call it.
+            faults: Failures to simulate.
+            mechanism: Weight, friction and elasticity of the links; None for an ideal mechanism.
+            name: Name of the device in messages.
         """
         self.name = name
         self.clock: Clock = clock if clock is not None else SimulatedClock()
@@ -111,14 +110,14 @@ class FalconEmulator:
         """Open and claim the device, as `UsbTransport` does.
 
         Args:
-            program: Who does.
+            program: Name of the program that opens it.
 
         Returns:
             The connection.
 
         Raises:
             DeviceNotFound: If it is not plugged in.
-            DeviceBusy: If somebody has it.
+            DeviceBusy: If a program has it open already.
         """
         with self._lock:
             if not self._is_plugged:
@@ -129,20 +128,20 @@ class FalconEmulator:
             return self._connection
 
     def unplug(self) -> None:
-        """Pull the cables, USB and power. The motors go limp and the firmware is forgotten."""
+        """Pull the USB and power cables. The motors go limp and the firmware is lost."""
         with self._lock:
             self._catch_up()
             self._is_plugged = False
             self._power_up()
 
     def plug_in(self) -> None:
-        """Put the cables back. Whoever had the device open has to open it again."""
+        """Reconnect the cables. A program that had the device open has to open it again."""
         with self._lock:
             self._is_plugged = True
             self._connection = None
 
     def press(self, buttons: Iterable[str]) -> None:
-        """Hold some buttons down, and no others.
+        """Hold down the given buttons and release all others.
 
         Args:
             buttons: Of ``"plus"``, ``"forward"``, ``"center"``, ``"minus"``.
@@ -154,7 +153,7 @@ class FalconEmulator:
             self._program.buttons = sum(BUTTONS[button] for button in set(buttons))
 
     def advance(self, duration: float) -> None:
-        """Wait, by the device's clock.
+        """Wait by the device's clock.
 
         Args:
             duration: How long [s].
@@ -165,10 +164,10 @@ class FalconEmulator:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Move on in a thread of its own, for as long as a ``with`` block lasts. For a `RealClock`.
+        """Advance the device in a thread of its own while a ``with`` block lasts; for a `RealClock`.
 
         Raises:
-            DeviceError: If the clock is simulated: the thread would race through the centuries.
+            DeviceError: If the clock is simulated: the thread would advance it without limit.
         """
         if isinstance(self.clock, SimulatedClock):
             raise DeviceError("running() is for a RealClock; simulated time moves on by itself when somebody waits")
@@ -189,7 +188,7 @@ class FalconEmulator:
 
     @property
     def owner(self) -> str | None:
-        """Who has the device open."""
+        """Name of the program that has the device open; None if there is none."""
         connection = self._connection
         return None if connection is None else connection.program
 
@@ -205,7 +204,7 @@ class FalconEmulator:
 
     @property
     def program(self) -> Program:
-        """What runs on the device: motors, lights, buttons, homing."""
+        """The firmware's program: motors, lights, buttons, homing."""
         return self._program
 
     @property
@@ -217,19 +216,19 @@ class FalconEmulator:
 
     @property
     def grip(self) -> Point:
-        """Where the grip is now [m]."""
+        """Current position of the grip [m]."""
         with self._lock:
             self._catch_up()
             return self.hand.position
 
-    # What the transport does, in the device's time.
+    # The transport's operations, in the device's time.
 
     def _write(self, connection: EmulatedTransport, data: bytes) -> int:
         with self._lock:
             self._check_plug(connection)
             now = self._happen()
             settings = self._chip.settings
-            # The bytes follow each other on the line, and each takes its time.
+            # Bytes follow one another on the line, each taking its transmission time.
             self._line_free = max(self._line_free, now) + len(data) * settings.byte_time
             self._at(self._line_free, lambda when: self._hear(data, when))
             return len(data)
@@ -269,7 +268,7 @@ class FalconEmulator:
     # Time.
 
     def _catch_up(self) -> float:
-        """Bring everything to the clock's time.
+        """Advance everything, the hand included, to the clock's time.
 
         Returns:
             That time [s].
@@ -279,7 +278,7 @@ class FalconEmulator:
         return now
 
     def _happen(self) -> float:
-        """Let everything happen that was to happen by now; who does not look at the hand need not move it.
+        """Process all events that are due by now, moving the hand no further than they need.
 
         Returns:
             The clock's time [s].
@@ -297,7 +296,7 @@ class FalconEmulator:
             self.hand.advance(self._time - self._start, step, self._motor_force())
             self._time += step
             left -= step
-        # Many steps do not add up to the last digit.
+        # Accumulated steps may differ from the end time by rounding.
         self._time = max(self._time, until)
 
     def _motor_force(self) -> Point:
@@ -310,14 +309,14 @@ class FalconEmulator:
     # The device.
 
     def _power_up(self) -> None:
-        # The chip may have been used before: what it still holds is nobody's answer.
+        # The chip may have been used before, so its buffer starts with stale bytes that answer no request.
         self._chip = FtdiChip(self.clock.now(), leftover=b"\x00<AAAA")
         self._boot = BootLoader(self._firmware, self.faults)
         self._program = Program(self.faults)
         self._events.clear()
 
     def _hear(self, data: bytes, when: float) -> None:
-        """The last of some bytes has arrived."""
+        """Process data of which the last byte has just arrived."""
         self._move_hand(when)
         settings = self._chip.settings
         if self.is_loaded:
@@ -336,7 +335,7 @@ class FalconEmulator:
             self._at(when + delay + len(answer) * settings.byte_time, lambda _: self._chip.receive(answer))
 
     def _check_plug(self, connection: EmulatedTransport) -> None:
-        # A connection from before the cable was pulled does not come back with it.
+        # A connection that was open when the cable was pulled stays lost when the cable is put back.
         if not self._is_plugged or self._connection is not connection:
             raise DeviceLost(f"the {self.name} does not answer any more (unplugged); plug it in, then open it again")
 
@@ -345,15 +344,15 @@ class EmulatedTransport:
     """A program's connection to an emulated Falcon: a `spatula_env.teleop.falcon.transport.Transport`.
 
     Attributes:
-        program: Whose connection it is.
+        program: Name of the program that holds the connection.
     """
 
     def __init__(self, emulator: FalconEmulator, program: str) -> None:
-        """Made by `FalconEmulator.connect`.
+        """Store the device and the program; called by `FalconEmulator.connect`.
 
         Args:
             emulator: The device.
-            program: Whose connection it is.
+            program: Name of the program that holds the connection.
         """
         self.program = program
         self._emulator = emulator

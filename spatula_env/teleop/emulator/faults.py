@@ -1,4 +1,4 @@
-"""What can go wrong with a Falcon, for tests to switch on."""
+"""Failures of a Falcon that tests can switch on."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 Mangle = Callable[[bytes], bytes]
-"""Takes a reply and returns what comes of it on its way."""
+"""Takes a reply and returns the bytes that arrive after transmission."""
 
 
 @dataclass
 class Faults:
-    """Faults of an emulated Falcon; change them at any time. Unplugging is a method of the emulator.
+    """Faults of an emulated Falcon; may be changed at any time. To unplug it, call `FalconEmulator.unplug`.
 
     Attributes:
-        mangle: What happens to every reply on its way to the chip.
-        reply_delay: By how much replies are late [s].
-        is_silent: Whether packets are not answered at all, as without power.
-        motor_limit: The strongest motor count; stronger ones are cut, each on its own.
-        ignored_greetings: So many greetings the boot loader overhears.
-        wrong_echoes: So many bytes of firmware are echoed wrongly.
+        mangle: Applied to every reply on its way to the chip.
+        reply_delay: Delay of replies [s].
+        is_silent: Whether packets are left unanswered, as without power.
+        motor_limit: Greatest motor count; larger ones are clipped, each motor separately.
+        ignored_greetings: Number of greetings that the boot loader misses.
+        wrong_echoes: Number of firmware chunks that are echoed wrongly.
         leading_zero: Whether a zero byte precedes the boot loader's answer.
         rejects_firmware: Whether loaded firmware does not start.
     """
@@ -36,10 +36,10 @@ class Faults:
 
 
 def cut_short(length: int) -> Mangle:
-    """Replies that break off.
+    """Cut replies off after some bytes.
 
     Args:
-        length: Bytes that arrive.
+        length: Number of bytes that arrive.
 
     Returns:
         The fault.
@@ -48,11 +48,11 @@ def cut_short(length: int) -> Mangle:
 
 
 def lose_bytes(start: int, count: int) -> Mangle:
-    """Replies out of whose middle bytes are lost, so that the rest is shifted.
+    """Lose bytes in the middle of replies, so that the rest is shifted.
 
     Args:
-        start: The first byte that is lost.
-        count: How many are.
+        start: Index of the first byte that is lost.
+        count: Number of bytes that are lost.
 
     Returns:
         The fault.
@@ -61,11 +61,11 @@ def lose_bytes(start: int, count: int) -> Mangle:
 
 
 def with_garbage(seed: int, most: int = 20) -> Mangle:
-    """Replies with random bytes in front of them.
+    """Put random bytes in front of replies.
 
     Args:
-        seed: Of the random numbers.
-        most: How many bytes at most.
+        seed: Seed of the random numbers.
+        most: Greatest number of random bytes.
 
     Returns:
         The fault.

@@ -1,4 +1,4 @@
-"""The operator's hand on the grip, and where the energy goes.
+"""The operator's hand on the grip, with an account of the energy it exchanges.
 
 Frame: the Falcon's (see :mod:`spatula_env.teleop.emulator.legs`); metres, newtons, kilograms, seconds, joules.
 """
@@ -13,30 +13,30 @@ from typing import Protocol
 from spatula_env.teleop.emulator.legs import Point, is_within_reach
 
 Motion = Callable[[float], Point]
-"""Where something is at a time."""
+"""Position as a function of time."""
 
 GRIP_MASS = 0.090
-"""What the mechanism weighs at the grip; found by others for gravity compensation [kg]."""
+"""Apparent mass of the mechanism at the grip, a value found by others for gravity compensation [kg]."""
 PUSHED_IN: Point = (0.0, 0.0, 0.085)
 PULLED_OUT: Point = (0.0, 0.0, 0.170)
 MIDDLE: Point = (0.0, 0.0, 0.120)
-"""Places on the z axis [m]."""
+"""Grip positions on the z axis [m]."""
 FREE = (False, False, False)
-"""No axis along which a stop was hit."""
+"""No axis on which a stop was hit."""
 
 
 @dataclass
 class Energies:
-    """Energies exchanged since the beginning [J].
+    """Energies exchanged since the start [J].
 
-    For an `ElasticHand`: kinetic energy = motors + arm - dissipated - stops, to rounding.
+    For an `ElasticHand`, up to rounding: kinetic energy = motors + arm - dissipated - stops.
 
     Attributes:
-        motors: Work of the motors on the hand; what a passive device and controller may never give more of than they
-            took.
+        motors: Work of the motors on the hand; a passive device and controller never give out more than they have
+            taken in.
         arm: Work of the arm's spring on the hand.
-        dissipated: What the hand's damping took.
-        stops: What ending a motion at a mechanical stop took.
+        dissipated: Energy lost in the hand's damping.
+        stops: Energy lost when a mechanical stop ends a motion.
     """
 
     motors: float = 0.0
@@ -46,12 +46,12 @@ class Energies:
 
 
 class Hand(Protocol):
-    """What holds the grip.
+    """Model of what holds the grip.
 
     Attributes:
-        position: Where the grip is [m].
-        velocity: How it moves [m/s].
-        energies: What has been exchanged.
+        position: Position of the grip [m].
+        velocity: Velocity of the grip [m/s].
+        energies: Energies exchanged so far.
     """
 
     position: Point
@@ -59,29 +59,29 @@ class Hand(Protocol):
     energies: Energies
 
     def advance(self, time: float, step: float, motor_force: Point) -> None:
-        """Move on.
+        """Advance by one step.
 
         Args:
-            time: At the step's beginning, since the emulator was made [s].
-            step: How long [s].
-            motor_force: What the grip does to the hand during the step [N].
+            time: Time at the beginning of the step, since the emulator was made [s].
+            step: Length of the step [s].
+            motor_force: Force of the grip on the hand during the step [N].
         """
 
 
 class ElasticHand:
-    """A mass that an arm pulls, by a spring, to where the operator wants it; damped against the room.
+    """A mass that the arm pulls, by a spring, towards the operator's target; its damping acts against the room.
 
-    The step is the implicit midpoint rule, which is stable for any spring and loses or makes no energy: what the motors
-    work goes, to rounding, into motion, spring, damping and stops (`Energies`).
+    Integrated by the implicit midpoint rule, which is stable for any spring and conserves energy: the work of the
+    motors goes, up to rounding, into motion, spring, damping and stops (`Energies`).
 
     Attributes:
-        position: Where the grip is [m].
-        velocity: How it moves [m/s].
-        energies: What has been exchanged.
-        mass: Of hand and grip [kg].
-        stiffness: Of the arm [N/m]; 0 for a grip that nobody holds.
-        damping: Of the arm [N s/m].
-        target: Where the operator wants the grip; None for where it was first.
+        position: Position of the grip [m].
+        velocity: Velocity of the grip [m/s].
+        energies: Energies exchanged so far.
+        mass: Mass of hand and grip [kg].
+        stiffness: Stiffness of the arm [N/m]; 0 for a grip that is not held.
+        damping: Damping of the arm [N s/m].
+        target: Where the operator wants the grip, as a function of time; None for the initial position.
     """
 
     def __init__(
@@ -96,11 +96,11 @@ class ElasticHand:
         """Take hold of the grip.
 
         Args:
-            target: Where the operator wants the grip, against time.
-            position: Where it is first [m].
-            mass: Of hand and grip, positive [kg].
-            stiffness: Of the arm [N/m].
-            damping: Of the arm [N s/m].
+            target: Where the operator wants the grip, as a function of time.
+            position: Initial position [m].
+            mass: Mass of hand and grip, positive [kg].
+            stiffness: Stiffness of the arm [N/m].
+            damping: Damping of the arm [N s/m].
 
         Raises:
             ValueError: If the mass is not positive, or stiffness or damping is negative.
@@ -120,7 +120,7 @@ class ElasticHand:
 
     @property
     def kinetic_energy(self) -> float:
-        """Of hand and grip [J]."""
+        """Kinetic energy of hand and grip [J]."""
         return 0.5 * self.mass * _dot(self.velocity, self.velocity)
 
     def advance(self, time: float, step: float, motor_force: Point) -> None:
@@ -132,7 +132,7 @@ class ElasticHand:
         old = x, y, z = self.position
         u, v, w = self.velocity
         push_x, push_y, push_z = motor_force
-        # The mean velocity of the step, written out as it is the innermost of all loops.
+        # The mean velocity of the step; written out by components because this is the innermost loop.
         mean_x = share * (inertia * u + push_x + stiffness * (goal_x - x))
         mean_y = share * (inertia * v + push_y + stiffness * (goal_y - y))
         mean_z = share * (inertia * w + push_z + stiffness * (goal_z - z))
@@ -161,21 +161,21 @@ class ElasticHand:
 
 
 class GuidedHand:
-    """A hand so strong that the grip is exactly where it should be, whatever the motors do.
+    """A hand so strong that the grip follows a given motion exactly, whatever the motors do.
 
     Attributes:
-        position: Where the grip is [m].
-        velocity: How it moves [m/s].
-        energies: What has been exchanged; only the motors' work.
-        motion: Where the grip is, against time.
+        position: Position of the grip [m].
+        velocity: Velocity of the grip [m/s].
+        energies: Energies exchanged so far; only the motors' work is counted.
+        motion: Position of the grip as a function of time.
     """
 
     def __init__(self, motion: Motion, start: float = 0.0) -> None:
         """Take hold of the grip.
 
         Args:
-            motion: Where the grip is, against time; has to stay within reach.
-            start: The time at first [s].
+            motion: Position of the grip as a function of time; has to stay within reach.
+            start: Initial time [s].
         """
         self.motion = motion
         self.position = motion(start)
@@ -193,12 +193,12 @@ class GuidedHand:
 
 
 def homing_motion(then: Motion | None = None, start: float = 0.05, duration: float = 1.0) -> Motion:
-    """What an operator does to home a Falcon: pull the grip all the way out, push it all the way in, go to the middle.
+    """The motion that homes a Falcon: pull the grip all the way out, push it all the way in, go to the middle.
 
     Args:
-        then: What follows, with a time that begins at 0; None to stay in the middle.
+        then: The motion that follows, with time starting at 0; None to stay in the middle.
         start: When the operator begins [s].
-        duration: How long it takes [s].
+        duration: Duration of the homing motion [s].
 
     Returns:
         The motion.

@@ -1,6 +1,6 @@
-"""What is between motors and hand in a real device: weight, friction, and links that bend.
+"""Mechanical effects between motors and hand in a real device: weight, friction and elastic links.
 
-Encoders and motors are at one end of the links, the hand at the other. Frame and units: those of `hand`.
+Encoders and motors are at one end of the links, the hand at the other. Frame and units are those of `hand`.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from spatula_env.teleop.emulator.hand import Energies, Hand
 from spatula_env.teleop.emulator.legs import Point
 
 SUBSTEP = 1.25e-4
-"""Of the motion of bending links [s]; a hundredth of the period of a mode of 80 Hz."""
+"""Greatest time step for elastic links [s]; a hundredth of the period of a mode of 80 Hz."""
 REVERSAL = 2e-3
-"""Speed at which Coulomb friction is three quarters of what it is in motion [m/s]."""
+"""Speed at which Coulomb friction has risen to about 0.7 of its full value [m/s]."""
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What a mechanism does besides what it is told. The defaults are made up, of the size that users report.
+    """Non-ideal properties of a mechanism. The defaults are made up, of the magnitude that users report.
 
     Attributes:
-        weight: Of grip and links, as it is felt at the grip; pulls down [N].
-        coulomb: Friction that does not depend on speed [N].
-        viscous: Friction that does [N s/m].
-        mode: Frequency at which the links swing between motors and a hand that stands still [Hz]; 0: they are rigid.
-        damping_ratio: Of that mode [1].
-        mass: Of what moves on the motors' side [kg].
-        strength: Of the motors: what they do over what they are told to [1].
+        weight: Weight of grip and links as felt at the grip; pulls down [N].
+        coulomb: Coulomb friction, independent of speed [N].
+        viscous: Viscous friction [N s/m].
+        mode: Frequency at which the links swing between the motors and a hand at rest [Hz]; 0 for rigid links.
+        damping_ratio: Damping ratio of that mode [1].
+        mass: Moving mass on the motors' side [kg].
+        strength: Ratio of the motors' actual force to the commanded force [1].
     """
 
     weight: float = 0.9
@@ -49,21 +49,21 @@ class Mechanism:
 
 
 class HandOnMechanism:
-    """A hand at the end of a mechanism, as motors and encoders have it: a `Hand`.
+    """A `Hand` at the far end of a mechanism, as motors and encoders see it.
 
     Attributes:
-        position: Of the motors' end, which the encoders see [m].
-        velocity: Of it [m/s].
-        energies: The motors' work on the mechanism; the rest is the hand's own account.
-        hand: At the other end.
+        position: Position of the motors' end, which the encoders measure [m].
+        velocity: Velocity of that end [m/s].
+        energies: The motors' work on the mechanism; the other terms are those of the hand.
+        hand: The hand at the other end.
     """
 
     def __init__(self, hand: Hand, mechanism: Mechanism) -> None:
-        """Put a hand to a mechanism.
+        """Attach a hand to a mechanism.
 
         Args:
-            hand: Who holds the grip.
-            mechanism: What is between.
+            hand: The hand that holds the grip.
+            mechanism: Properties of the mechanism between motors and hand.
         """
         self.hand = hand
         self.mechanism = mechanism
@@ -87,7 +87,7 @@ class HandOnMechanism:
         x, y, z = self.position
         for index in range(count):
             self._advance(time + index * short, short, motor_force)
-        # The motors push evenly all the time.
+        # The motor force is constant over the step, so its work is force times displacement.
         last = self.position
         self.energies.motors += push_x * (last[0] - x) + push_y * (last[1] - y) + push_z * (last[2] - z)
         inner = self.hand.energies
@@ -97,7 +97,7 @@ class HandOnMechanism:
         mechanism, hand = self.mechanism, self.hand
         push_x, push_y, push_z = motor_force
         u, v, w = self.velocity
-        # Along the motion, and less where it turns round, so that it has a value at rest.
+        # Friction acts along the motion; Coulomb friction is smoothed near reversal so that it is defined at rest.
         resistance = mechanism.viscous + mechanism.coulomb / math.sqrt(u * u + v * v + w * w + REVERSAL * REVERSAL)
         if mechanism.mode == 0.0:
             force = (push_x - resistance * u, push_y - resistance * v - mechanism.weight, push_z - resistance * w)
@@ -108,11 +108,11 @@ class HandOnMechanism:
         x, y, z = self.position
         there_x, there_y, there_z = hand.position
         other_u, other_v, other_w = hand.velocity
-        # What the links do to the hand.
+        # Force of the links on the hand.
         link_x = stiffness * (x - there_x) + damping * (u - other_u)
         link_y = stiffness * (y - there_y) + damping * (v - other_v)
         link_z = stiffness * (z - there_z) + damping * (w - other_w)
-        # Friction is implicit: it stops a motion and does not turn it round.
+        # Friction is integrated implicitly, so that it can stop a motion but not reverse it.
         gain = step / mechanism.mass
         share = 1.0 / (1.0 + resistance * gain)
         u = share * (u + gain * (push_x - link_x))

@@ -1,6 +1,6 @@
-"""What runs on an emulated Falcon once its firmware is loaded: packets in, packets out, homing.
+"""The program of an emulated Falcon once its firmware is loaded: packets in, packets out, homing.
 
-Written from the description of the bytes, and not with the driver's module for them.
+Written from the description of the bytes, independently of the driver's protocol module.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ from spatula_env.teleop.emulator.chip import LineSettings
 from spatula_env.teleop.emulator.faults import Faults
 
 DIVISOR = 0x0002
-"""Of 1.5 MBaud."""
+"""Baud rate divisor for 1.5 MBaud."""
 
 HOMING_OUT = 55.0
 HOMING_IN = 5.0
-"""A thigh is homed when it has been beyond the first and then before the second angle [deg].
+"""A thigh is homed when its angle has exceeded the first value and then fallen below the second [deg].
 
-Assumed: all that is known is that the operator has to pull the grip all the way out and push it all the way in.
+Assumed values: it is only known that the operator has to pull the grip all the way out and push it all the way in.
 """
 
 TO_HEXADECIMAL = bytes(b"0123456789abcdef"[letter - 65] if 65 <= letter < 81 else 63 for letter in range(256))
-"""What a byte of a number means: a digit, or '?' for one that means nothing."""
+"""Maps each byte of a number to its hexadecimal digit, or to '?' if it is none."""
 TO_LETTERS = bytes.maketrans(b"0123456789abcdef", b"ABCDEFGHIJKLMNOP")
 
 Counts = tuple[int, int, int]
@@ -31,20 +31,20 @@ class Program:
     """The device's side of the 16-byte packets.
 
     Attributes:
-        motors: What the motors are told, cut to what they can do.
+        motors: Motor counts, clipped to what the motors can do.
         lights: The light bits: 2 green, 4 blue, 8 red.
         buttons: The button bits: 1 plus, 2 forward, 4 centre, 8 minus.
         homed: For each leg, whether its encoder counts from its true zero.
-        packets: How many packets have been understood.
-        is_homing: Whether the last one asked for homing.
-        demanded: What the last one told the motors, before it was cut.
+        packets: Number of packets understood so far.
+        is_homing: Whether the last packet asked for homing.
+        demanded: Motor counts of the last packet before clipping.
     """
 
     def __init__(self, faults: Faults, homed: bool = False) -> None:
-        """Start.
+        """Start the program.
 
         Args:
-            faults: What goes wrong.
+            faults: Failures to simulate.
             homed: Whether the encoders have found their zeros already.
         """
         self.motors: Counts = (0, 0, 0)
@@ -60,16 +60,16 @@ class Program:
         self._buffer = b""
 
     def receive(self, data: bytes, settings: LineSettings, angles: tuple[float, ...], counts: Counts) -> bytes:
-        """Hear bytes.
+        """Receive bytes.
 
         Args:
             data: What was sent.
-            settings: How.
-            angles: Where the thighs are [deg].
-            counts: What the encoders would count from their true zeros.
+            settings: Settings of the line over which they were sent.
+            angles: Angles of the thighs [deg].
+            counts: Encoder counts relative to the true zeros.
 
         Returns:
-            What the Falcon answers: a packet for each packet.
+            The answer: one packet for each packet received.
         """
         if settings.divisor != DIVISOR or not settings.is_readable:
             return b""
@@ -88,7 +88,7 @@ class Program:
         if b"?" in digits:
             return b""
         self.packets += 1
-        # Backwards, so that the most significant digits come first and the third motor does.
+        # The digits are reversed, so that the most significant come first; the third motor comes first, too.
         third, second, first = struct.unpack(">hhh", bytes.fromhex(digits.decode("ascii")))
         limit = self._faults.motor_limit
         self.demanded = (first, second, third)
@@ -104,7 +104,7 @@ class Program:
     def _home(self, angles: tuple[float, ...]) -> None:
         for leg, angle in enumerate(angles):
             if not self.is_homing:
-                # Whoever takes the bit back has to start again.
+                # If homing is switched off, it has to start again.
                 self._has_been_out[leg] = False
             elif angle > HOMING_OUT:
                 self._has_been_out[leg] = True
@@ -118,7 +118,7 @@ class Program:
         reply = b"<"
         status = self.buttons
         for leg, homed in enumerate(self.homed):
-            # Before it is homed, an encoder counts from where it was when the program began.
+            # Until a leg is homed, its encoder counts from its position when the first packet arrived.
             count = counts[leg] - (0 if homed else self._first_counts[leg])
             reply += (b"%04x" % (count & 0xFFFF))[::-1].translate(TO_LETTERS)
             status += 16 * 2**leg if homed else 0

@@ -1,8 +1,8 @@
-"""An emulated Falcon in a process of its own, at the other end of a socket, as a real one is at the end of a cable.
+"""An emulated Falcon in a process of its own, reached through a socket as a real one is through a cable.
 
-What becomes of its motors when a program that drives it is killed can only be seen from outside. `serve` is the
-device; `WireTransport` is a program's connection, which the system closes when the program dies, however it dies. `ask`
-looks at the motors without being a program that has the device open.
+Whether the motors stop when a program that drives the device is killed can only be observed from another process.
+`serve` runs the device; `WireTransport` is a program's connection, which the operating system closes when the program
+ends, in whatever way. `ask` reads the motor history without opening the device.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from spatula_env.teleop.emulator.hand import Hand
 
 LOOK = "look"
 DRIVE = "drive"
-"""What a connection is for."""
+"""Purposes of a connection."""
 
 
 def serve(address: str, hand: Hand | None = None, ready: Callable[[], None] | None = None) -> None:
-    """Be a homed Falcon in real time, until the process ends.
+    """Run a homed Falcon in real time until the process ends.
 
     Args:
-        address: Of the socket, a file's name that does not exist yet.
+        address: Address of the socket: the name of a file that does not exist yet.
         hand: What holds the grip; None for a hand at rest.
-        ready: Called when it can be reached.
+        ready: Called when the device can be reached.
     """
     emulator = FalconEmulator(hand, clock=RealClock(), homed=True)
     with Listener(address, family="AF_UNIX", backlog=8) as listener, emulator.running():
@@ -41,7 +41,7 @@ def serve(address: str, hand: Hand | None = None, ready: Callable[[], None] | No
 
 
 def ask(address: str) -> list[tuple[float, tuple[int, int, int]]]:
-    """The motor commands that the device has had, and when, by the machine's monotonic clock [s]."""
+    """Return the motor commands received so far, each with its time on the machine's monotonic clock [s]."""
     with Client(address, family="AF_UNIX") as connection:
         connection.send((LOOK,))
         history: list[tuple[float, tuple[int, int, int]]] = connection.recv()
@@ -52,17 +52,17 @@ class WireTransport:
     """A program's connection to the device: a `spatula_env.teleop.falcon.transport.Transport`.
 
     Attributes:
-        name: What to call the device.
+        name: Name of the device in messages.
     """
 
     def __init__(self, address: str) -> None:
         """Open and claim the device.
 
         Args:
-            address: Of its socket.
+            address: Address of the device's socket.
 
         Raises:
-            DeviceBusy: If somebody has it.
+            DeviceBusy: If another program has it open.
         """
         self._connection: Connection[Any, Any] = Client(address, family="AF_UNIX")
         self._connection.send((DRIVE,))
@@ -96,7 +96,7 @@ class WireTransport:
 
 
 def _attend(emulator: FalconEmulator, connection: Connection[Any, Any]) -> None:
-    """Do what is asked over one connection, until it ends."""
+    """Serve the requests of one connection until it ends."""
     transport: EmulatedTransport | None = None
     try:
         (purpose,) = connection.recv()
@@ -117,7 +117,7 @@ def _attend(emulator: FalconEmulator, connection: Connection[Any, Any]) -> None:
                 answer = error
             connection.send(answer)
     except (EOFError, ConnectionError):
-        # The program is gone, and the device free for the next one.
+        # The program has ended; the device is free for the next one.
         pass
     finally:
         connection.close()
@@ -126,14 +126,14 @@ def _attend(emulator: FalconEmulator, connection: Connection[Any, Any]) -> None:
 
 
 def wait_until(condition: Callable[[], bool], seconds: float) -> bool:
-    """Wait until something is so.
+    """Wait until a condition holds.
 
     Args:
-        condition: What.
-        seconds: For how long at most [s].
+        condition: The condition.
+        seconds: Longest time to wait [s].
 
     Returns:
-        Whether it is.
+        Whether it holds.
     """
     deadline = time.monotonic() + seconds
     while not condition():

@@ -1,8 +1,7 @@
 """The Novint Falcon: a desktop haptic device with three motors, on a USB port.
 
-`Falcon` is the driver. It speaks the device's own bytes, so it needs pyusb and nothing else; no vendor's library. How
-the
-parts fit together::
+`Falcon` is the driver. It implements the device's own byte protocol, so it needs only pyusb and no vendor library. The
+parts fit together as follows::
 
     driver      Falcon, a TeleopDevice: opening, homing, reading, forces
     servo       one exchange with the device, a thousand times a second
@@ -14,7 +13,7 @@ parts fit together::
     ftdi        the chip between USB and the device's serial line
     transport   USB transfers
 
-Where the facts come from, what is measured and what is not: ``docs/falcon.md``.
+Sources, and which values are measured and which are not, are listed in ``docs/falcon.md``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Finding out, step by step and in plain words, whether a Falcon works."""
+"""Check step by step whether a Falcon works, with results in plain words."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ Say = Callable[[str], None]
 Ask = Callable[[str], bool]
 
 LISTENING_TIME = 0.5
-"""How long packets are counted [s]."""
+"""Time over which packets are counted [s]."""
 LEAST_SHARE = 0.5
-"""Packets that must be answered, of those that could be at 1 kHz."""
+"""Least share of packets answered, relative to the number possible at 1 kHz."""
 
 FAR_ENOUGH_MOVED = 0.015
-"""So far the operator has to move the grip to tell a direction [m]."""
+"""Least distance that the operator has to move the grip for its direction to be judged [m]."""
 LEAST_ALONG = 0.7
-"""Share of that way that has to go in the direction that was asked for."""
+"""Least component of that motion in the requested direction, as a share of the distance moved."""
 STILL = 0.002
 STILL_TIME = 0.3
-"""The grip is still when it has moved less [m] for so long [s]."""
+"""The grip counts as still when it has moved less than the first [m] for as long as the second [s]."""
 PATIENCE = 20.0
-"""How long the operator has for each move [s]."""
+"""Time that the operator has for each move [s]."""
 MIDDLE_REQUEST = "Bring the grip to about the middle of its range, and hold it still."
 MOVES = (
     ("Move the grip 2 cm to the right.", (1.0, 0.0, 0.0)),
@@ -37,20 +37,20 @@ MOVES = (
 )
 
 TEST_FORCE = 1.0
-"""Of the gentle test, about what an apple weighs [N]."""
+"""Force of the gentle test, about the weight of an apple [N]."""
 TEST_RISE = 0.2
 TEST_DURATION = 0.6
-"""How long the force rises, and how long it lasts in all [s]."""
+"""Rise time of the force, and its total duration [s]."""
 TEST_DAMPING = 10.0
-"""Keeps a grip that nobody holds from speeding up [N s/m]."""
+"""Damping that keeps a grip that is not held from speeding up [N s/m]."""
 GREATEST_TEST_FORCE = 1.5
-"""Damping included: the hand may be moving fast [N]."""
+"""Greatest force in the test, damping included, as the hand may be moving fast [N]."""
 FAR_ENOUGH = 0.010
-"""A push ends when the grip has moved so far [m]."""
+"""A push ends when the grip has moved this far [m]."""
 LEAST_MOTION = 0.0005
-"""A grip that has moved less has not been pushed [m]."""
+"""Least motion that counts as a reaction to a push [m]."""
 REST = 0.3
-"""Between two pushes [s]."""
+"""Pause between two pushes [s]."""
 
 PUSHES = (
     ("to the right", (1.0, 0.0, 0.0)),
@@ -72,7 +72,7 @@ class CheckStep:
 
     Attributes:
         name: ``"found"``, ``"firmware"``, ``"packets"``, ``"homed"``, ``"frames"`` or ``"force"``.
-        passed: Whether it went well; None if it was left out.
+        passed: Whether it passed; None if it was left out.
         message: The result, for the operator.
     """
 
@@ -88,17 +88,17 @@ def check_falcon(
     find: Callable[[], Sequence[object]] | None = find_falcons,
     patience: float = PATIENCE,
 ) -> list[CheckStep]:
-    """Check a Falcon from the cable to the motors. The first step that fails is the last.
+    """Check a Falcon from the cable to the motors, stopping after the first step that fails.
 
     Args:
-        falcon: The device, not open; it is closed at the end.
-        say: Takes sentences for the operator.
-        ask: Takes a question for the operator, returns whether the answer was yes. Without a yes, no motor moves.
+        falcon: The device, not open yet; it is closed at the end.
+        say: Receives messages for the operator.
+        ask: Receives a question for the operator and returns whether the answer was yes. Without a yes, no motor moves.
         find: Lists the devices on the USB; None to leave that step out.
-        patience: How long the operator has to move the grip as asked, each time [s].
+        patience: Time that the operator has for each requested move of the grip [s].
 
     Returns:
-        The steps that were made.
+        Results of the steps that were carried out.
     """
     steps: list[CheckStep] = []
 
@@ -162,7 +162,7 @@ def _home(falcon: Falcon, say: Say) -> tuple[bool, str]:
 
 
 def _look_at_frames(falcon: Falcon, say: Say, patience: float) -> tuple[bool | None, str]:
-    """Find out whether the grip is seen to move the way it is moved."""
+    """Check whether the grip's measured motion agrees with the motion that the operator was asked to make."""
     told = []
     say(MIDDLE_REQUEST)
     for request, direction in MOVES:
@@ -187,7 +187,7 @@ def _look_at_frames(falcon: Falcon, say: Say, patience: float) -> tuple[bool | N
 
 
 def _wait_until_still(falcon: Falcon, patience: float) -> bool:
-    """Wait until the grip is held still; False if it is not."""
+    """Wait until the grip is held still; False if it does not come to rest in time."""
     until = falcon.now() + patience
     place, since = _position(falcon), falcon.now()
     while falcon.now() - since < STILL_TIME:
@@ -222,7 +222,7 @@ def _push(falcon: Falcon, say: Say, ask: Ask) -> tuple[bool | None, str]:
 
 
 def _push_once(falcon: Falcon, direction: FloatArray) -> float:
-    """Push the grip until it has moved, or the time is over.
+    """Push the grip until it has moved far enough or the time is over.
 
     Returns:
         How far it moved in that direction [m].

@@ -34,15 +34,15 @@ GREATEST_DAMPING = 20.0
 """Limits that CHAI3D gives the Falcon [N], [N/m], [N s/m] (its ``CDeltaDevices.cpp``)."""
 
 FORCE_TIMEOUT = 0.02
-"""A force ends when `Falcon.send_force` has not been called for so long [s]."""
+"""A force ends when `Falcon.send_force` has not been called for this long [s]."""
 HOMING_TIMEOUT = 60.0
 """How long `Falcon.calibrate` waits for the operator [s]."""
 FIRST_EXCHANGES = 40
-"""So many packets without an answer mean that no firmware runs."""
+"""If none of this many packets is answered, no firmware runs."""
 THREAD_END_TIMEOUT = 5.0
 """How long `Falcon.close` waits for its thread, in real time [s]."""
 WAKE_UP = 0.05
-"""How often a waiting call looks whether the thread has ended, in real time [s]."""
+"""How often a waiting call checks whether the thread has ended, in real time [s]."""
 
 LEGS = ("top", "right", "left")
 HOMING_REQUEST = "Pull the grip all the way out towards you, then push it all the way in."
@@ -51,9 +51,9 @@ HOMING_REQUEST = "Pull the grip all the way out towards you, then push it all th
 class Falcon(TeleopDevice):
     """A Novint Falcon on the USB, or an emulated one.
 
-    While it is open, a thread exchanges packets with it a thousand times a second; forces are turned into torques
-    there, at the place where the grip is in that millisecond. The position means nothing, and forces are zero, until
-    the Falcon has been homed (`calibrate`); it stays homed while it has power, also from one program to the next.
+    While it is open, a thread exchanges packets with it a thousand times a second; it converts forces to torques at the
+    grip position of that millisecond. The position is meaningless, and forces are zero, until the Falcon has been
+    homed (`calibrate`); it stays homed as long as it has power, even from one program to the next.
 
     Positions and forces are in the device frame (:mod:`spatula_env.teleop.device`).
 
@@ -65,7 +65,7 @@ class Falcon(TeleopDevice):
         ...         falcon.send_force(-200.0 * falcon.read().position)
 
     Attributes:
-        name: Which device it is; knows the USB address once it is open.
+        name: Name of the device in messages; contains the USB address once it is open.
     """
 
     kind = "position"
@@ -88,19 +88,19 @@ class Falcon(TeleopDevice):
         sleep: Callable[[float], None] = time.sleep,
         upload_progress: UploadProgress | None = None,
     ) -> None:
-        """Describe the Falcon; `open` opens it.
+        """Store the settings of the Falcon; `open` opens it.
 
         Args:
-            index: Which one, if there are several.
-            firmware: File with the firmware. If it is given, `open` loads it, and the Falcon has to be homed again;
-                if not, the Falcon must have it already.
-            transport: Makes the connection; None for the USB.
+            index: Number of the device, if there are several.
+            firmware: File with the firmware. If given, `open` loads it, and the Falcon has to be homed again; if not,
+                the Falcon must have its firmware loaded already.
+            transport: Function that makes the connection; None for USB.
             greatest_force: Greatest magnitude of a force [N].
-            force_timeout: A force ends when `send_force` has not been called for so long, at least 5 ms [s].
+            force_timeout: A force ends when `send_force` has not been called for this long, at least 5 ms [s].
             homing_timeout: How long `calibrate` waits for the operator [s].
-            threaded: False to make no thread; then call `exchange` a thousand times a second.
-            clock: The time in which the device lives [s].
-            sleep: Waits in that time.
+            threaded: False to start no thread; the caller then has to call `exchange` a thousand times a second.
+            clock: Returns the time by which the device lives [s].
+            sleep: Waits by that clock for some seconds.
             upload_progress: Called while firmware is loaded.
 
         Raises:
@@ -146,11 +146,11 @@ class Falcon(TeleopDevice):
             DeviceNotFound: If there is no Falcon.
             DeviceBusy: If another program has it.
             FirmwareError: If the firmware could not be loaded, or none runs.
-            DeviceError: If this user may not open it.
+            DeviceError: If the user lacks permission to open it.
         """
         if self._loop is not None:
             return
-        # Before the device is touched, as a wrong file name must not cost the operator the homing.
+        # Read the file before touching the device: a wrong file name must not cost the operator another homing.
         firmware = None if self._firmware is None else read_firmware(self._firmware)
         transport = self._connect()
         try:
@@ -168,8 +168,8 @@ class Falcon(TeleopDevice):
         if self._threaded:
             thread = threading.Thread(target=loop.run, args=(self._sleep,), name="falcon", daemon=True)
             thread.start()
-        # A finalizer runs at the interpreter's end too, while daemon threads still live: a program that forgets to
-        # close does not leave a force behind. It must not refer to this object.
+        # A finalizer also runs at the interpreter's exit, while daemon threads are still alive, so a program that
+        # forgets to close leaves no force behind. It must not hold a reference to this object.
         self._finish = weakref.finalize(self, _finish, loop, thread, transport)
         self._loop = loop
 
@@ -181,7 +181,7 @@ class Falcon(TeleopDevice):
 
         Raises:
             DeviceLost: If it is not there any more.
-            DeviceError: If it is not open, or a thread does this already.
+            DeviceError: If it is not open, or if a thread already makes the exchanges.
         """
         loop = self._checked_loop()
         if self._threaded:
@@ -194,9 +194,9 @@ class Falcon(TeleopDevice):
             raise
 
     def wait_for_sample(self) -> None:
-        """Wait until another packet has been exchanged; without a thread, exchange one.
+        """Wait until another packet has been exchanged; without a thread, exchange one here.
 
-        Waits at most for a few hundredths of a second, and returns also if the Falcon did not answer.
+        Waits at most a few hundredths of a second; also returns if the Falcon did not answer.
 
         Raises:
             DeviceLost: If the device does not answer any more.
@@ -210,15 +210,15 @@ class Falcon(TeleopDevice):
             self.exchange()
 
     def calibrate(self, progress: Progress | None = None) -> None:
-        """Home the Falcon: its encoders find their zeros as the operator pulls the grip out and pushes it in.
+        """Home the Falcon: its encoders find their zeros while the operator pulls the grip out and pushes it in.
 
-        A Falcon that is homed already stays so.
+        A Falcon that is homed already keeps its zeros.
 
         Args:
-            progress: Called with a sentence whenever there is something to tell the operator.
+            progress: Called with a message whenever the operator has to be told something.
 
         Raises:
-            NotCalibrated: If it was not done within the `homing_timeout`.
+            NotCalibrated: If homing was not completed within `homing_timeout`.
             DeviceLost: If the device does not answer any more.
             DeviceError: If it is not open.
         """
@@ -258,14 +258,13 @@ class Falcon(TeleopDevice):
         )
 
     def send_force(self, force: ArrayLike) -> None:
-        """Let the operator feel a force for the next `force_timeout`, at most until the next call.
+        """Apply a force to the operator's hand for `force_timeout`, or until the next call if that comes earlier.
 
-        A force above `greatest_force` is scaled down to it; one that a motor cannot make is scaled down too. Its
-        direction stays. Until the Falcon is homed it makes no force. A wrong argument ends the force of the call
-        before.
+        A force above `greatest_force` is scaled down to it, as is one that a motor cannot produce; its direction is
+        kept. No force is produced until the Falcon is homed. An invalid argument ends the force of the previous call.
 
         Args:
-            force: What the grip does to the hand, shape (3,), device's frame [N].
+            force: Force of the grip on the hand, shape (3,), device frame [N].
 
         Raises:
             ValueError: If the force has another shape or is not finite.
@@ -281,10 +280,10 @@ class Falcon(TeleopDevice):
         loop.command(frames.direction_to_falcon(as_vector(limit_force(checked, self.greatest_force))))
 
     def set_lights(self, lights: Lights | None) -> None:
-        """Turn the coloured lights on and off.
+        """Switch the coloured lights.
 
         Args:
-            lights: Which are on; None for red until the Falcon is homed, then green.
+            lights: Lights to turn on; None for red until the Falcon is homed, then green.
 
         Raises:
             DeviceLost: If the device does not answer any more.
@@ -293,7 +292,7 @@ class Falcon(TeleopDevice):
         self._checked_loop().set_lights(lights)
 
     def state(self) -> ServoState:
-        """The Falcon's last answer, in its own frame; also before it is homed.
+        """The Falcon's last answer, in its own frame; available before it is homed, too.
 
         Returns:
             The state.
@@ -305,10 +304,10 @@ class Falcon(TeleopDevice):
         return self._checked_loop().state
 
     def statistics(self) -> LoopStatistics:
-        """How regularly packets were exchanged.
+        """Statistics of how regularly packets were exchanged.
 
         Returns:
-            The statistics, also of a device that was lost.
+            The statistics; also available for a device that was lost.
 
         Raises:
             DeviceError: If it is not open.
@@ -316,7 +315,7 @@ class Falcon(TeleopDevice):
         return self._open_loop().statistics()
 
     def stop_motors(self) -> None:
-        """See `TeleopDevice`; sends zeros at once, without a word of what comes back. It stays homed."""
+        """See `TeleopDevice`; sends zeros at once, without waiting for answers. The Falcon stays homed."""
         transport = self._connect()
         try:
             send_zeros(transport)
@@ -356,7 +355,7 @@ class Falcon(TeleopDevice):
 
 
 def _finish(loop: ServoLoop, thread: threading.Thread | None, transport: Transport) -> None:
-    """End the forces, the thread and the connection, in this order."""
+    """End the forces, the thread and the connection, in that order."""
     loop.stop()
     if thread is not None:
         thread.join(THREAD_END_TIMEOUT)

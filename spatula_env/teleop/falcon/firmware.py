@@ -1,11 +1,11 @@
 """Loading the Falcon's firmware.
 
-The Falcon forgets its program when it loses power; the host has to load it. The firmware is the vendor's and comes
-under the vendor's licence, so none comes with this package: the user names a file.
+The Falcon loses its program when it loses power, so the host has to load it. The firmware belongs to the vendor and
+is under the vendor's licence, so this package does not include it: the user names a file.
 
-Nothing may be sent to the Falcon to find out whether it has its firmware already before firmware is loaded: a Falcon
-that was asked so misbehaves with the firmware it gets afterwards. Hence whoever gives a file wants it loaded, and
-whoever gives none says that it is loaded (:mod:`spatula_env.teleop.falcon.driver`).
+Before firmware is loaded, nothing may be sent to the Falcon to find out whether it already runs: a Falcon that was
+asked misbehaves with the firmware it gets afterwards. Hence a user who names a file wants it loaded, and a user who
+names none states that it is loaded already (:mod:`spatula_env.teleop.falcon.driver`).
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from spatula_env.teleop.falcon.transport import Transport
 HELLO = bytes((0x0A, 0x43, 0x0D))
 HELLO_ANSWER = bytes((0x0A, 0x44, 0x2C, 0x0D))
 HELLO_TRIES = 100
-"""How often the boot loader is greeted; it is known to be hard of hearing."""
+"""Number of times that the boot loader is greeted; it is known to miss greetings."""
 START_UPLOAD = b"A"
 
 CHUNK_SIZE = 62
-"""Bytes that go out at a time, so that their echo fits into one IN packet."""
+"""Number of bytes written at a time, so that their echo fits into one IN packet."""
 UPLOAD_TRIES = 10
-"""How often the whole procedure is tried."""
+"""Number of times that the whole procedure is tried."""
 
 ANSWER_TIMEOUT = 0.05
-"""How long to wait for an answer to a greeting [s]."""
+"""Time to wait for an answer to a greeting [s]."""
 ECHO_TIMEOUT = 0.5
-"""How long to wait for the echo of a chunk [s]."""
+"""Time to wait for the echo of a chunk [s]."""
 WRITE_TIMEOUT = 1.0
-"""How long a write may take [s]."""
+"""Longest time that a write may take [s]."""
 
 SMALLEST = 1_000
 LARGEST = 65_536
-"""A file whose size is not between these is no Falcon's firmware, of which the known ones have 7 to 9 kB [bytes]."""
+"""Files outside these sizes are not a Falcon's firmware; known firmware has 7 to 9 kB [bytes]."""
 
 Clock = Callable[[], float]
 UploadProgress = Callable[[int, int], None]
-"""Takes the number of bytes loaded and the number of all."""
+"""Takes the number of bytes loaded so far and the total number."""
 
 
 def read_firmware(path: str | Path) -> bytes:
@@ -79,16 +79,16 @@ def upload(
 
     Args:
         transport: The connection.
-        firmware: What to load.
-        clock: The time that `transport` waits in [s].
+        firmware: The firmware to load.
+        clock: Returns the time by which `transport` waits [s].
         progress: Called after each chunk.
-        tries: How often to try.
+        tries: Greatest number of attempts.
 
     Returns:
-        How many tries it took.
+        The number of attempts it took.
 
     Raises:
-        FirmwareError: If no try succeeded; the message has the last one's reason.
+        FirmwareError: If no attempt succeeded; the message gives the reason of the last one.
         DeviceLost: If the device is not there any more.
     """
     reason = "no try was made"
@@ -108,7 +108,7 @@ def upload(
 def enter_normal_mode(transport: Transport) -> None:
     """Set the line up for packets: 1.5 MBaud, and IN packets every millisecond.
 
-    The line for data terminal ready is left as it is, because it resets the Falcon.
+    The data terminal ready line keeps its state because it resets the Falcon.
 
     Args:
         transport: The connection.
@@ -124,7 +124,7 @@ def enter_normal_mode(transport: Transport) -> None:
 
 
 class _TryFailed(DeviceError):
-    """One try of several failed."""
+    """One attempt of several failed."""
 
 
 def _try_upload(transport: Transport, firmware: bytes, clock: Clock, progress: UploadProgress | None) -> None:
@@ -139,7 +139,7 @@ def _try_upload(transport: Transport, firmware: bytes, clock: Clock, progress: U
 
     for _ in range(HELLO_TRIES):
         _write(transport, HELLO)
-        # A zero may come first, and what is left of an earlier answer too.
+        # The answer may be preceded by a zero or by the rest of an earlier answer.
         if HELLO_ANSWER in _read(transport, clock, ANSWER_TIMEOUT, lambda heard: HELLO_ANSWER in heard):
             break
     else:
@@ -173,7 +173,7 @@ def _is_at_least(size: int, heard: bytes) -> bool:
 
 
 def _read(transport: Transport, clock: Clock, timeout: float, is_enough: Callable[[bytes], bool]) -> bytes:
-    """Read until there is enough, or the time is over."""
+    """Read until `is_enough` accepts the data or the time is over."""
     heard = b""
     deadline = clock() + timeout
     while not is_enough(heard):

@@ -1,8 +1,8 @@
-"""Haptic devices of Force Dimension, and the Falcon, through the vendor's library.
+"""Haptic devices of Force Dimension, and the Falcon, driven through the vendor's library.
 
-For whoever has the Force Dimension SDK installed: it runs their delta and omega devices, and the Novint Falcon too. The
-SDK is not free software and not part of this package. The Python package ``forcedimension-core`` finds it and is loaded
-only when a device is opened.
+For users who have the Force Dimension SDK installed: it drives Force Dimension's delta and omega devices and the
+Novint Falcon. The SDK is not free software and not part of this package. The Python package ``forcedimension-core``
+locates the SDK; it is imported only when a device is opened.
 
 The SDK's frame has x towards the operator, y to the operator's right, z up, its origin in the middle of the workspace.
 """
@@ -35,13 +35,13 @@ from spatula_env.teleop.device import (
 from spatula_env.teleop.falcon.driver import FORCE_TIMEOUT, GREATEST_DAMPING, GREATEST_FORCE, GREATEST_STIFFNESS
 
 HALF_WIDTH = 0.04
-"""Half an edge of the cube that the grip is sure to reach, on the smallest of these devices [m]."""
+"""Half edge of the cube that the grip can always reach, on the smallest of these devices [m]."""
 CALIBRATION_TIMEOUT = 60.0
-"""How long to wait for the operator [s]."""
+"""How long to wait for the operator to calibrate the device [s]."""
 WATCH_PERIOD = 0.005
-"""How often the watchdog looks [s]."""
+"""Interval at which the watchdog looks for forces that have expired [s]."""
 FAILED = -1
-"""What the SDK's functions return when they fail."""
+"""Return value of the SDK's functions when they fail."""
 
 # Numbers of the Falcon's buttons in the SDK: centre 0, left 1, up 2, right 3.
 BUTTON_NAMES = ("center", "minus", "forward", "plus")
@@ -51,12 +51,12 @@ _TO_DEVICE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 class ForceDimensionDevice(TeleopDevice):
-    """A device of Force Dimension, or a Falcon, by the Force Dimension SDK.
+    """A device of Force Dimension, or a Falcon, driven by the Force Dimension SDK.
 
-    Calls go straight to the SDK; a thread of this object ends forces that nobody renews.
+    Calls go straight to the SDK; a thread of this object ends forces that are not renewed.
 
     Attributes:
-        name: What the SDK calls the device, once it is open.
+        name: The SDK's name of the device, once it is open.
     """
 
     kind = "position"
@@ -75,15 +75,15 @@ class ForceDimensionDevice(TeleopDevice):
         threaded: bool = True,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Describe the device; `open` opens it.
+        """Store the settings of the device; `open` opens it.
 
         Args:
-            index: Number in the SDK's order; None for the first that is free.
+            index: Number in the SDK's order; None for the first device that is free.
             greatest_force: Greatest magnitude of a force, positive [N].
-            force_timeout: A force ends when `send_force` has not been called for so long, positive [s].
+            force_timeout: A force ends when `send_force` has not been called for this long, positive [s].
             calibration_timeout: How long `calibrate` waits for the operator, positive [s].
-            threaded: False to make no thread; then call `expire_force` now and again.
-            clock: The time [s].
+            threaded: False to start no thread; the caller then has to call `expire_force` regularly.
+            clock: Returns the time [s].
 
         Raises:
             ValueError: If a limit is not positive.
@@ -116,7 +116,7 @@ class ForceDimensionDevice(TeleopDevice):
 
     @property
     def is_calibrated(self) -> bool:
-        """Whether the device is not waiting to be calibrated."""
+        """Whether the device is calibrated, as far as the SDK says: it does not await a calibration."""
         return self._connection is not None and not self._connection.awaits_calibration()
 
     def open(self) -> None:
@@ -137,7 +137,7 @@ class ForceDimensionDevice(TeleopDevice):
         if self._threaded:
             thread = threading.Thread(target=connection.watch, name="force-dimension", daemon=True)
             thread.start()
-        # Also at the interpreter's end, so that a program that forgets to close leaves no force behind.
+        # The finalizer also runs at the interpreter's exit: a program that forgets to close leaves no force behind.
         self._finish = weakref.finalize(self, _finish, connection, thread)
         self._connection = connection
         try:
@@ -161,7 +161,7 @@ class ForceDimensionDevice(TeleopDevice):
             progress("The device is calibrated.")
 
     def read(self) -> DeviceSample:
-        """Ask the device where its grip is. See `TeleopDevice`."""
+        """Measure the grip's position and velocity. See `TeleopDevice`."""
         connection = self._checked_connection()
         if connection.awaits_calibration():
             raise NotCalibrated(f"the {self.name} is not calibrated: call calibrate()")
@@ -169,7 +169,8 @@ class ForceDimensionDevice(TeleopDevice):
         velocity = [0.0, 0.0, 0.0]
         connection.call("getPosition", position)
         moment = self._clock()
-        # The SDK's estimate needs two measurements within 20 ms: whoever reads more slowly gets the difference of two.
+        # The SDK's estimate needs two measurements within 20 ms; for slower readers it fails, so take a difference
+        # quotient.
         measured = _TO_DEVICE @ position
         if connection.attempt("getLinearVelocity", velocity) != FAILED:
             speed = _TO_DEVICE @ velocity
@@ -200,7 +201,7 @@ class ForceDimensionDevice(TeleopDevice):
         connection.set_force(_TO_DEVICE.T @ limit_force(checked, self.greatest_force))
 
     def expire_force(self) -> None:
-        """End a force that nobody has renewed in time; the thread does this every few milliseconds."""
+        """End a force that has not been renewed in time; the thread calls this every few milliseconds."""
         self._checked_connection().expire_force()
 
     def close(self) -> None:
@@ -214,7 +215,7 @@ class ForceDimensionDevice(TeleopDevice):
         return self._clock()
 
     def _difference(self, moment: float, position: FloatArray) -> FloatArray:
-        """The mean velocity since the last reading; zero at the first."""
+        """Mean velocity since the last reading; zero at the first."""
         if self._last is None or moment <= self._last[0]:
             return np.zeros(3)
         then, last = self._last
@@ -227,7 +228,7 @@ class ForceDimensionDevice(TeleopDevice):
 
 
 class _Connection:
-    """An open device of the SDK, whose functions are called by one thread at a time."""
+    """An open device of the SDK; a lock lets one thread at a time call the SDK's functions."""
 
     def __init__(
         self, dhd: Any, containers: Any, number: int, name: str, clock: Callable[[], float], force_timeout: float
@@ -258,7 +259,7 @@ class _Connection:
             return result
 
     def attempt(self, function: str, *arguments: Any) -> int:
-        """Call one of the SDK's functions on this device, and return `FAILED` if it fails."""
+        """Call one of the SDK's functions on this device; return `FAILED` if it fails."""
         with self._lock:
             return int(getattr(self._dhd, function)(*arguments, self._number))
 
@@ -282,7 +283,7 @@ class _Connection:
             try:
                 self.expire_force()
             except DeviceLost:
-                # The operator's next call says so too.
+                # Swallowed here: the operator's next call raises the same error.
                 return
 
     def close(self, thread: threading.Thread | None) -> None:
@@ -302,7 +303,7 @@ def _finish(connection: _Connection, thread: threading.Thread | None) -> None:
 
 
 def _load_bindings() -> tuple[Any, Any]:
-    """Import the Python bindings, which look for the SDK as they are imported."""
+    """Import the Python bindings, which look for the SDK at import."""
     try:
         return import_module("forcedimension_core.dhd"), import_module("forcedimension_core.containers")
     except ModuleNotFoundError as error:

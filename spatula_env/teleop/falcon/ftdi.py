@@ -1,8 +1,8 @@
-"""The FTDI chip between USB and the Falcon's serial line: its control requests, written out, and its status bytes.
+"""The FTDI chip between USB and the Falcon's serial line: raw control requests and status bytes.
 
-The numbers are those of FTDI's own protocol, as libnifalcon uses them on the Falcon. Two of the baud rates are not what
-a general FTDI library would ask for, which is why the raw values are sent: the Falcon wants divisor 0x0015 for loading
-firmware (3 MHz / 21 = 142,857 baud), where libraries choose a finer one.
+The numbers are those of FTDI's own protocol, as libnifalcon uses them on the Falcon. Raw values are sent because two of
+the baud rates are not what a general FTDI library would ask for: to load firmware, the Falcon needs divisor 0x0015
+(3 MHz / 21 = 142,857 baud), where libraries choose a finer one.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ PRODUCT_ID = 0xCB48
 ENDPOINT_OUT = 0x02
 ENDPOINT_IN = 0x81
 PACKET_SIZE = 64
-"""Bytes in the largest IN packet, status included."""
+"""Size of the largest IN packet, status included [bytes]."""
 STATUS_SIZE = 2
-"""Every IN packet starts with modem status and line status, also one without data."""
+"""Every IN packet, even one without data, starts with the modem status and the line status."""
 
 REQUEST_TYPE = 0x40
 """bmRequestType: host to device, vendor, device."""
@@ -30,9 +30,9 @@ SET_DATA_FORMAT = 4
 SET_LATENCY_TIMER = 9
 
 PURGE_RECEIVED = 1
-"""Values of `RESET`: forget what has come from the device …"""
+"""Values of `RESET`: discard what has arrived from the device …"""
 PURGE_TO_SEND = 2
-"""… and what has not yet gone to it."""
+"""… and what has not been sent to it yet."""
 
 DTR_HIGH = 0x0101
 DTR_LOW = 0x0100
@@ -49,15 +49,15 @@ BAUD_NORMAL = 0x0002
 """1,500,000 baud."""
 
 LATENCY_BOOT = 16
-"""How long the chip waits for more before it sends a packet that is not full [ms]."""
+"""How long the chip waits for more data before it sends a packet that is not full [ms]."""
 LATENCY_NORMAL = 1
 
 
 class ControlTransfers(Protocol):
-    """What makes control transfers without data."""
+    """A connection that can make control transfers without data."""
 
     def control_transfer(self, request_type: int, request: int, value: int, index: int) -> None:
-        """Make one: bmRequestType, bRequest, wValue, wIndex."""
+        """Make a control transfer with the given bmRequestType, bRequest, wValue and wIndex."""
 
 
 def request(transport: ControlTransfers, number: int, value: int) -> None:
@@ -65,7 +65,7 @@ def request(transport: ControlTransfers, number: int, value: int) -> None:
 
     Args:
         transport: The connection.
-        number: Which request.
+        number: Number of the request.
         value: Its value.
 
     Raises:
@@ -75,7 +75,7 @@ def request(transport: ControlTransfers, number: int, value: int) -> None:
 
 
 def purge(transport: ControlTransfers) -> None:
-    """Forget everything that is under way in either direction.
+    """Discard all data in transit in both directions.
 
     Args:
         transport: The connection.
@@ -88,13 +88,13 @@ def purge(transport: ControlTransfers) -> None:
 
 
 def strip_status(received: bytes) -> bytes:
-    """Take the status bytes out of what a bulk read returned.
+    """Remove the status bytes from the result of a bulk read.
 
     Args:
         received: One or several IN packets; all but the last are full.
 
     Returns:
-        What the Falcon sent.
+        The bytes that the Falcon sent.
     """
     if len(received) <= PACKET_SIZE:
         return received[STATUS_SIZE:]

@@ -1,20 +1,20 @@
-"""Where the grip is, from three encoders; what the motors must do for a force on the grip.
+"""Kinematics: the grip's position from three encoders, and the motor counts for a force on the grip.
 
 The Falcon is a translational parallel manipulator of the kind described by Stamper ("A three degree of freedom
 parallel manipulator with only translational degrees of freedom", PhD thesis, University of Maryland, 1997) and Tsai
 ("Robot Analysis", Wiley, 1999), with one more offset, `TANGENT`. Three equal legs stand around the z axis. In each, a
-motor turns a thigh; a parallelogram, the shin, links the thigh's end, the knee, to the grip and keeps the grip from
-turning. The lengths are those that libnifalcon uses.
+motor turns a thigh; a parallelogram, the shin, connects the thigh's end, the knee, to the grip and keeps the grip from
+rotating. The lengths are those that libnifalcon uses.
 
 Everything here is in the Falcon's frame (:mod:`spatula_env.teleop.falcon.frames`), in metres, newtons and radians. A
-leg's
-own frame is the Falcon's, turned about z by the leg's azimuth and moved to its hip. With the grip at (u, v, w) there::
+leg's own frame is the Falcon's, turned about z by the leg's azimuth and moved to its hip. With the grip at (u, v, w)
+there::
 
     sine   = sqrt(1 - ((v + PLATE_TANGENT) / SHIN)^2)        the shin's share in the plane the thigh turns in
     reach  = SHIN_ENDS + SHIN sine                           from knee to grip in that plane
     theta  = atan2(w, U) - acos((U^2 + w^2 + THIGH^2 - reach^2) / (2 THIGH sqrt(U^2 + w^2))),    U = u + PLATE
 
-which is the law of cosines in the triangle hip, knee, grip. theta = 0 is a thigh that lies in the plane of the base.
+which is the law of cosines in the triangle hip, knee, grip. theta = 0 is a thigh in the plane of the base.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ from contextlib import suppress
 from spatula_env.teleop.falcon.vector import Matrix, Vector, norm, solve, transpose
 
 THIGH = 0.060
-"""From hip to knee [m]; the literature's a."""
+"""Distance from hip to knee [m]; a in the literature."""
 SHIN = 0.1025
 """The parallelogram's long edge [m]; b."""
 PLATE = 0.01443
-"""From the grip's middle to its joint, radially [m]; c."""
+"""Radial distance from the grip's middle to its joint [m]; c."""
 SHIN_ENDS = 0.01125 + 0.01125
-"""The two pieces that hold the parallelogram, together [m]; d + e."""
+"""Total length of the two pieces that hold the parallelogram [m]; d + e."""
 PLATE_TANGENT = -0.025
-"""The grip's joint out of the leg's plane [m]; f."""
+"""Offset of the grip's joint out of the leg's plane [m]; f."""
 RADIUS = 0.0400
-"""From the z axis to a hip, radially [m]; r."""
+"""Radial distance from the z axis to a hip [m]; r."""
 TANGENT = -0.02309
-"""From the z axis to a hip, tangentially [m]; s."""
+"""Tangential offset of a hip from the z axis [m]; s."""
 AZIMUTHS: Vector = (math.radians(105.0), math.radians(-15.0), math.radians(-135.0))
-"""Where the legs stand around z, in the order of the encoders and motors [rad]."""
+"""Azimuths of the legs about z, in the order of the encoders and motors [rad]."""
 
 COUNT_ANGLE = (0.01425 / 0.110) * 2.0 * math.pi / (320 * 4)
-"""What a thigh turns in one encoder count [rad]: encoder of 320 lines read fourfold, geared 14.25 mm to 110 mm."""
+"""Angle of a thigh per encoder count [rad]: encoder of 320 lines read fourfold, geared 14.25 mm to 110 mm."""
 ZERO_COUNT_ANGLE = math.radians(35.0)
-"""A thigh's angle where its homed encoder counts 0 [rad]."""
+"""Angle of a thigh at count 0 of its homed encoder [rad]."""
 
 COUNTS_PER_TORQUE = -10_000.0
-"""Motor counts for a torque on the thigh [1/(N m)].
+"""Motor counts per torque on the thigh [1/(N m)].
 
 Not a calibration: libnifalcon chose the number so that forces felt like those of the vendor's program.
 """
@@ -56,48 +56,48 @@ MOTOR_LIMIT = 4095
 
 LEAST_ANGLE = math.radians(-75.0)
 GREATEST_ANGLE = math.radians(120.0)
-"""Angles beyond these are not a Falcon's [rad]; the cube of `frames.HALF_WIDTH` takes -48 to 98 degrees."""
+"""Angles beyond these are impossible for a Falcon [rad]; the cube of `frames.HALF_WIDTH` needs -48 to 98 degrees."""
 
 CONVERGED = 1e-13
-"""Newton's iteration ends at a step this short [m]."""
+"""Newton's iteration ends when a step is this short [m]."""
 MOST_ITERATIONS = 60
 SHORTEST_FRACTION = 2.0**-20
-"""A Newton step is cut down to this fraction before the iteration is given up."""
+"""Smallest fraction to which a Newton step is shortened before the iteration is given up."""
 
 _LEGS = tuple((math.cos(azimuth), math.sin(azimuth)) for azimuth in AZIMUTHS)
 
 
 class UnreachableError(ValueError):
-    """A position or a set of angles that the device cannot take."""
+    """The device cannot take this position or set of angles."""
 
 
 def inverse(position: Vector) -> Vector:
-    """The thighs' angles that put the grip somewhere.
+    """Angles of the thighs that put the grip at a position.
 
     Args:
-        position: The grip, Falcon's frame [m].
+        position: Position of the grip, Falcon's frame [m].
 
     Returns:
         The three angles [rad].
 
     Raises:
-        UnreachableError: If a leg does not reach there.
+        UnreachableError: If a leg does not reach that far.
     """
     angles, _ = inverse_with_jacobian(position)
     return angles
 
 
 def inverse_with_jacobian(position: Vector) -> tuple[Vector, Matrix]:
-    """The thighs' angles, and how they change with the grip's position.
+    """Angles of the thighs, and their derivatives with respect to the grip's position.
 
     Args:
-        position: The grip, Falcon's frame [m].
+        position: Position of the grip, Falcon's frame [m].
 
     Returns:
         The three angles [rad], and their derivatives, one row for each leg [rad/m].
 
     Raises:
-        UnreachableError: If a leg does not reach there, or is stretched so far that the derivative has no limit.
+        UnreachableError: If a leg does not reach that far, or is stretched so far that the derivative is unbounded.
     """
     x, y, z = position
     angles = []
@@ -129,34 +129,34 @@ def inverse_with_jacobian(position: Vector) -> tuple[Vector, Matrix]:
 
 
 def forward(angles: Vector, start: Vector | None = None) -> Vector:
-    """Where the grip is, by Newton's method on `inverse_with_jacobian`.
+    """Position of the grip, by Newton's method on `inverse_with_jacobian`.
 
     Args:
         angles: The three angles [rad].
-        start: Where to start, best the last known position [m]. None starts on the z axis.
+        start: Starting point, preferably the last known position [m]. None starts on the z axis.
 
     Returns:
-        The grip, Falcon's frame, to within `CONVERGED` [m].
+        Position of the grip, Falcon's frame, to within `CONVERGED` [m].
 
     Raises:
-        UnreachableError: If the angles are no position's.
+        UnreachableError: If no position has these angles.
     """
     return forward_with_jacobian(angles, start)[0]
 
 
 def forward_with_jacobian(angles: Vector, start: Vector | None = None) -> tuple[Vector, Matrix]:
-    """Where the grip is, and how the angles change with its position; see `forward`, `inverse_with_jacobian`."""
+    """Position of the grip, and the angles' derivatives there; see `forward`, `inverse_with_jacobian`."""
     if not (LEAST_ANGLE <= min(angles) and max(angles) <= GREATEST_ANGLE):
         raise _impossible(angles)
     if start is not None:
-        # From far away it may end at the edge of the workspace; then it begins anew.
+        # From a distant start, Newton may end at the edge of the workspace; then start again on the z axis.
         with suppress(UnreachableError):
             return _newton(angles, start)
     return _newton(angles, _on_axis(angles))
 
 
 def _newton(angles: Vector, position: Vector) -> tuple[Vector, Matrix]:
-    """The grip at these angles and the derivatives there, found from a position; see `forward`."""
+    """Position of the grip at these angles and the derivatives there, from a starting position; see `forward`."""
     first, second, third = angles
     current, jacobian = inverse_with_jacobian(position)
     missing = (first - current[0], second - current[1], third - current[2])
@@ -167,7 +167,7 @@ def _newton(angles: Vector, position: Vector) -> tuple[Vector, Matrix]:
             raise _impossible(angles) from None
         fraction = 1.0
         length = norm(step)
-        # Towards the edge of the workspace a full step may leave it or lead away: shorten it until it helps.
+        # Near the edge of the workspace a full step may leave it or increase the residual: shorten it until it helps.
         while True:
             trial = (
                 position[0] + fraction * step[0],
@@ -180,7 +180,8 @@ def _newton(angles: Vector, position: Vector) -> tuple[Vector, Matrix]:
                 pass
             else:
                 trial_missing = (first - trial_angles[0], second - trial_angles[1], third - trial_angles[2])
-                # At the end, rounding decides which of two residuals is smaller: the step is taken, and the last.
+                # Near convergence, rounding decides which residual is smaller: take a step that short anyway, as the
+                # last one.
                 if norm(trial_missing) < norm(missing) or length < CONVERGED:
                     break
             fraction *= 0.5
@@ -194,19 +195,19 @@ def _newton(angles: Vector, position: Vector) -> tuple[Vector, Matrix]:
 
 
 def torques(force: Vector, jacobian: Matrix) -> Vector:
-    """The torques on the thighs that push the hand with a force.
+    """Torques on the thighs that make the grip push the hand with a force.
 
-    The power is the same on both sides, torques . angular rates = force . velocity, and rates = jacobian . velocity.
+    Power is equal on both sides: torques . angular rates = force . velocity, with rates = jacobian . velocity.
 
     Args:
-        force: What the grip does to the hand, Falcon's frame [N].
-        jacobian: Of `inverse_with_jacobian`, where the grip is [rad/m].
+        force: Force of the grip on the hand, Falcon's frame [N].
+        jacobian: Derivatives from `inverse_with_jacobian` at the grip's position [rad/m].
 
     Returns:
         The three torques [N m].
 
     Raises:
-        UnreachableError: If the grip is where legs line up, so that no torques make such a force.
+        UnreachableError: If the pose is singular, so that no torques produce such a force.
     """
     try:
         return solve(transpose(jacobian), force)
@@ -215,14 +216,14 @@ def torques(force: Vector, jacobian: Matrix) -> Vector:
 
 
 def torques_to_counts(values: Vector, limit: int = MOTOR_LIMIT) -> tuple[tuple[int, int, int], float]:
-    """Motor counts for torques; all three are scaled down together if one is too much, so that the direction stays.
+    """Motor counts for torques; if one is too large, all three are scaled down together to keep the direction.
 
     Args:
         values: The three torques [N m].
         limit: Greatest magnitude of a count.
 
     Returns:
-        The counts, and the factor by which they were scaled, at most 1.
+        The counts, and the scale factor, at most 1.
     """
     first, second, third = (COUNTS_PER_TORQUE * value for value in values)
     greatest = max(abs(first), abs(second), abs(third))
@@ -231,10 +232,10 @@ def torques_to_counts(values: Vector, limit: int = MOTOR_LIMIT) -> tuple[tuple[i
 
 
 def counts_to_angles(counts: tuple[int, int, int]) -> Vector:
-    """The thighs' angles that homed encoders tell.
+    """Angles of the thighs from homed encoders.
 
     Args:
-        counts: The three encoders.
+        counts: Counts of the three encoders.
 
     Returns:
         The angles [rad].
@@ -248,7 +249,7 @@ def counts_to_angles(counts: tuple[int, int, int]) -> Vector:
 
 
 def angles_to_counts(angles: Vector) -> tuple[int, int, int]:
-    """Counts of homed encoders at some angles of the thighs.
+    """Counts that homed encoders show at some angles of the thighs.
 
     Args:
         angles: The three angles [rad].
@@ -261,9 +262,9 @@ def angles_to_counts(angles: Vector) -> tuple[int, int, int]:
 
 
 def _on_axis(angles: Vector) -> Vector:
-    """A point on the z axis whose angles are about the mean of the three.
+    """A point on the z axis whose angles are roughly the mean of the three.
 
-    The line goes through the angles at z = 0.09 and 0.17 m. It stays within reach whatever the angles are.
+    Interpolates linearly between the angles at z = 0.09 and 0.17 m. The result is within reach whatever the angles are.
     """
     mean = math.degrees(sum(angles) / 3.0)
     return 0.0, 0.0, min(max(0.0913 + 0.00118 * mean, 0.04), 0.175)

@@ -6,9 +6,10 @@ Both directions use packets of 16 bytes, and the Falcon answers each packet with
     host    '<'   motor 1    motor 2    motor 3    lights, homing   0         '>'
     Falcon  '<'   encoder 1  encoder 2  encoder 3  status           unknown   '>'
 
-A motor or encoder is a 16-bit two's complement number in four bytes, one for each four bits, the least significant
-first. 0x41 is added to every byte between the brackets, so that values of 0 to 15 become the letters 'A' to 'P', and
-the brackets cannot occur in a packet. The status goes up to 0x7f and is then no ASCII any more.
+A motor or encoder value is a 16-bit two's complement number in four bytes, one for each four bits, the least
+significant first. 0x41 is added to every byte between the brackets, so that values of 0 to 15 become the letters 'A' to
+'P', and the brackets cannot occur within a packet. The status can be as large as 0x7f; after the addition it is then
+outside ASCII.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ _UNKNOWN = 14
 _GREATEST_NUMBER_BYTE = OFFSET + 0x0F
 _GREATEST_STATUS_BYTE = OFFSET + 0x7F
 
-# The same as `_first_wrong_byte` says byte by byte, for the packets that are right.
+# Accepts the same packets as `_first_wrong_byte`, which checks byte by byte; this is fast for valid ones.
 _WHOLE = re.compile(rb"<[A-P]{12}[\x41-\xc0][^<>]>", re.DOTALL)
 
 Counts = tuple[int, int, int]
 
 
 class Lights(IntFlag):
-    """The coloured lights of the Falcon's front.
+    """The coloured lights on the Falcon's front.
 
-    Which bit is which colour is what libnifalcon's code says; its comments say something else.
+    The assignment of bits to colours follows libnifalcon's code, with which its comments disagree.
     """
 
     OFF = 0
@@ -57,15 +58,15 @@ class Buttons(IntFlag):
 
 
 BUTTON_NAMES = ("plus", "forward", "center", "minus")
-"""In the order of their bits: right, front, middle (with the circle), left."""
+"""Button names in the order of their bits: right, front, middle (with the circle), left."""
 
 HOMING_BIT = 0x01
 HOMED_SHIFT = 4
-"""The status has the three legs' homed bits from here on."""
+"""Position of the three legs' homed bits in the status."""
 
 
 class PacketError(ValueError):
-    """Bytes that are no packet."""
+    """The bytes are not a valid packet."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class HostPacket:
     Attributes:
         motors: Motor counts, each a 16-bit number.
         lights: Which lights to turn on.
-        homing: Whether the Falcon shall look for its encoders' zero.
+        homing: Whether the Falcon shall search for its encoders' zeros.
     """
 
     motors: Counts = (0, 0, 0)
@@ -83,7 +84,7 @@ class HostPacket:
     homing: bool = False
 
     def encode(self) -> bytes:
-        """The packet as it goes over the line.
+        """The packet as bytes on the line.
 
         Returns:
             16 bytes.
@@ -96,7 +97,7 @@ class HostPacket:
 
     @classmethod
     def decode(cls, data: bytes) -> HostPacket:
-        """Read a packet.
+        """Decode a packet.
 
         Args:
             data: 16 bytes.
@@ -105,7 +106,7 @@ class HostPacket:
             The packet.
 
         Raises:
-            PacketError: If they are none.
+            PacketError: If the bytes are not a valid packet.
         """
         _check(data)
         payload = data[_STATUS] - OFFSET
@@ -114,7 +115,7 @@ class HostPacket:
 
 @dataclass(frozen=True)
 class DevicePacket:
-    """A packet that the Falcon answers with.
+    """A packet with which the Falcon answers.
 
     Attributes:
         encoders: Encoder counts, each a 16-bit number.
@@ -132,7 +133,7 @@ class DevicePacket:
         return _NAMES_OF[self.buttons]
 
     def encode(self) -> bytes:
-        """The packet as it goes over the line.
+        """The packet as bytes on the line.
 
         Returns:
             16 bytes.
@@ -145,7 +146,7 @@ class DevicePacket:
 
     @classmethod
     def decode(cls, data: bytes) -> DevicePacket:
-        """Read a packet.
+        """Decode a packet.
 
         Args:
             data: 16 bytes.
@@ -154,7 +155,7 @@ class DevicePacket:
             The packet.
 
         Raises:
-            PacketError: If they are none.
+            PacketError: If the bytes are not a valid packet.
         """
         _check(data)
         return cls._decode(data)
@@ -167,14 +168,14 @@ class DevicePacket:
 
 
 class PacketStream:
-    """Finds the Falcon's packets in a stream of bytes, whatever else is in it.
+    """Finds the Falcon's packets in a stream of bytes that may contain anything else.
 
-    A packet has to be right in every byte of which it is known what may stand there. Where one breaks off or turns
-    out wrong, only its opening bracket is thrown away and the search goes on behind it, so that no packet is lost
-    because of bytes in front of it, and none is waited for that cannot come any more.
+    A packet has to be valid in every byte whose meaning is known. Where one breaks off or turns out to be invalid, only
+    its opening bracket is discarded and the search continues behind it, so that no packet is lost because of bytes in
+    front of it, and the stream never waits for the rest of a packet that can no longer be completed.
 
     Attributes:
-        discarded: How many bytes were thrown away.
+        discarded: Number of bytes discarded.
     """
 
     def __init__(self) -> None:
@@ -182,13 +183,13 @@ class PacketStream:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[DevicePacket]:
-        """Take further bytes.
+        """Add received bytes.
 
         Args:
-            data: What came, in pieces of any size.
+            data: The bytes, in pieces of any size.
 
         Returns:
-            The packets that are complete with it, in order.
+            The packets that these bytes complete, in order.
         """
         self._buffer += data
         buffer = self._buffer
@@ -212,7 +213,7 @@ class PacketStream:
                 return packets
 
     def clear(self) -> None:
-        """Forget the beginning of a packet, if there is one."""
+        """Discard an incomplete packet, if there is one."""
         self.discarded += len(self._buffer)
         self._buffer.clear()
 
@@ -242,14 +243,14 @@ def _decode_number(data: bytes | bytearray, first: int) -> int:
 
 
 def _first_wrong_byte(data: bytes | bytearray) -> int | None:
-    """Where a packet, or the beginning of one, has a byte that cannot be there; None if nowhere."""
+    """Index of the first byte that a packet, or the beginning of one, cannot have there; None if all are valid."""
     for index, byte in enumerate(data):
         if index in _NUMBERS:
             right = OFFSET <= byte <= _GREATEST_NUMBER_BYTE
         elif index == _STATUS:
             right = OFFSET <= byte <= _GREATEST_STATUS_BYTE
         elif index == _UNKNOWN:
-            # Nobody knows what it means, but a bracket here is that of a packet with bytes missing.
+            # The meaning of this byte is unknown, but a bracket here belongs to a packet with bytes missing.
             right = byte not in (START, END)
         else:
             right = byte == (START if index == 0 else END)

@@ -1,7 +1,7 @@
-"""One exchange with the Falcon, made a thousand times a second.
+"""The loop that exchanges packets with the Falcon a thousand times a second.
 
-Safety is decided here and nowhere else. Motors get zeros unless all of this holds: the Falcon has homed all three
-legs, it has answered lately, and somebody has asked for a force lately. Whatever ends the loop ends the forces.
+Safety is decided here and nowhere else. The motors get zeros unless all of these hold: all three legs are homed, the
+Falcon has answered recently, and a force has been requested recently. Whatever ends the loop ends the forces.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from spatula_env.teleop.falcon.vector import ZERO, Matrix, Vector, scale, solve
 from spatula_env.teleop.falcon.velocity import CountVelocity
 
 PERIOD = 1e-3
-"""From one exchange to the next [s]."""
+"""Period of the exchanges [s]."""
 REPLY_WAIT = 5e-3
-"""How long an exchange waits for its answer before the next one is made [s]."""
+"""Time that an exchange waits for its answer before the next one is made [s]."""
 WRITE_TIMEOUT = 0.05
-"""How long a write may take [s]."""
+"""Longest time that a write may take [s]."""
 REPLY_TIMEOUT = 0.25
-"""A Falcon that has not answered for so long is lost [s]."""
+"""A Falcon that has not answered for this long is lost [s]."""
 LATE = 1.5
-"""An exchange is late if it starts more than so many periods after the one before."""
+"""An exchange is late if it starts more than this many periods after the one before."""
 STATISTICS_LENGTH = 10_000
-"""How many periods are kept for the statistics."""
+"""Number of periods that are kept for the statistics."""
 
 GREATEST_COUNT_RATE = 200_000.0
-"""A thigh that turns faster is a transmission error [counts/s]; the grip would move at 6 to 10 m/s."""
+"""Faster motion of a thigh is taken for a transmission error [counts/s]; the grip would move at 6 to 10 m/s."""
 
 NO_MOTORS: Counts = (0, 0, 0)
 ZERO_PACKETS = 3
-"""How often zeros are sent at the end, in case one is lost."""
+"""Number of times that zeros are sent at the end, in case a packet is lost."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class ServoState:
     """The Falcon's last answer.
 
     Attributes:
-        time: When [s].
+        time: Time of the answer [s].
         sequence: Counts the states from 1; 0 before the first.
         homed: For each leg, whether it is homed.
         encoders: The encoders' counts.
         buttons: Names of the buttons that are held down.
-        position: The grip, Falcon's frame; meaningless until all legs are homed [m].
-        velocity: Its velocity, Falcon's frame [m/s].
+        position: Position of the grip, Falcon's frame; meaningless until all legs are homed [m].
+        velocity: Velocity of the grip, Falcon's frame [m/s].
         jacobian: Derivatives of the thighs' angles at that position [rad/m].
     """
 
@@ -66,26 +66,26 @@ class ServoState:
 
     @property
     def is_homed(self) -> bool:
-        """Whether the position means something."""
+        """Whether all legs are homed, so that the position is meaningful."""
         return self.jacobian is not None
 
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """How regularly the exchanges were made.
+    """Statistics of how regularly the exchanges were made.
 
-    Periods are those of the last `STATISTICS_LENGTH` exchanges; the other numbers count from the opening.
+    Periods are those of the last `STATISTICS_LENGTH` exchanges; the other numbers count from the opening of the device.
 
     Attributes:
-        exchanges: How many there were.
-        mean_period: From one to the next, on average [s].
-        late_period: 99 of 100 periods are not longer [s].
-        longest_period: The longest [s].
-        late: How many of the periods were longer than `LATE` times the nominal one.
-        missed: How many exchanges had no answer in time, or none that can be true.
-        discarded_bytes: Bytes that were part of no packet.
-        implausible: Packets whose encoders a Falcon cannot show.
-        scaled: How often forces were scaled down because a motor could not make its share.
+        exchanges: Number of exchanges.
+        mean_period: Mean period [s].
+        late_period: 99th percentile of the periods [s].
+        longest_period: Longest period [s].
+        late: Number of periods that were longer than `LATE` times the nominal one.
+        missed: Number of exchanges without an answer in time, or without a plausible one.
+        discarded_bytes: Number of bytes that were part of no packet.
+        implausible: Number of packets with encoder counts that are impossible for a Falcon.
+        scaled: Number of times that forces were scaled down because a motor could not produce its share.
     """
 
     exchanges: int
@@ -102,19 +102,19 @@ class LoopStatistics:
 class ServoLoop:
     """Exchanges packets with a Falcon in normal mode.
 
-    Call `exchange` as often as there is time, or `run` in a thread. The other methods may be called from any thread.
+    Call `exchange` as often as possible, or `run` in a thread. The other methods may be called from any thread.
 
     Attributes:
-        error: What ended `run`; None while it runs or after a regular end.
+        error: The exception that ended `run`; None while it runs or after a regular end.
     """
 
     def __init__(self, transport: Transport, clock: Callable[[], float], force_timeout: float) -> None:
-        """Prepare, without sending anything.
+        """Prepare the loop without sending anything.
 
         Args:
             transport: The connection, in normal mode.
-            clock: The time [s].
-            force_timeout: A force ends when nobody has asked for one for so long [s].
+            clock: Returns the time [s].
+            force_timeout: A force ends when it has not been requested again for this long [s].
         """
         self.error: BaseException | None = None
         self._transport = transport
@@ -137,27 +137,27 @@ class ServoLoop:
         return self._state
 
     def command(self, force: Vector) -> None:
-        """Ask for a force.
+        """Request a force.
 
         Args:
-            force: What the grip does to the hand, Falcon's frame [N].
+            force: Force of the grip on the hand, Falcon's frame [N].
         """
-        # One assignment, so that the loop never sees a force with another one's time.
+        # A single assignment, so that the loop never sees a force with the time of another one.
         self._command = (force, self._clock())
 
     def set_lights(self, lights: Lights | None) -> None:
-        """Choose the lights.
+        """Select the lights.
 
         Args:
-            lights: Which; None for red until the Falcon is homed, then green.
+            lights: Lights to turn on; None for red until the Falcon is homed, then green.
         """
         self._lights = lights
 
     def exchange(self) -> bool:
-        """Send one packet and take what the Falcon answers.
+        """Send one packet and receive the Falcon's answer.
 
         Returns:
-            Whether it answered with something new.
+            Whether it answered with a plausible packet.
 
         Raises:
             DeviceLost: If it is not there any more, or has not answered for `REPLY_TIMEOUT`.
@@ -183,7 +183,7 @@ class ServoLoop:
         """Exchange packets until `stop` is called or something fails; then send zeros to the motors.
 
         Args:
-            sleep: Waits for some seconds.
+            sleep: Waits for the given time [s].
         """
         try:
             due = self._clock()
@@ -194,10 +194,11 @@ class ServoLoop:
                 if ahead > 0.0:
                     sleep(ahead)
                 else:
-                    # What was missed is not made up for: two packets in one millisecond would help nobody.
+                    # Missed exchanges are not made up for: two packets in one millisecond are of no use.
                     due -= ahead
         except BaseException as error:
-            # Also one that no device raises: the operator's next call has to see it, as nobody looks into a thread.
+            # Keep every exception, not only the device's own: the operator's next call raises it, as it would be lost
+            # here.
             self.error = error
         finally:
             self.send_zeros()
@@ -205,20 +206,20 @@ class ServoLoop:
                 self._progressed.notify_all()
 
     def stop(self) -> None:
-        """Let `run` come to its end."""
+        """Make `run` end."""
         self._stopping.set()
 
     def wait(self, timeout: float) -> None:
-        """Wait until another exchange has been made, or the loop has ended.
+        """Wait until another exchange has been made or the loop has ended.
 
         Args:
-            timeout: How long at most, in real time [s].
+            timeout: Longest time to wait, in real time [s].
         """
         with self._progressed:
             self._progressed.wait(timeout)
 
     def check(self) -> None:
-        """Pass on what has ended the loop.
+        """Raise the error that ended the loop, if there is one.
 
         Raises:
             DeviceLost: If the device is lost.
@@ -234,16 +235,16 @@ class ServoLoop:
         ) from self.error
 
     def send_zeros(self) -> None:
-        """Turn motors and lights off, as far as the device can still hear it."""
+        """Turn motors and lights off, if the device still answers."""
         self._command = (ZERO, -math.inf)
         try:
             send_zeros(self._transport)
         except Exception:
-            # The device is gone, and what else went wrong is in `error`. Nothing more can be done for the motors.
+            # The device is gone; other errors are kept in `error`. Nothing more can be done about the motors.
             pass
 
     def statistics(self) -> LoopStatistics:
-        """How regularly the exchanges were made.
+        """Statistics of how regularly the exchanges were made.
 
         Returns:
             The statistics.
@@ -263,11 +264,11 @@ class ServoLoop:
         )
 
     def _motors(self, now: float) -> Counts:
-        """The motor counts to send now: zeros unless everything speaks for a force."""
+        """The motor counts to send now: zeros unless all conditions for a force hold."""
         force, asked = self._command
         jacobian = self._state.jacobian
-        # The packet takes its time, and so does the next one, which could be the first to carry zeros: a force must end
-        # before its time is over, not after.
+        # This packet and the next one, which could be the first to carry zeros, take time to transmit: subtract two
+        # periods, so that a force ends before its timeout, not after it.
         too_old = now - self._force_timeout + 2.0 * PERIOD
         if jacobian is None or force == ZERO or asked < too_old or self._state.time < too_old:
             return NO_MOTORS
@@ -285,24 +286,24 @@ class ServoLoop:
         return Lights.GREEN if self._state.is_homed else Lights.RED
 
     def _receive(self, deadline: float) -> bool:
-        """Read until the Falcon has answered, or it is too late."""
+        """Read until the Falcon has answered or the deadline has passed."""
         answered = False
         while not answered:
             left = deadline - self._clock()
             if left <= 0.0:
                 break
             received = self._transport.bulk_read(ftdi.PACKET_SIZE, left)
-            # Answers that were late come together with newer ones, in one IN packet, and the newest counts: none lags
-            # behind for longer than an exchange.
+            # Late answers arrive together with newer ones in one IN packet, and the newest counts, so no state lags
+            # behind by more than one exchange.
             for packet in self._stream.feed(ftdi.strip_status(received)):
                 answered = self._take(packet) or answered
         return answered
 
     def _take(self, packet: DevicePacket) -> bool:
-        """Make a state of a packet.
+        """Update the state from a packet.
 
         Returns:
-            Whether the packet can be true.
+            Whether the packet is plausible.
         """
         now = self._clock()
         last = self._state
@@ -348,9 +349,9 @@ def send_zeros(transport: Transport) -> None:
 
 
 def _can_follow(last: ServoState, encoders: Counts, now: float) -> bool:
-    """Whether the thighs can have turned so far since the last state.
+    """Whether the thighs can have turned this far since the last state.
 
-    The longer ago that was the more is believed, so that a wrong belief cannot last.
+    The bound grows with the time since then, so that a wrong state cannot be kept for ever.
     """
     most = GREATEST_COUNT_RATE * (now - last.time + PERIOD)
     return all(abs(new - old) <= most for new, old in zip(encoders, last.encoders, strict=True))

@@ -1,4 +1,4 @@
-"""USB transfers to a Falcon: what the driver needs of them, and how pyusb makes them."""
+"""USB transfers to a Falcon: the interface that the driver needs, and its implementation with pyusb."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from spatula_env.teleop.falcon.ftdi import ENDPOINT_IN, ENDPOINT_OUT, PRODUCT_ID
 
 INTERFACE = 0
 CONTROL_TIMEOUT = 1.0
-"""How long a control transfer may take [s]."""
+"""Longest time that a control transfer may take [s]."""
 
 
 class Transport(Protocol):
-    """An open connection to one device, which no other program has."""
+    """An open, exclusive connection to one device."""
 
     @property
     def name(self) -> str:
-        """Which device it is, for messages."""
+        """Name of the device, for messages."""
 
     def bulk_write(self, data: bytes, timeout: float) -> int:
         """Write to the device.
 
         Args:
             data: The bytes.
-            timeout: How long it may take [s].
+            timeout: Longest time that it may take [s].
 
         Returns:
-            How many bytes the device took; fewer than there are if the time is over.
+            Number of bytes that the device accepted; fewer than given if the time is over.
 
         Raises:
             DeviceLost: If the device is not there any more.
@@ -41,11 +41,11 @@ class Transport(Protocol):
         """Read IN packets, with their status bytes, as they come.
 
         Args:
-            size: How many bytes at most, a multiple of `ftdi.PACKET_SIZE`.
-            timeout: How long to wait [s].
+            size: Greatest number of bytes, a multiple of `ftdi.PACKET_SIZE`.
+            timeout: Longest time to wait [s].
 
         Returns:
-            The bytes; none if the time is over.
+            The bytes; empty if the time is over.
 
         Raises:
             DeviceLost: If the device is not there any more.
@@ -65,16 +65,16 @@ class Transport(Protocol):
         """
 
     def close(self) -> None:
-        """Let go of the device. Closing twice is allowed."""
+        """Release the device. Closing twice is allowed."""
 
 
 @dataclass(frozen=True)
 class UsbAddress:
-    """Where a Falcon is plugged in.
+    """Where on the USB a Falcon is plugged in.
 
     Attributes:
         bus: Number of the bus.
-        address: Number on the bus; a device gets another one whenever it is plugged in.
+        address: Number on the bus; changes whenever a device is plugged in.
     """
 
     bus: int
@@ -85,10 +85,10 @@ class UsbAddress:
 
 
 def find_falcons() -> list[UsbAddress]:
-    """Look for Falcons on the USB. Nothing is opened and nothing sent.
+    """List the Falcons on the USB. Opens nothing and sends nothing.
 
     Returns:
-        Where they are, by bus and number.
+        Their addresses, ordered by bus and number.
 
     Raises:
         ImportError: If pyusb is missing.
@@ -98,23 +98,23 @@ def find_falcons() -> list[UsbAddress]:
 
 
 class UsbTransport:
-    """A Falcon on the USB, by pyusb.
+    """A connection to a Falcon on the USB, by pyusb.
 
     Attributes:
-        name: Which device it is.
+        name: Name of the device in messages.
     """
 
     def __init__(self, index: int = 0) -> None:
         """Open a Falcon and claim it.
 
         Args:
-            index: Which one, in the order of `find_falcons`.
+            index: Number of the device, in the order of `find_falcons`.
 
         Raises:
             ImportError: If pyusb is missing.
-            DeviceNotFound: If there are not that many.
+            DeviceNotFound: If there are fewer devices.
             DeviceBusy: If another program has it.
-            DeviceError: If this user may not open it, or libusb is missing.
+            DeviceError: If the user lacks permission to open it, or libusb is missing.
         """
         found = sorted(_find(), key=lambda device: (device.bus, device.address))
         if not 0 <= index < len(found):
@@ -174,7 +174,7 @@ class UsbTransport:
                 if self._device.is_kernel_driver_active(INTERFACE):
                     self._device.detach_kernel_driver(INTERFACE)
             except NotImplementedError:
-                # Systems on which the kernel has no driver to take away.
+                # Some systems have no kernel driver that could be detached.
                 pass
             self._util.claim_interface(self._device, INTERFACE)
         except self._core.USBError as error:
@@ -188,7 +188,7 @@ class UsbTransport:
             raise self._lost(error) from error
 
     def _open_device(self) -> Any:
-        # pyusb would quietly open a device again that has been closed.
+        # Without this check, pyusb would silently reopen a device that has been closed.
         if self._closed:
             raise DeviceError(f"the connection to the {self.name} is closed")
         return self._device
@@ -211,5 +211,5 @@ def _find() -> list[Any]:
 
 
 def _milliseconds(seconds: float) -> int:
-    """A timeout as libusb takes it; 0 would mean to wait for ever."""
+    """A timeout in libusb's unit, at least 1 because 0 would mean to wait for ever."""
     return max(1, round(1000.0 * seconds))

@@ -1,7 +1,7 @@
-"""Three numbers and three times three, without arrays.
+"""Vectors of three numbers and 3 x 3 matrices as tuples, without arrays.
 
-The servo loop works on three legs a thousand times a second. On three numbers, Python's own arithmetic takes a tenth of
-the time that NumPy's calls take.
+The servo loop processes three legs a thousand times a second. On three numbers, plain Python arithmetic takes a tenth
+of the time of NumPy calls.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Iterable
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
-"""Three rows."""
+"""A 3 x 3 matrix as three rows."""
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 def as_vector(values: Iterable[float]) -> Vector:
-    """Three numbers as a tuple of floats.
+    """Convert three numbers to a tuple of floats.
 
     Args:
         values: The numbers.
@@ -25,14 +25,14 @@ def as_vector(values: Iterable[float]) -> Vector:
         The tuple.
 
     Raises:
-        ValueError: If there are not three.
+        ValueError: If there are not exactly three.
     """
     x, y, z = (float(value) for value in values)
     return x, y, z
 
 
 def scale(factor: float, vector: Vector) -> Vector:
-    """A number times a vector.
+    """Multiply a vector by a number.
 
     Args:
         factor: The number.

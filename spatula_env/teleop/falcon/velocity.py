@@ -4,18 +4,18 @@ At 1 kHz, one count a millisecond is 30 to 50 mm/s: the plain difference of two 
 low-pass filter would trade that noise for a lag that makes a stiff wall unstable. First-order adaptive windowing
 (Janabi-Sharifi, Hayward and Chen, "Discrete-time adaptive windowing for velocity estimation", IEEE Transactions on
 Control Systems Technology 8(6), 2000) looks back as far as one constant velocity explains all counts, and no further:
-far when the grip is slow, so that the quantum is small, and a few milliseconds when it speeds up, so that the lag is
-small.
+far when the grip is slow, which reduces the effect of the quantum, and a few milliseconds when it speeds up, which
+keeps the lag small.
 
-Here it runs on the counts of each encoder, where the quantum is exactly one and the same everywhere, and the kinematics
-turn the result into a velocity. A velocity explains two counts if it leads from one to the other within `QUANTUM`; the
-velocities that explain all counts of a window are an interval, whose middle is taken. A constant velocity lies in that
-interval whatever the window, so the error is at most one count over the length of the window: 31 counts/s, or about
-1.2 mm/s, over the full 32 ms.
+Here it runs on the counts of each encoder, whose quantum is exactly one everywhere, and the kinematics convert the
+result to a velocity. A velocity explains two counts if it leads from one to the other within `QUANTUM`; the
+velocities that explain all counts of a window form an interval, whose midpoint is the estimate. A constant true
+velocity lies in that interval whatever the window, so the error is at most one count over the length of the window:
+31 counts/s, or about 1.2 mm/s, over the full 32 ms.
 
-Of a hand that shakes at 3 Hz by 400 counts, 20 mm, the estimate is 3.5 ms late, and else within 1.3 % of the greatest
-velocity (root mean square). The middle of the interval does better than the line through the window's ends or the
-least-squares line, which are 4.5 ms late there.
+For a hand that shakes at 3 Hz by 400 counts (20 mm), the estimate lags by 3.5 ms and is otherwise within 1.3 % of the
+greatest velocity (root mean square). The midpoint of the interval does better than the line through the window's ends
+or the least-squares line, which lag by 4.5 ms there.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from spatula_env.teleop.falcon.protocol import Counts
 from spatula_env.teleop.falcon.vector import Vector
 
 LONGEST_WINDOW = 0.032
-"""How far the filter looks back at most [s]."""
+"""Longest window of the filter [s]."""
 MOST_SAMPLES = 33
-"""How many measurements it looks at, at most."""
+"""Greatest number of measurements in the window."""
 QUANTUM = 1.0
-"""The difference of two counts is off by less than this, as each is rounded by at most half a count."""
+"""Bound on the error of a difference of two counts, each rounded by at most half a count."""
 
 
 class CountVelocity:
-    """The angular velocities of three encoders, in counts a second."""
+    """Estimates the angular velocities of three encoders, in counts per second."""
 
     def __init__(self) -> None:
         self._history: deque[tuple[float, Counts]] = deque(maxlen=MOST_SAMPLES)
 
     def clear(self) -> None:
-        """Forget all measurements, as the encoders jump."""
+        """Discard all measurements, for when the encoders jump."""
         self._history.clear()
 
     def update(self, time: float, counts: Counts) -> Vector:
-        """Take a measurement.
+        """Add a measurement and return the velocities.
 
         Args:
-            time: When it was made [s]. One that is not later than the last takes its place.
-            counts: The encoders.
+            time: Time of the measurement [s]. If it is not later than the last one, it replaces that one.
+            counts: Counts of the encoders.
 
         Returns:
-            The velocities now, zeros after the first measurement [1/s].
+            The current velocities, zeros after the first measurement [1/s].
         """
         history = self._history
         if history and time <= history[-1][0]:
@@ -62,7 +62,7 @@ class CountVelocity:
 
     @staticmethod
     def _of_leg(past: list[tuple[float, Counts]], counts: Counts, leg: int) -> float:
-        """The middle of the velocities that explain as much of the past as one velocity can, latest first."""
+        """Midpoint of the velocities that explain the longest recent part of the past that a single velocity can."""
         now = counts[leg]
         least, greatest = float("-inf"), float("inf")
         for age, old in past:

@@ -1,7 +1,7 @@
-"""How great a Falcon's forces are, by a known weight: the factor between counts and newtons was found by feel.
+"""Measure a Falcon's forces by a known weight, as the factor between counts and newtons was found by feel.
 
-The motors hold the grip where it is, first alone and then with a weight hung to it. How much more they are asked for is
-what they take the weight for.
+The motors hold the grip in place, first alone and then with a weight hung on it. The increase of the commanded force is
+compared with the weight.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from spatula_env.teleop.device import DeviceError
 from spatula_env.teleop.falcon.driver import Falcon
 
 GRAVITY = 9.81
-"""[m/s2]."""
+"""Acceleration of gravity [m/s2]."""
 STIFFNESS, DAMPING, INTEGRAL = 150.0, 4.0, 300.0
-"""Of what holds the grip [N/m], [N s/m], [N/(m s)]."""
+"""Gains of the controller that holds the grip [N/m], [N s/m], [N/(m s)]."""
 GREATEST = 5.0
-"""The most that is asked for [N]."""
+"""Greatest commanded force [N]."""
 SETTLING, LOOKING = 2.0, 1.0
-"""How long the grip settles, and over which time the force is averaged [s]."""
+"""Time for the grip to settle, and time over which the force is averaged afterwards [s]."""
 FARTHEST = 0.03
-"""A grip that is farther from where it was is not held [m]."""
+"""If the grip is farther than this from its initial position, it is not held [m]."""
 LEAST_SHARE = 0.2
-"""Motors that are asked for less than this share of a weight do not bear it."""
+"""If the commanded force grows by less than this share of the weight, the motors do not bear it."""
 LIGHTEST, HEAVIEST = 0.05, 0.4
-"""Weights that tell something, and that the motors bear beside the grip [kg]."""
+"""Range of weights that are heavy enough to measure and that the motors can bear in addition to the grip [kg]."""
 REQUEST = "Hold the grip in the middle of its range, level, and let go of it slowly when it bears itself."
 HANG = "Hang the weight of {grams:g} g to the grip now, and let it come to rest. Ready?"
 
@@ -35,9 +35,9 @@ class Weighing:
     """The result of weighing.
 
     Attributes:
-        grip: What the motors were asked for to bear the grip alone [N].
-        loaded: With the weight [N].
-        factor: By which forces are greater than they are asked to be.
+        grip: Commanded force that bears the grip alone [N].
+        loaded: Commanded force that bears the grip with the weight [N].
+        factor: Ratio of actual to commanded forces.
     """
 
     grip: float
@@ -46,20 +46,20 @@ class Weighing:
 
 
 def weigh(falcon: Falcon, mass: float, say: Callable[[str], None], ask: Callable[[str], bool]) -> Weighing:
-    """Find out how great the forces are.
+    """Measure the ratio of actual to commanded forces.
 
     Args:
-        falcon: Open and homed.
-        mass: Of the weight, 0.05 to 0.4 kg.
-        say: Takes a sentence for the operator.
-        ask: Takes a question; False ends the weighing.
+        falcon: The device, open and homed.
+        mass: Mass of the weight, 0.05 to 0.4 kg.
+        say: Receives a message for the operator.
+        ask: Receives a question for the operator; returning False ends the weighing.
 
     Returns:
-        What was found.
+        The result.
 
     Raises:
         ValueError: If the mass is out of its range.
-        DeviceError: If the grip was not held, or the operator did not want to go on.
+        DeviceError: If the grip was not held, or if the operator did not want to go on.
     """
     if not LIGHTEST <= mass <= HEAVIEST:
         raise ValueError(f"mass must be {LIGHTEST:g} to {HEAVIEST:g} kg, got {mass!r}")
@@ -74,7 +74,7 @@ def weigh(falcon: Falcon, mass: float, say: Callable[[str], None], ask: Callable
 
 
 def _hold(falcon: Falcon, force: float) -> float:
-    """Hold the grip where it is; the mean force upwards that it took in the end [N]."""
+    """Hold the grip in place; return the mean upward force commanded at the end [N]."""
     place = falcon.read().position
     assert place is not None
     goal, last = float(place[2]), falcon.now()

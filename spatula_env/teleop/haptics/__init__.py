@@ -1,19 +1,19 @@
-"""What lets the hand feel what the tool feels.
+"""Haptic feedback: renders what the tool feels to the operator's hand.
 
 Modules::
 
-device         HapticDevice: a device with its loop
-settings       the gains
-rendering      from contact to force, by
-local_contact  the organ between two physics steps
-passivity      the account of energy
-heartbeat      whether the simulation goes on, and how fast
-loop           once a millisecond
-histogram      of its periods
-runner         the loop in this process
-remote         the loop in a process of its own
-board          shared memory between the two
-tap            what the tool feels, from every physics step of an environment
+device         HapticDevice: a device together with its loop
+settings       gains and limits
+rendering      converts contact to force, using
+local_contact  a model of the organ between two physics steps
+passivity      an energy account
+heartbeat      whether the simulation is running, and how fast
+loop           the loop, one cycle per millisecond
+histogram      statistics of its periods
+runner         runs the loop in this process
+remote         runs the loop in a process of its own
+board          shared memory between the two processes
+tap            reads what the tool feels after every physics step of an environment
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""A message that one process leaves for another, the newest only, without a lock.
+"""A lock-free message board in shared memory: one process leaves its newest message for another.
 
-Whoever reads must never wait for whoever writes: a process that is stopped in the middle of writing would hold up the
-haptic loop. So a message carries a checksum, and a reader that finds a torn one looks again and else keeps the one it
-had. That needs nothing of the processor's memory order, unlike sequence counters.
+The reader must never wait for the writer: a process that is suspended while it writes would hold up the haptic loop. So
+each message carries a checksum; a reader that finds a torn message tries again, and otherwise keeps the last valid one.
+Unlike sequence counters, this makes no assumption about the processor's memory ordering.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from multiprocessing.shared_memory import SharedMemory
 from typing import Any
 
 TRIES = 8
-"""How often a reader looks at a torn message."""
+"""Number of times that a reader retries a torn message."""
 _CHECKSUM = struct.Struct("=I")
 
 
 class Board:
-    """Place for one message in shared memory. One process writes, any number read.
+    """Shared memory for one message. One process writes, any number read.
 
     Attributes:
-        name: By which other processes find it.
+        name: Name by which other processes open the board.
     """
 
     def __init__(self, layout: str, name: str | None = None) -> None:
-        """Make a board, or find one.
+        """Create a board, or open one.
 
         Args:
-            layout: What a message holds, as for `struct`.
-            name: Of a board that exists; None makes one, which ends with `close`.
+            layout: Format of a message, as for `struct`.
+            name: Name of an existing board; None creates one, which `close` then removes.
         """
         self._layout = struct.Struct("=" + layout)
         size = self._layout.size + _CHECKSUM.size
@@ -39,12 +39,12 @@ class Board:
         self._last: tuple[Any, ...] | None = None
 
     def write(self, *values: Any) -> None:
-        """Leave a message in the place of the last one."""
+        """Replace the message."""
         message = self._layout.pack(*values)
         self._buffer()[: len(message) + _CHECKSUM.size] = message + _CHECKSUM.pack(_checksum(message))
 
     def read(self) -> tuple[Any, ...] | None:
-        """The newest whole message; None before the first."""
+        """The newest complete message; None before the first."""
         size = self._layout.size
         for _ in range(TRIES):
             raw = bytes(self._buffer()[: size + _CHECKSUM.size])
@@ -60,7 +60,7 @@ class Board:
         return buffer
 
     def close(self) -> None:
-        """Let go of the memory; its maker also frees it. Closing twice is allowed."""
+        """Release the memory; the process that created it also removes it. Closing twice is allowed."""
         self._memory.close()
         if self._owner:
             self._owner = False
@@ -68,5 +68,5 @@ class Board:
 
 
 def _checksum(message: bytes) -> int:
-    # Not that of an empty board, whose zeros must not pass for a message.
+    # Modified, so that the zeros of a new board do not pass for a message.
     return zlib.crc32(message) ^ 0x5EED

@@ -1,28 +1,28 @@
-"""What the haptic loop is told about the simulation, and what it tells in return."""
+"""Data passed between the simulation and the haptic loop."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 Vector = tuple[float, float, float]
-"""Three coordinates, device's frame. Tuples, as for three numbers they are several times faster than arrays."""
+"""Three coordinates, device frame. Tuples, because for three numbers they are several times faster than arrays."""
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Contact:
-    """What the tool feels at one moment, in the device's frame.
+    """What the tool feels at one moment, in the device frame.
 
     Attributes:
-        time: When it was told, by the device's clock; the heartbeat of the simulation [s].
-        position: Where the grip would be if it were where the tool is [m]; None if that is not known, or if hand and
-            tool are not coupled, as while the clutch is held.
-        force: What the organ does to the tool [N].
-        low: Lowest corner of where the grip may be for the tool to follow [m]; None if there is no such place.
-        high: Highest corner of it [m].
-        shift: How much of the position is a matter of how hand and tool are matched [m]. What is left moves only as the
-            tool does.
+        time: When it was reported, by the device's clock; serves as the simulation's heartbeat [s].
+        position: Grip position that corresponds to the tool's position [m]; None if unknown, or if hand and tool are
+            not coupled, as while the clutch is held.
+        force: Force of the organ on the tool [N].
+        low: Lowest corner of the grip positions that the tool can follow [m]; None if there are no bounds.
+        high: Highest corner of these positions [m].
+        shift: Part of `position` that comes from how hand and tool are matched [m]. The rest moves only when the tool
+            moves.
     """
 
     time: float
@@ -35,18 +35,18 @@ class Contact:
 
 @dataclass(frozen=True)
 class LoopStatistics:
-    """How regularly the haptic loop went round.
+    """Statistics of how regularly the haptic loop ran.
 
     Attributes:
-        cycles: How often.
-        median_period: From one cycle to the next [s].
-        late_period: 99 of 100 are not longer [s].
-        longest_period: The longest [s].
-        stalls: How often a force was let go because the simulation did not go on.
-        limited: In how many cycles passivity held a force back.
-        balance: What the hand has given to the loop less what it got back, by the loop's own account [J].
-        pulse: Usual time from one heartbeat of the simulation to the next [s].
-        is_slow: Whether the simulation is too slow to be felt.
+        cycles: Number of cycles.
+        median_period: Median time from one cycle to the next [s].
+        late_period: 99th percentile of the periods [s].
+        longest_period: Longest period [s].
+        stalls: Number of times that a force was released because the simulation stopped reporting.
+        limited: Number of cycles in which passivity control reduced a force.
+        balance: Energy that the hand has given to the loop, minus what it got back, by the loop's own account [J].
+        pulse: Typical time from one heartbeat of the simulation to the next [s].
+        is_slow: Whether the simulation is too slow for its forces to be rendered.
     """
 
     cycles: int
@@ -66,7 +66,7 @@ def dot(first: Vector, second: Vector) -> float:
 
 
 def difference(first: Vector, second: Vector) -> Vector:
-    """What leads from the second to the first."""
+    """The vector from the second point to the first."""
     return first[0] - second[0], first[1] - second[1], first[2] - second[2]
 
 

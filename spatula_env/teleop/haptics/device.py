@@ -1,4 +1,4 @@
-"""A haptic device with its loop: it is told what the tool feels, and lets the hand feel it."""
+"""A haptic device with its loop: it is told what the tool feels and renders it to the hand."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from spatula_env.teleop.haptics.track import HapticTrack
 Where: TypeAlias = Literal["process", "thread", "here"]
 
 PLACES = ("process", "thread", "here")
-"""Where the loop can run."""
+"""Where the loop can run: see `HapticDevice`."""
 
 
 class HapticDevice(TeleopDevice):
-    """A position device with force, and the haptic loop between it and a simulation.
+    """A position device with force feedback, and the haptic loop between it and a simulation.
 
-    `tell` is called as often as the simulation has something new, and the loop makes of it what the hand feels. What
-    ends the calls ends the force.
+    Call `tell` whenever the simulation has something new; the loop renders it to the hand. If the calls stop, the force
+    ends.
 
     Where the loop runs:
 
-    - "process": in a process of its own, with shared memory in between. The simulation's Python cannot delay it.
-    - "thread": in a thread. Python lets one thread run at a time, and the simulation delays the loop.
-    - "here": nowhere by itself; `sleep` goes round while it waits. For a simulated clock: always the same.
+    - "process": in a process of its own, with shared memory in between. The simulation's Python code cannot delay it.
+    - "thread": in a thread. Python runs one thread at a time, so the simulation delays the loop.
+    - "here": only within `sleep`, which runs the loop while it waits. For a simulated clock; reproducible.
 
     Example:
         >>> from functools import partial
@@ -53,7 +53,7 @@ class HapticDevice(TeleopDevice):
         ...     device.tell(position=(0.0, 0.0, -0.01), force=(0.0, 0.0, 1.5))
 
     Attributes:
-        settings: The gains.
+        settings: Gains of the loop.
         where: Where the loop runs.
     """
 
@@ -68,10 +68,10 @@ class HapticDevice(TeleopDevice):
         where: Where = "process",
         exchange: bool = False,
     ) -> None:
-        """Describe the device; `open` opens it.
+        """Store the settings of the device; `open` opens it.
 
         Args:
-            factory: Makes the device, where the loop runs. With "process" it must be possible to pickle it.
+            factory: Makes the device in the place where the loop runs. For "process" it has to be picklable.
             settings: The gains; None for the defaults.
             where: Where the loop runs.
             exchange: Whether the device has no thread of its own, so that the loop has to call its method `exchange`.
@@ -114,7 +114,7 @@ class HapticDevice(TeleopDevice):
         self.workspace_low, self.workspace_high = described.workspace_low, described.workspace_high
         self.greatest_force = described.greatest_force
         self.greatest_stiffness, self.greatest_damping = described.greatest_stiffness, described.greatest_damping
-        # Also when the object is forgotten, and at the interpreter's end; must not refer to this object.
+        # Also runs when the object is garbage collected and at the interpreter's exit; must not refer to this object.
         self._finish = weakref.finalize(self, runner.close)
         self._runner = runner
 
@@ -127,14 +127,14 @@ class HapticDevice(TeleopDevice):
         return self._open_runner().read()
 
     def tell(self, position: ArrayLike | None, force: ArrayLike, shift: ArrayLike = ZERO) -> None:
-        """Tell what the tool feels. The force on the hand lasts for `stall_time`, and is to be told anew before.
+        """Report what the tool feels. The force on the hand lasts for `stall_time`; report again before it is over.
 
         Args:
-            position: Where the grip would be if it were where the tool is, shape (3,), device's frame [m]. None: hand
+            position: Grip position that corresponds to the tool's position, shape (3,), device frame [m]. None if hand
                 and tool are not coupled.
-            force: What the organ does to the tool, shape (3,), device's frame [N].
-            shift: How much of the position is a matter of how hand and tool are matched, shape (3,) [m]: it changes
-                when they are matched anew, and what is left of the position moves only as the tool does.
+            force: Force of the organ on the tool, shape (3,), device frame [N].
+            shift: Part of `position` that comes from how hand and tool are matched, shape (3,) [m]. It changes when
+                they are matched anew; the rest of the position moves only when the tool moves.
 
         Raises:
             ValueError: If one has another shape or is not finite.
@@ -148,10 +148,10 @@ class HapticDevice(TeleopDevice):
         runner.tell(Contact(runner.now(), place, felt, low, high, matched))
 
     def confine(self, low: ArrayLike | None, high: ArrayLike | None) -> None:
-        """Tell where the grip may be for the tool to follow: beyond, soft walls push it back, from the next `tell` on.
+        """Bound the grip positions that the tool can follow. Soft walls push back beyond them, from the next `tell` on.
 
         Args:
-            low: Lowest corner, shape (3,), device's frame [m]; None: anywhere.
+            low: Lowest corner, shape (3,), device frame [m]; None for no bounds.
             high: Highest corner [m].
 
         Raises:
@@ -165,27 +165,27 @@ class HapticDevice(TeleopDevice):
             self._room = _as_vector(check_force(low)), _as_vector(check_force(high))
 
     def send_force(self, force: ArrayLike) -> None:
-        """`tell` without a place: the force alone, filtered and limited."""
+        """`tell` without a position: the force alone, filtered and limited."""
         self.tell(None, force)
 
     def release(self) -> None:
-        """End the force now, as when an episode ends. Nothing happens if the device is lost or closed."""
+        """End the force now, as at the end of an episode. Does nothing if the device is lost or closed."""
         if self._runner is not None:
             self._runner.tell(None)
 
     @property
     def force(self) -> FloatArray:
-        """(3,) what the hand was last made to feel, device's frame [N]."""
+        """(3,) force last rendered to the hand, device frame [N]."""
         return np.array(self._open_runner().force)
 
     @property
     def renderer(self) -> ForceRenderer | None:
-        """What makes the forces, to be looked at, if it is in this process."""
+        """The renderer that makes the forces, for inspection, if it is in this process; None otherwise."""
         loop = getattr(self._open_runner(), "loop", None)
         return loop.renderer if isinstance(loop, HapticLoop) else None
 
     def sleep(self, duration: float) -> None:
-        """Wait; with "here" the loop goes round meanwhile.
+        """Wait; with "here" the loop runs meanwhile.
 
         Args:
             duration: How long [s].
@@ -193,10 +193,10 @@ class HapticDevice(TeleopDevice):
         self._open_runner().sleep(duration)
 
     def ask(self, question: Callable[[TeleopDevice], Answer]) -> Answer:
-        """Call a function with the device itself, where the loop runs, between two of its cycles.
+        """Call a function with the underlying device, where the loop runs, between two of its cycles.
 
         Args:
-            question: What to call. With "process" it and its result must be possible to pickle.
+            question: Function to call. For "process", it and its result have to be picklable.
 
         Returns:
             Its result.
@@ -204,7 +204,7 @@ class HapticDevice(TeleopDevice):
         return self._open_runner().ask(question)
 
     def statistics(self) -> LoopStatistics:
-        """How regularly the loop went round.
+        """Statistics of how regularly the loop ran.
 
         Raises:
             DeviceError: If the device is not open.
@@ -212,18 +212,18 @@ class HapticDevice(TeleopDevice):
         return self._open_runner().statistics()
 
     def keep_track(self, seconds: float) -> None:
-        """Keep what happens in every cycle from now on: time, grip, forces, buttons.
+        """Record every cycle from now on: time, grip, forces, buttons.
 
         Args:
-            seconds: For how long at most; there is a place for it beforehand. 0: keep nothing any more.
+            seconds: Longest time to record; memory for it is allocated in advance. 0 stops the recording.
 
         Raises:
-            NotCalibrated: If the loop does not run yet.
+            NotCalibrated: If the loop is not running yet.
         """
         self._open_runner().keep_track(seconds)
 
     def take_track(self) -> HapticTrack:
-        """The samples kept since the last call; the loop waits meanwhile, so best while there is no force."""
+        """The samples recorded since the last call. The loop waits meanwhile, so best call it without force."""
         return self._open_runner().take_track()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Whether the simulation goes on, and how fast."""
+"""Watches whether the simulation is running, and how fast."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import math
 from spatula_env.teleop.haptics.settings import HapticSettings
 
 PATIENCE = 2.5
-"""So many of its usual pulses a simulation may be silent."""
+"""Number of its usual pulses that a simulation may be silent."""
 ATTENTION = 8.0
-"""So many pulses are remembered."""
+"""Number of pulses over which the usual pulse is averaged."""
 RECOVERED = 0.8
-"""A simulation that was too slow is felt again when its pulse is shorter than this share of the longest allowed."""
+"""A simulation that was too slow is rendered again once its pulse is below this share of the longest allowed."""
 
 
 class Heartbeat:
-    """Fades forces out while the simulation is silent or too slow, and in again afterwards.
+    """Fades forces out while the simulation is silent or too slow, and back in afterwards.
 
     Attributes:
-        pulse: Usual time from one heartbeat to the next [s]; 0 before there are two.
-        life: 0 to 1: what is left of a force.
-        stalls: How often a force was let go.
-        is_slow: Whether the simulation is too slow to be felt.
+        pulse: Usual time from one heartbeat to the next [s]; 0 before there have been two.
+        life: Factor on the force, 0 to 1.
+        stalls: Number of times that a force was released.
+        is_slow: Whether the simulation is too slow for its forces to be rendered.
     """
 
     def __init__(self, settings: HapticSettings) -> None:
-        """No heart beats yet.
+        """Start without a heartbeat.
 
         Args:
-            settings: The times.
+            settings: The time limits.
         """
         self._settings = settings
         self.pulse = self.life = 0.0
@@ -38,12 +38,12 @@ class Heartbeat:
         self._was_alive = False
 
     def listen(self, now: float, step: float, beat: float | None) -> float:
-        """Go on.
+        """Advance by one step.
 
         Args:
-            now: The time [s].
-            step: Since the last time [s].
-            beat: When the heart beat last [s]; None: nothing is to be felt.
+            now: The current time [s].
+            step: Time since the last call [s].
+            beat: Time of the last heartbeat [s]; None if there is nothing to render.
 
         Returns:
             `life`.
@@ -51,7 +51,7 @@ class Heartbeat:
         settings = self._settings
         if beat is not None and beat != self._last:
             pause = beat - self._last
-            # A stall is no pulse.
+            # The pause of a stall does not count as a pulse.
             if pause < 0.0 or pause > 4.0 * settings.longest_stall:
                 self.pulse = self.pulse if math.isfinite(self._last) else 0.0
             else:

@@ -1,38 +1,38 @@
-"""Periods of a loop, counted: a thousand a second for hours, in a place that never grows."""
+"""Histogram of a loop's periods: a thousand a second for hours, in constant memory."""
 
 from __future__ import annotations
 
 from array import array
 
 WIDTH = 1e-5
-"""Of a bin [s]."""
+"""Width of a bin [s]."""
 BINS = 10_000
-"""What is longer than all of them counts in the last, whose longest is known."""
+"""Number of bins. Periods beyond the last one are counted in it; the longest of all is known exactly."""
 
 
 class PeriodHistogram:
-    """How often periods were how long.
+    """Counts periods by their length.
 
     Attributes:
-        count: How many there were.
-        longest: The longest [s].
+        count: Number of periods.
+        longest: Longest period [s].
     """
 
     def __init__(self) -> None:
-        """There was none yet."""
+        """Start without any periods."""
         self.count = 0
         self.longest = 0.0
         self._bins = array("Q", bytes(8 * BINS))
 
     def add(self, period: float) -> None:
-        """Count one [s]; one below zero, which no clock shows, counts as zero."""
+        """Add a period [s]; a negative one, which no clock should show, counts as zero."""
         self._bins[min(BINS - 1, max(0, int(period / WIDTH)))] += 1
         self.count += 1
         if period > self.longest:
             self.longest = period
 
     def quantile(self, share: float) -> float:
-        """Quantile of the periods, to the width of a bin [s]; 0 without any."""
+        """Quantile of the periods, to within the width of a bin [s]; 0 if there are none."""
         wanted, seen = share * self.count, 0
         for index, number in enumerate(self._bins):
             seen += number

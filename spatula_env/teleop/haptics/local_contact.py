@@ -1,10 +1,10 @@
-"""The organ as the loop knows it between two physics steps: it gives way with the stiffness that it has shown.
+"""Local model of the organ between two physics steps: it yields with the stiffness that it has shown so far.
 
-A force that is only held between two physics steps comes late. Where the tool and its force are known, and how fast the
-force grows there, the force at the place of the hand is known a thousand times a second (Y. Adachi, T. Kumano and
-K. Ogino, "Intermediate representation for stiff virtual objects", VRAIS 1995). With the organ's own stiffness the
-low-pass filter that makes a curve of the simulation's steps costs no time either: force and place are filtered alike.
-An organ that sticks to the tool resists to the side as well, several times as stiffly as along the force.
+A force that is only held between two physics steps comes late. If the tool's position and force are known, and how fast
+the force grows there, the force at the hand's position can be computed a thousand times a second (Y. Adachi, T. Kumano
+and K. Ogino, "Intermediate representation for stiff virtual objects", VRAIS 1995). With the organ's own stiffness, the
+low-pass filter that smooths the simulation's steps adds no delay either, as force and position are filtered alike. An
+organ that sticks to the tool also resists sideways, several times as stiffly as along the force.
 """
 
 from __future__ import annotations
@@ -15,29 +15,31 @@ from spatula_env.teleop.haptics.contact import ZERO, Contact, Vector, difference
 from spatula_env.teleop.haptics.settings import HapticSettings
 
 SMALL_FORCE = 1e-9
-"""Below this a force has no direction [N]."""
+"""Forces below this have no direction [N]."""
 MEMORY = 0.1
-"""For how long what was felt counts for the stiffness [s]."""
+"""Time constant with which past forces and positions count for the stiffness estimate [s]."""
 CLEAR_MOTION = 5e-5
-"""A motion, root mean square, from which on what it did to the force says something about the stiffness [m]."""
+"""Root mean square motion from which on the change of force says something about the stiffness [m]."""
 SOFTEST, STIFFEST = 5.0, 1000.0
-"""Nothing else is believed of a stiffness on the tool [N/m]."""
+"""Bounds of the estimated stiffness on the tool [N/m]."""
 
 
 class LocalContact:
-    """Force and place of the tool as a curve, and how stiff the organ is there.
+    """Smoothed force and position of the tool, and the organ's stiffness there.
 
     Attributes:
-        stiffness: Along the force, as it has been found [N/m]. Not scaled.
-        side_stiffness: Across it, where the organ sticks to the tool; little where the tool slides [N/m]. Not scaled.
-        force: On the tool, filtered, scaled as it is to be felt [N].
-        direction: Unit, in which the organ pushes: that of the force of late, which a tremor to the side does not turn.
-        shift: As hand and tool are matched; see `Contact` [m].
-        work: Of the tool on the organ since contact began, scaled as forces are [J].
+        stiffness: Estimated stiffness along the force [N/m]. Not scaled.
+        side_stiffness: Stiffness across it, where the organ sticks to the tool; small where the tool slides [N/m]. Not
+            scaled.
+        force: Filtered force on the tool, scaled as it is to be rendered [N].
+        direction: Unit vector in which the organ pushes: the direction of the recent mean force, which a sideways
+            tremor does not turn.
+        shift: Offset that comes from how hand and tool are matched; see `Contact` [m].
+        work: Work of the tool on the organ since contact began, scaled as forces are [J].
     """
 
     def __init__(self, settings: HapticSettings) -> None:
-        """Nothing is touched.
+        """Start without contact.
 
         Args:
             settings: The gains.
@@ -58,10 +60,10 @@ class LocalContact:
         self._variance = self._covariance = self._side_variance = self._side_covariance = 0.0
 
     def hear(self, contact: Contact) -> None:
-        """Take what the simulation tells; nothing happens if it is known already.
+        """Take the simulation's newest report; does nothing if it is known already.
 
         Args:
-            contact: The newest.
+            contact: The newest report.
         """
         if contact.time == self._told_time:
             return
@@ -69,7 +71,7 @@ class LocalContact:
         self._told_time = contact.time
         force = scaled(self._settings.force_scale, contact.force)
         self.shift = contact.shift
-        # Of the tool itself, wherever the hand is matched with it.
+        # The position of the tool itself, however hand and tool are matched.
         place = None if contact.position is None else difference(contact.position, contact.shift)
         last = self._told_place
         if place is not None and last is not None:
@@ -84,11 +86,11 @@ class LocalContact:
         self._told_force, self._told_place = force, place
 
     def follow(self, step: float, cutoff: float) -> None:
-        """Go on with the curve through what was told.
+        """Advance the smoothed force and position towards those last reported.
 
         Args:
-            step: How long [s].
-            cutoff: Of the low-pass filter [Hz].
+            step: Time step [s].
+            cutoff: Cutoff frequency of the low-pass filter [Hz].
         """
         share = 1.0 - math.exp(-2.0 * math.pi * cutoff * step)
         self.force = _towards(self.force, self._told_force, share)
@@ -101,20 +103,20 @@ class LocalContact:
             self.force = ZERO
 
     def ahead(self, position: Vector) -> Vector:
-        """From the hand to the tool [m]: how far the hand is ahead; zero if hand and tool are not coupled."""
+        """Vector from the hand to the tool [m], which shows how far the hand is ahead; zero if they are not coupled."""
         return ZERO if self._anchor is None else difference(self._anchor, difference(position, self.shift))
 
     @property
     def is_touching(self) -> bool:
-        """Whether the simulation has told a force."""
+        """Whether the simulation has reported a force."""
         return self._told_force != ZERO
 
     def begin(self) -> None:
-        """A new contact begins."""
+        """Begin a new contact."""
         self.work = 0.0
 
     def forget(self) -> None:
-        """What is told next is a beginning, and no continuation."""
+        """Discard the past, so that the next report counts as a new beginning."""
         self.force = self.direction = ZERO
         self._anchor = None
         self._told_force, self._told_place = ZERO, None
@@ -122,7 +124,7 @@ class LocalContact:
         self._mean_place = None
 
     def _learn(self, force: Vector, place: Vector, step: float) -> None:
-        """Correct the stiffness by how force and place have varied together of late."""
+        """Update the stiffness estimate from how force and position have recently varied together."""
         if self._mean_place is None:
             self._mean_place, self._mean_force = place, force
             self._variance = self._covariance = self._side_variance = self._side_covariance = 0.0
@@ -151,7 +153,7 @@ def _unit(vector: Vector) -> Vector:
 
 
 def _corrected(stiffness: float, variance: float, covariance: float, share: float, least: float) -> float:
-    """A stiffness, corrected by how places and forces have varied together."""
+    """A stiffness, updated by the covariance of position and force."""
     if variance <= 0.0:
         return stiffness
     found = min(STIFFEST, max(least, -covariance / variance))

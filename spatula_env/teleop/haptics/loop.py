@@ -1,4 +1,4 @@
-"""The haptic loop: hand, contact, force, a thousand times a second."""
+"""The haptic loop: reads the hand, computes a force, sends it, a thousand times a second."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from spatula_env.teleop.haptics.settings import PERIOD, HapticSettings
 from spatula_env.teleop.haptics.track import HapticTrack, TrackRecorder
 
 Take = Callable[[], Contact | None]
-"""Gives the last that is known of the simulation, at once."""
+"""Returns the last report of the simulation without waiting."""
 Give = Callable[[DeviceSample, Vector], None]
-"""Takes what was measured, and the force that was sent."""
+"""Takes the measurement and the force that was sent."""
 
 
 class HapticLoop:
-    """Reads a device, makes a force, sends it; over and over.
+    """Reads a device, computes a force and sends it, again and again.
 
-    It ends when it is told to, and by any exception; either way the last force that it sends is zero.
+    It ends on request or by any exception; in both cases the last force that it sends is zero.
 
     Attributes:
         renderer: Makes the forces.
-        error: What ended `run`; None while it runs or after a regular end.
+        error: The exception that ended `run`; None while it runs or after a regular end.
     """
 
     def __init__(self, device: TeleopDevice, settings: HapticSettings, take: Take, give: Give, exchange: bool) -> None:
-        """Prepare.
+        """Prepare the loop.
 
         Args:
-            device: Open, calibrated, a position device.
+            device: A position device, open and calibrated.
             settings: The gains.
-            take: Gives the last that is known of the simulation.
-            give: Takes what was measured and sent.
+            take: Returns the last report of the simulation.
+            give: Takes the measurement and the force that was sent.
             exchange: Whether the device has no thread of its own, so that every cycle has to call its `exchange`.
         """
         self.renderer = ForceRenderer(
@@ -60,10 +60,10 @@ class HapticLoop:
         self._stopping = False
 
     def cycle(self) -> None:
-        """Go round once.
+        """Run one cycle.
 
         Raises:
-            DeviceLost: If the device does not answer any more. The force is zero then, as far as can be.
+            DeviceLost: If the device no longer answers. The force is then set to zero, if the device still allows it.
         """
         now = self._device.now()
         if self._last is not None:
@@ -89,10 +89,10 @@ class HapticLoop:
             raise
 
     def run(self, sleep: Callable[[float], None], between: Callable[[], bool] | None = None) -> None:
-        """Go round until `stop` is called, or something fails, which is then in `error`.
+        """Run cycles until `stop` is called or something fails; the exception is then kept in `error`.
 
         Args:
-            sleep: Waits, by the device's clock.
+            sleep: Waits by the device's clock.
             between: Called after every cycle; False ends the loop.
         """
         try:
@@ -106,39 +106,39 @@ class HapticLoop:
                 if ahead > 0.0:
                     sleep(ahead)
                 else:
-                    # What was missed is not made up for.
+                    # Missed cycles are not made up for.
                     due -= ahead
         except BaseException as error:
-            # Nobody looks into a thread: whoever next asks for a sample has to be told.
+            # Exceptions in a thread go unnoticed: keep it for the next caller who asks for a sample.
             self.error = error
         finally:
             self.release()
 
     def keep_track(self, seconds: float) -> None:
-        """Keep what happens in every cycle from now on, for so long at most [s]; 0: keep nothing any more."""
+        """Record every cycle from now on, for this long at most [s]; 0 stops the recording."""
         self._track = TrackRecorder(round(seconds / PERIOD)) if seconds > 0.0 else None
 
     def take_track(self) -> HapticTrack:
-        """The samples kept since the last call."""
+        """The samples recorded since the last call."""
         recorder = self._track if self._track is not None else TrackRecorder(0)
         return recorder.take(self._names)
 
     def stop(self) -> None:
-        """Let `run` come to its end."""
+        """Make `run` end."""
         self._stopping = True
 
     def release(self) -> None:
-        """Send a force of zero, as far as the device can still hear it."""
+        """Send a force of zero, if the device still allows it."""
         try:
             self._device.send_force(ZERO)
             if self._exchange is not None:
                 self._exchange()
         except Exception:
-            # The device is gone, or closed, and makes no force any more.
+            # The device is lost or closed, and produces no force any more.
             pass
 
     def statistics(self) -> LoopStatistics:
-        """How regularly it went round, so far."""
+        """Statistics of how regularly the loop has run so far."""
         periods, renderer = self._periods, self.renderer
         return LoopStatistics(
             cycles=self._cycles,
@@ -154,7 +154,7 @@ class HapticLoop:
 
 
 def pressed_bits(sample: DeviceSample, names: tuple[str, ...]) -> int:
-    """The buttons that are held down, bit by bit."""
+    """The buttons that are held down, as bits."""
     return sum(1 << names.index(name) for name in sample.buttons) if sample.buttons else 0
 
 

@@ -1,9 +1,10 @@
-"""A device and its haptic loop in a process of their own, and what ends the force when a process ends.
+"""A device and its haptic loop in a process of their own, with a safe end of the force if a process ends.
 
-The loop's process has a session of its own, so that what is sent to the program's group, as by a closed terminal,
-Ctrl-Z or a service manager, does not reach it. It notices the end of the program by its pipe, and a program that is
-stopped by the simulation's heartbeat; a signal to itself ends it in order. Whatever it is, the force fades first. If
-the loop's process is killed, the program opens the connection itself and sends zeros.
+The loop's process has a session of its own, so that signals to the program's process group, as from a closed terminal,
+Ctrl-Z or a service manager, do not reach it. It detects the end of the program by its pipe, and a program that is
+suspended by the missing heartbeat of the simulation; a signal to the process itself ends it in an orderly way. In all
+these cases the force fades out first. If the loop's process is killed, the program connects to the device itself and
+sends zeros.
 """
 
 from __future__ import annotations
@@ -49,44 +50,44 @@ from spatula_env.teleop.haptics.settings import HapticSettings
 from spatula_env.teleop.haptics.track import HapticTrack
 
 CONTACT = "dBB3d3dB3d3d3d"
-"""Time; whether there is a contact, and a position; position, force; whether there are corners; corners; shift."""
+"""Time; whether there is a contact, and a position; position, force; whether there are bounds; corners; shift."""
 SILENT = (0.0, False, False, *ZERO, *ZERO, False, *ZERO, *ZERO, *ZERO)
-"""Nothing is to be felt."""
+"""Message for: nothing is to be felt."""
 REPORT = "dq3d3dQ3dB"
 """Time, sequence, position, velocity, buttons as bits, force; whether the loop has ended."""
 SILENCE = 0.5
-"""A loop that has reported nothing for so long is lost [s]."""
+"""A loop that has not reported for this long is lost [s]."""
 CYCLES_PER_LOOK = 5
-"""How many cycles pass before the process looks for a question."""
+"""Number of cycles between two checks for a request."""
 CYCLES_TO_END = 60
-"""A loop that is to end has so many cycles for the force to fade."""
+"""Number of cycles in which the force fades out when the loop is to end."""
 WATCH = 0.05
-"""How often the program looks whether the loop still goes round [s]."""
+"""Interval at which the program checks whether the loop is still running [s]."""
 STANDSTILL = 0.25
-"""A loop that has gone round no more for so long is killed, as it holds the device and its last force [s]."""
+"""A loop that has stood still for this long is killed, as it holds the device and its last force [s]."""
 BUSY_TRIES, BUSY_WAIT = 200, 0.005
-"""How often the connection of a process that was killed is asked for, and how far apart; it is freed late [s]."""
+"""Attempts to connect after a process was killed, and their interval [s]: its connection is freed late."""
 ENDINGS = ("SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT", "SIGBREAK")
-"""Signals that end a loop in order."""
+"""Signals that end a loop in an orderly way."""
 PRIORITY = 10
-"""Of the process among those of real-time priority, where it may have one."""
+"""Real-time priority of the process, where it may have one."""
 
 
 class RemoteLoop(Runner):
-    """The side of the simulation."""
+    """The program's side, where the simulation runs."""
 
     def __init__(self, factory: Factory, settings: HapticSettings, exchange: bool) -> None:
-        """Start the process, and let it open the device.
+        """Start the process and have it open the device.
 
         Args:
-            factory: Makes the device; is pickled.
+            factory: Makes the device; has to be picklable.
             settings: The gains.
             exchange: Whether the loop has to call the device's `exchange`.
 
         Raises:
-            DeviceError: Whatever the device raises.
+            DeviceError: Any error that the device raises.
         """
-        # Not forked: threads and engines of this process must not be half there.
+        # Spawned, not forked: a fork would copy the threads and engines of this process in an undefined state.
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._inbox, self._outbox = Board(CONTACT), Board(REPORT)
@@ -127,7 +128,7 @@ class RemoteLoop(Runner):
         """See `Runner`."""
         self._request("calibrate", progress=progress)
         report = self._outbox.read()
-        # A loop that has ended, as when the homing was lost, begins again.
+        # Start again a loop that has ended, for example because the homing was lost.
         if not self._is_running or (report is not None and report[12]):
             self._run()
 
@@ -191,7 +192,7 @@ class RemoteLoop(Runner):
         if self._watcher is not None:
             self._watcher.join(END_TIMEOUT)
         self._inbox.write(*SILENT)
-        # The end of the pipe is what ends the loop; it ends also when this process does, however that comes.
+        # Closing the pipe ends the loop; the pipe also closes when this process ends in any other way.
         self._pipe.close()
         if self._process.pid is not None:
             self._process.join(END_TIMEOUT)
@@ -203,7 +204,7 @@ class RemoteLoop(Runner):
         self._outbox.close()
 
     def now(self) -> float:
-        """See `Runner`; the machine's monotonic clock, which all processes share."""
+        """See `Runner`; the machine's monotonic clock, which is the same for all processes."""
         return time.monotonic()
 
     def _run(self) -> None:
@@ -220,13 +221,13 @@ class RemoteLoop(Runner):
         self._watcher.start()
 
     def _watch(self) -> None:
-        """End the force if the loop's process has ended without doing so, or stands still."""
+        """End the force if the loop's process has died or stands still."""
         while not self._is_closed:
             if wait([self._process.sentinel], WATCH):
                 if self._process.exitcode != 0 and not self._is_closed:
                     stop_motors(self._factory)
                 return
-            # A question keeps the loop waiting, and so does what this process waits for itself.
+            # While a request is being answered the loop may stand still legitimately, so skip this check.
             if self._asking.acquire(blocking=False):
                 try:
                     report = self._outbox.read()
@@ -237,10 +238,10 @@ class RemoteLoop(Runner):
                     self._process.kill()
 
     def _report(self) -> tuple[Any, ...]:
-        """The newest report.
+        """The newest report of the loop.
 
         Raises:
-            DeviceLost: If there is none of late.
+            DeviceLost: If there is no recent one.
         """
         report = self._outbox.read()
         if report is None:
@@ -279,19 +280,19 @@ class RemoteLoop(Runner):
 def _serve(
     pipe: Connection, factory: Factory, settings: HapticSettings, exchange: bool, inbox: str, outbox: str
 ) -> None:
-    """Body of the process."""
+    """Main function of the process."""
     if hasattr(os, "setsid"):
         os.setsid()
     server = _Server(pipe, factory, settings, exchange, Board(CONTACT, inbox), Board(REPORT, outbox))
     server.handle_signals()
-    # When the other process is gone, however it went, there is nobody to answer.
+    # If the other process is gone, for whatever reason, nobody waits for an answer.
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         server.serve()
     server.close()
 
 
 class _Server:
-    """The side of the device."""
+    """The device's side, in the loop's process."""
 
     def __init__(
         self, pipe: Connection, factory: Factory, settings: HapticSettings, exchange: bool, inbox: Board, outbox: Board
@@ -308,7 +309,7 @@ class _Server:
         self._cycles_to_end = CYCLES_TO_END
 
     def serve(self) -> None:
-        """Answer questions; while the loop runs, between its cycles."""
+        """Answer requests; while the loop runs, between its cycles."""
         while not self._ended:
             if not self._pipe.poll(WATCH):
                 if self._ending:
@@ -321,7 +322,7 @@ class _Server:
                     self._outbox.write(time.monotonic(), *self._last[1:9], *ZERO, 1)
 
     def close(self) -> None:
-        """End the force and the device."""
+        """End the force and close the device."""
         if self._loop is not None:
             self._loop.release()
         if self._device is not None:
@@ -330,7 +331,7 @@ class _Server:
         self._outbox.close()
 
     def handle_signals(self) -> None:
-        """Let the force fade, and then end, when a signal comes; and while the process is to stand still, be quiet."""
+        """On a signal to end, let the force fade out first; between SIGTSTP and SIGCONT, render no force."""
 
         def end(number: int, frame: FrameType | None) -> None:
             self._ending = True
@@ -364,14 +365,14 @@ class _Server:
         verb, argument = self._pipe.recv()
         try:
             answer = getattr(self, f"_{verb}")(argument)
-            # Pickled here, so that an answer that cannot be is an error like others.
+            # Pickle here, so that an answer that cannot be pickled is reported like other errors.
             pickle.dumps(answer)
         except Exception as error:
             self._pipe.send(("raise", _portable(error)))
         else:
             self._pipe.send(("done", answer))
 
-    # What there is to ask.
+    # The requests.
 
     def _open(self, _: None) -> Description:
         device = self._factory()
@@ -412,7 +413,7 @@ class _Server:
             raise DeviceError("the device is not open")
         return self._device
 
-    # What the loop takes and gives.
+    # The loop's input and output.
 
     def _take(self) -> Contact | None:
         message = self._inbox.read()
@@ -429,7 +430,7 @@ class _Server:
 
 
 def stop_motors(factory: Factory) -> None:
-    """Turn off the motors of a device whose process has died; as far as it can be reached.
+    """Turn off the motors of a device whose process has died, if the device can be reached.
 
     Args:
         factory: Makes the device.
@@ -441,19 +442,19 @@ def stop_motors(factory: Factory) -> None:
         except DeviceBusy:
             time.sleep(BUSY_WAIT)
         except Exception:
-            # It is gone, and nobody looks into this thread: the next one who reads or tells hears of the process.
+            # The device is gone. This thread has no caller to tell: the next read or tell reports the dead process.
             return
         else:
             return
 
 
 def _hurry() -> None:
-    """Make this process as regular as it may be."""
-    # The loop makes no cycles of references, and a collection would take longer than a period.
+    """Make this process run as regularly as possible."""
+    # The loop creates no reference cycles, and a garbage collection would take longer than a period.
     gc.collect()
     gc.freeze()
     gc.disable()
-    # Real-time priority needs a right that few users have; without it the loop runs as other processes do.
+    # Real-time priority needs a permission that few users have; without it the loop has normal priority.
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
 

@@ -1,15 +1,15 @@
-"""From what the tool feels to what the hand feels, once a millisecond. No device and no clock: it can be tested alone.
+"""Force rendering: from what the tool feels to what the hand feels, once a millisecond.
 
-The simulation tells force and place of the tool a few hundred times a second. What the hand feels is, along the force
-and, with a stiffness of its own, across it::
+Needs no device and no clock, so it can be tested alone. The simulation reports the tool's force and position a few
+hundred times a second. The rendered force along the contact force (and, with a stiffness of its own, across it) is::
 
     F = share * life * (f + lead),   lead = k (x_tool - x_hand) - b v_hand,   -f <= lead <= 0.2 f + a little
 
-- f is the simulation's force and k the organ's own stiffness (`local_contact`): the force where the hand is.
-- The lead is bounded. A hand that is quicker than the tool may be is ahead of what is known, and a spring that goes on
-  growing there shows a force that the organ never makes.
-- `share` keeps the exchange of energy in balance (`passivity`), `life` ends what the simulation does not renew
-  (`heartbeat`), and nothing changes faster than a limit, so that no way to end a force is a kick.
+- f is the simulation's force and k the organ's own stiffness (`local_contact`): together the force at the hand.
+- The lead is bounded. A hand that moves faster than the tool can is ahead of what is known, and a spring that keeps
+  growing there would render a force that the organ never produces.
+- `share` keeps the exchange of energy in balance (`passivity`), `life` ends forces that the simulation does not renew
+  (`heartbeat`), and all changes are rate-limited, so that no force ends with a kick.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from spatula_env.teleop.haptics.passivity import EnergyAccount
 from spatula_env.teleop.haptics.settings import PERIOD, HapticSettings
 
 LONGEST_STEP = 0.01
-"""A filter does not take more time than this for one step; the loop was then held up [s]."""
+"""Longest time step of the filters; longer steps mean that the loop was held up [s]."""
 SMALLEST_FORCE = 1e-4
-"""What is less of a force that ends is nothing [N]."""
+"""A force that is ending is set to zero below this [N]."""
 LASTING = 0.5
-"""What is slower is not on its way [Hz]."""
+"""A lead that changes more slowly than this is lasting rather than transient [Hz]."""
 MOST_LEAD = 2.0
-"""Of how many times the organ's force a lead may be."""
+"""Bound of the lead, as a multiple of the organ's force."""
 DAMPED = 0.3
-"""Share of the organ's force that a damper makes at most."""
+"""Bound of the damping force, as a share of the organ's force."""
 SLOW_MOTION = 0.02
-"""Speed at which half of the friction that is made up for is [m/s]."""
+"""Speed at which half of the friction compensation acts [m/s]."""
 FULL_SHARE = 0.999
-"""A share that is less is a force held back."""
+"""A smaller share counts as a force held back."""
 
 
 class ForceRenderer:
-    """Makes the force on the hand, step by step.
+    """Computes the force on the hand, step by step.
 
     Attributes:
-        account: Of energy.
-        heartbeat: Of the simulation.
-        contact: With the organ.
-        limited: In how many steps passivity held a force back.
-        support: What of the last force is not the organ's: it bears the grip, makes up for friction, and is walls [N].
-        damping: As it is felt, within the device's limit [N s/m].
-        greatest_force: Likewise [N].
+        account: Energy account.
+        heartbeat: Heartbeat of the simulation.
+        contact: Local model of the organ.
+        limited: Number of steps in which passivity control reduced a force.
+        support: Part of the last force that is not the organ's: weight and friction compensation, and walls [N].
+        damping: Damping on the hand, within the device's limit [N s/m].
+        greatest_force: Greatest force on the hand, within the device's limit [N].
     """
 
     def __init__(
@@ -61,15 +61,15 @@ class ForceRenderer:
         workspace_low: Vector | None = None,
         workspace_high: Vector | None = None,
     ) -> None:
-        """Start without any force.
+        """Start without a force.
 
         Args:
             settings: The gains.
             greatest_force: The device's limit [N].
             greatest_stiffness: The device's limit [N/m].
             greatest_damping: The device's limit [N s/m].
-            workspace_low: Lowest corner of the device's workspace [m]; None: it is not known.
-            workspace_high: The highest.
+            workspace_low: Lowest corner of the device's workspace [m]; None if it is unknown.
+            workspace_high: Highest corner of the device's workspace [m]; None likewise.
         """
         self.settings = settings
         self.account = EnergyAccount(settings)
@@ -96,18 +96,19 @@ class ForceRenderer:
         """The force for the coming millisecond.
 
         Args:
-            now: The time by the device's clock [s].
-            position: Of the hand [m].
-            velocity: Of the hand [m/s].
-            contact: The last that is known of the simulation; None if there is nothing, or nothing to be felt.
+            now: The current time by the device's clock [s].
+            position: Position of the hand [m].
+            velocity: Velocity of the hand [m/s].
+            contact: Last report of the simulation; None if there is none, or if there is nothing to render.
 
         Returns:
-            What the grip is to do to the hand [N].
+            Force of the grip on the hand [N].
         """
         step = PERIOD if self._time is None else min(max(now - self._time, 0.0), LONGEST_STEP)
         if self._time is not None:
-            # Of the places themselves, as a filtered velocity is late. A force goes out with the packet of the next
-            # step, which brings the place too: what has acted since the last place is the force of the step before it.
+            # Use position differences, as a filtered velocity lags. A force is sent with the packet of the next step,
+            # which also returns the position: so the force that has acted since the last position is that of the step
+            # before.
             self.account.exchange(-dot(self._acting, difference(position, self._hand)), step)
         self._acting = self._sent
         self._time, self._hand = now, position
@@ -118,7 +119,7 @@ class ForceRenderer:
             self.contact.forget()
         wanted = scaled(life, self._contact_force(step, position, velocity))
         self._sent = self._slewed(_shortened(wanted, self.greatest_force), step)
-        # A force that has faded because the simulation stands still is no end of a contact.
+        # A force that has faded because the simulation stopped does not end a contact.
         if self.contact.is_touching:
             self._last_force_time = now
         elif now - self._last_force_time > self.settings.rest_time:
@@ -129,7 +130,7 @@ class ForceRenderer:
         return _shortened(_sum(self._sent, self.support), self.greatest_force)
 
     def _pushed_back(self, position: Vector, contact: Contact | None) -> Vector:
-        """Soft walls where the device's workspace ends, and where the tool does not follow."""
+        """Force of soft walls where the device's workspace ends and where the tool cannot follow."""
         stiffness, most = self.settings.wall_stiffness, self.settings.wall_force
         if stiffness == 0.0:
             return ZERO
@@ -143,20 +144,20 @@ class ForceRenderer:
         return x, y, z
 
     def _bearing(self, velocity: Vector) -> Vector:
-        """What bears the grip's weight, and makes up for some of its friction; no part of the account of energy."""
+        """Force that bears the grip's weight and part of its friction; not part of the energy account."""
         settings = self.settings
         if settings.friction == 0.0:
             return 0.0, 0.0, settings.weight
-        # Half of the friction, and little of it in slow motion, where the velocity is mostly noise.
+        # Compensate half of the friction, and less in slow motion, where the velocity is mostly noise.
         speed = math.sqrt(dot(velocity, velocity))
         x, y, z = scaled(0.5 * settings.friction / (speed + SLOW_MOTION), velocity)
         return x, y, z + settings.weight
 
     def _contact_force(self, step: float, position: Vector, velocity: Vector) -> Vector:
-        """The organ's force at the place of the hand, as much of it as may be rendered."""
+        """The organ's force at the hand's position, reduced to the share that may be rendered."""
         settings, contact = self.settings, self.contact
         pulse = self.heartbeat.pulse
-        # A damper of what is fast in a motion is passive too, and no drag to a hand that goes on.
+        # Damp only the fast part of a motion: this is passive too, and does not drag on a hand that moves steadily.
         slow = min(1.0, 2.0 * math.pi * settings.drift * step)
         self._slow = (
             self._slow[0] + slow * (velocity[0] - self._slow[0]),
@@ -173,22 +174,22 @@ class ForceRenderer:
         side_stiffness = min(scale * contact.side_stiffness, self._greatest_stiffness)
         size = math.sqrt(dot(force, force))
         most = settings.lead * size + settings.least_lead
-        # As the square of the force: what is light comes and goes with a tremor, and a damper that does so along one
-        # axis would push on average along the others.
+        # Proportional to the squared force: a light contact comes and goes with a tremor, and a damper that follows it
+        # along one axis would exert a mean force along the others.
         damping = min(1.0, size / settings.full_contact) ** 2 * self.damping
         ahead = contact.ahead(position)
-        # Bounded evenly: a damper that is cut at zero force alone would push on average.
+        # Bounded symmetrically: a damper that is only cut at zero force would exert a mean force.
         damper = _shortened(scaled(damping, difference(velocity, self._slow)), DAMPED * size)
         push, along = dot(force, normal), dot(ahead, normal)
-        # A hand that stays ahead, as where the tool meets a stop, is not on its way: the organ feels no more of it.
+        # A hand that stays ahead, as where the tool meets a stop, is not in transit: the organ does not feel that part.
         if contact.shift != self._shift:
-            # Matched anew, the hand is where the tool is.
+            # After a new match the hand is where the tool is.
             self._shift, self._lasting = contact.shift, 0.0
         share = min(1.0, 2.0 * math.pi * LASTING * step)
         self._lasting += share * (along - self._lasting)
         spring = min(stiffness * (along - max(0.0, self._lasting)), most)
-        # An organ pushes and does not pull: the lead must not turn the force round. Nor may it be much greater than the
-        # force itself, as a bound on one side alone would push on average.
+        # An organ pushes and does not pull: the lead must not reverse the force. Nor may it be much greater than the
+        # force itself, as a one-sided bound would exert a mean force.
         pushing = max(push, 0.0)
         lead = max(-pushing, min(spring - dot(damper, normal), most, MOST_LEAD * pushing))
         aside = _across(force, normal)
@@ -207,10 +208,10 @@ class ForceRenderer:
         )
 
     def _slewed(self, wanted: Vector, step: float) -> Vector:
-        """A force on the way from the last one to one that is wanted, no faster than may be."""
+        """Move from the last force towards the wanted one, no faster than the limit."""
         change = difference(wanted, self._sent)
         size = math.sqrt(dot(change, change))
-        # What fades out does so in its own time, and what would give energy from nowhere ends at once.
+        # Forces that fade out use the fade time, and forces that would create energy end at once.
         ends = self.heartbeat.life < 1.0 or self.account.share < FULL_SHARE
         fades = ends and dot(wanted, wanted) < dot(self._sent, self._sent)
         most = (self.greatest_force / self.settings.ramp if fades else self.settings.slew) * step
@@ -229,7 +230,7 @@ def _sum(first: Vector, second: Vector) -> Vector:
 
 
 def _outside(place: float, low: float, high: float) -> float:
-    """The way back from a place into an interval, 0 within it, or where it has no inside."""
+    """Displacement from a position back into an interval; 0 inside it, or if the interval is empty."""
     return 0.0 if low > high else min(high, max(low, place)) - place
 
 
@@ -238,7 +239,7 @@ def _each(choose: Callable[[float, float], float], first: Vector, second: Vector
 
 
 def _limited(last: Vector, wanted: Vector, most: float) -> Vector:
-    """A vector on the way from one to another, no further than may be along each axis."""
+    """Move from one vector towards another, by a bounded amount along each axis."""
     return (
         last[0] + min(most, max(-most, wanted[0] - last[0])),
         last[1] + min(most, max(-most, wanted[1] - last[1])),

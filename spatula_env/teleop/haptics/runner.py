@@ -1,4 +1,4 @@
-"""Where a device and its haptic loop run: in this process, in a thread or not."""
+"""Interface for running a device with its haptic loop, and its implementation in this process."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ Factory: TypeAlias = Callable[[], TeleopDevice]
 Answer = TypeVar("Answer")
 
 END_TIMEOUT = 5.0
-"""How long `close` waits for a thread or a process, in real time [s]."""
+"""Longest time that `close` waits for a thread or a process, in real time [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What there is to tell of a device, wherever it is; see `TeleopDevice`."""
+    """Fixed properties of a device, wherever it runs; see `TeleopDevice`."""
 
     name: str
     button_names: tuple[str, ...]
@@ -45,10 +45,10 @@ class Description:
 
 
 class Runner(ABC):
-    """A device and its loop, wherever they are.
+    """A device and its loop, wherever they run.
 
     Attributes:
-        description: What there is to tell of the device.
+        description: Fixed properties of the device.
     """
 
     description: Description
@@ -73,15 +73,15 @@ class Runner(ABC):
 
     @abstractmethod
     def tell(self, contact: Contact | None) -> None:
-        """Take what the tool feels; None for nothing at all, now."""
+        """Take the simulation's report; None to end all force now."""
 
     @abstractmethod
     def ask(self, question: Callable[[TeleopDevice], Answer]) -> Answer:
-        """Call a function with the device, between two cycles, where the loop runs."""
+        """Call a function with the device where the loop runs, between two cycles."""
 
     @abstractmethod
     def statistics(self) -> LoopStatistics:
-        """How regularly the loop went round."""
+        """Statistics of how regularly the loop ran."""
 
     @abstractmethod
     def keep_track(self, seconds: float) -> None:
@@ -105,20 +105,20 @@ class Runner(ABC):
 
 
 class LocalLoop(Runner):
-    """A device and its loop in this process, in a thread or within `sleep`.
+    """A device and its loop in this process, either in a thread or within `sleep`.
 
     Attributes:
-        loop: None before the device is calibrated.
+        loop: The loop; None before the device is calibrated.
     """
 
     def __init__(self, factory: Factory, settings: HapticSettings, exchange: bool, *, threaded: bool) -> None:
-        """Open the device, and start the loop if it is calibrated.
+        """Open the device; start the loop if the device is calibrated.
 
         Args:
             factory: Makes the device.
             settings: The gains.
             exchange: Whether the loop has to call the device's `exchange`.
-            threaded: Whether the loop has a thread.
+            threaded: Whether the loop runs in a thread of its own.
         """
         device = factory()
         check_haptic(device)
@@ -230,7 +230,8 @@ class LocalLoop(Runner):
         try:
             self.loop.cycle()
         except DeviceError as error:
-            # As in a thread: the one who sleeps does not hear of it, but whoever reads or tells does.
+            # As in a thread: the error is not raised to the caller of `sleep`, but to the next caller who reads or
+            # tells.
             self.loop.error = error
             self._force = ZERO
 
@@ -246,11 +247,11 @@ def check_haptic(device: TeleopDevice) -> None:
 
 
 def pass_on(error: BaseException | None, name: str) -> None:
-    """Raise what has ended a loop, in the terms of devices.
+    """Raise the error that ended a loop, as a device error.
 
     Raises:
         DeviceLost: If the device is lost.
-        NotCalibrated: If it does not know any more where its grip is: calibrate it again.
+        NotCalibrated: If it no longer knows where its grip is and has to be calibrated again.
         DeviceError: If something else went wrong.
     """
     if error is None:

@@ -1,8 +1,9 @@
-"""How much greater than on the tool a force is on the hand, for each task: so that its usual peak is 2 to 3 N.
+"""Force scale of each task, from tool to hand, chosen so that the usual peak on the hand is 2 to 3 N.
 
-A Falcon makes 8 N, weighs 0.9 N at the grip and rubs with tenths of a newton; what most tasks' tools feel would not
-be noticed beside that. The peaks are the scripted experts', over a twentieth of a second: press 0.55 N, retract 0.15 N,
-palpate 0.2 N, fissure 0.15 N, clamp 0.08 N. Palpation stays below, as its tissue is the stiffest.
+A Falcon produces 8 N, weighs 0.9 N at the grip and has friction of tenths of a newton; what most tasks' tools feel
+would not be noticed against that. The peaks are those of the scripted experts, over a twentieth of a second: press
+0.55 N, retract 0.15 N, palpate 0.2 N, fissure 0.15 N, clamp 0.08 N. Palpation stays below that range, as its tissue is
+the stiffest.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ if TYPE_CHECKING:
 FORCE_SCALES: Mapping[str, float] = MappingProxyType(
     {"press": 4.0, "retract": 15.0, "palpate": 6.0, "fissure": 15.0, "clamp": 30.0}
 )
-"""By the name of the task's definition."""
+"""Force scales by the name of the task's definition."""
 
 
 def force_scale(env: gymnasium.Env[Any, Any]) -> float:
-    """The force scale of an environment's task; 1 for one that is not of this package.
+    """The force scale of an environment's task; 1 for environments from elsewhere.
 
     Args:
         env: The environment, wrapped or not.

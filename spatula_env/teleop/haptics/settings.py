@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 PERIOD = 1e-3
-"""Of the haptic loop [s]."""
+"""Period of the haptic loop [s]."""
 
 
 @dataclass(frozen=True)
@@ -14,34 +14,35 @@ class HapticSettings:
     """The gains of the haptic loop. The device's own greatest force, stiffness and damping limit them further.
 
     Attributes:
-        force_scale: Force on the hand over force on the tool.
+        force_scale: Ratio of force on the hand to force on the tool.
         greatest_force: Greatest magnitude of a force on the hand [N].
-        stiffness: With which an organ's force is taken to grow where the hand is ahead of the tool, until its own
-            stiffness is known [N/m]. Scaled as forces are.
-        damping: Resists motion of the hand, as far as it is quicker than `drift`, in contact only [N s/m]. Not scaled.
+        stiffness: Assumed rate at which an organ's force grows where the hand is ahead of the tool, until its own
+            stiffness is known [N/m]. Scaled like forces.
+        damping: Damping of the hand's motion above the frequency `drift`, in contact only [N s/m]. Not scaled.
         drift: Motion below this frequency is not damped [Hz].
-        cutoff: Of the low-pass filter that makes a curve of the simulation's steps [Hz].
-        full_contact: Contact force from which on the damper acts in full; below it acts as the square of the force, so
-            that nothing drags where nothing is touched, and a light touch is not damped [N].
-        lead: By what share of itself a force may at most be greater than the simulation's, where the hand is ahead of
-            the tool. A tool has a greatest speed, and lags behind a quick hand: what it would feel there is not known.
-        least_lead: By how much it may be greater in any case [N]. Not scaled.
-        slew: By how much a force may change in a second, unless it fades [N/s].
-        ramp: How long a force takes to fade when it is released, or when the simulation does not go on [s].
-        resume: How long it takes to come back [s].
-        stall_time: A force begins to fade so long after the last heartbeat of the simulation, or after two and a half
-            of its usual pulses if that is more, up to `longest_stall` [s].
-        longest_stall: See `stall_time`. A simulation whose pulse is slower is not felt at all [s].
-        energy_allowance: The most that the hand can be given beyond what it gave [J].
-        energy_leak: At which debts are forgotten [W].
-        energy_hoard: What may be given back beyond what the organ could hold [J].
-        weight: Of the device's grip, which the motors bear while there is a heartbeat [N]. Best a little less than it
-            is, so that a grip that is let go sinks.
-        friction: Coulomb friction of the device, of which half is made up for in motion [N]. Never more than there is:
-            a grip would keep going by itself.
-        wall_stiffness: Of soft walls where the workspace ends and where the tool meets a stop; 0: none [N/m].
-        wall_force: The most that a wall pushes along an axis [N].
-        rest_time: A contact is over when there has been no force for so long [s].
+        cutoff: Cutoff of the low-pass filter that smooths the simulation's steps [Hz].
+        full_contact: Contact force from which on the damper acts fully; below, it acts in proportion to the squared
+            force, so that there is no drag without contact, and a light touch is not damped [N].
+        lead: Share by which a force may exceed the simulation's where the hand is ahead of the tool. A tool has a
+            greatest speed and lags behind a fast hand: what it would feel there is unknown.
+        least_lead: Amount by which it may exceed it in any case [N]. Not scaled.
+        slew: Greatest rate of change of a force, unless it fades [N/s].
+        ramp: Time in which a force fades out when it is released, or when the simulation stops [s].
+        resume: Time in which it comes back [s].
+        stall_time: A force begins to fade this long after the last heartbeat of the simulation, or after two and a half
+            of its usual pulses if that is longer, up to `longest_stall` [s].
+        longest_stall: See `stall_time`. A simulation whose pulse is longer than this is not rendered at all [s].
+        energy_allowance: Greatest energy that the hand can be given beyond what it gave [J].
+        energy_leak: Rate at which energy debts are forgiven [W].
+        energy_hoard: Energy that may be given back beyond what the organ could store [J].
+        weight: Weight of the device's grip, which the motors bear while there is a heartbeat [N]. Best a little less
+            than the true weight, so that a grip that is let go sinks.
+        friction: Coulomb friction of the device, half of which is compensated in motion [N]. Never set it higher than
+            the true friction, or the grip would keep going by itself.
+        wall_stiffness: Stiffness of soft walls where the workspace ends and where the tool meets a stop; 0 for none
+            [N/m].
+        wall_force: Greatest force of a wall along an axis [N].
+        rest_time: A contact is over when there has been no force for this long [s].
     """
 
     force_scale: float = 1.0

@@ -1,4 +1,4 @@
-"""Between a hand and an environment's physics steps: how the tool is to move, what it feels, and where it is."""
+"""Access to an environment between its physics steps: steers the tool, and reads its force and position."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ AfterStep = Callable[[FloatArray, FloatArray], None]
 
 
 class EnvironmentTap:
-    """Reaches into a `SpatulaEnv` between its physics steps.
+    """Hooks into a `SpatulaEnv` between its physics steps.
 
     Attributes:
-        control: What an action means.
-        steps: How many physics steps make a control step.
+        control: Meaning of the actions.
+        steps: Number of physics steps per control step.
         period: Length of a control step [s].
         time_step: Length of a physics step [s].
     """
@@ -35,9 +35,9 @@ class EnvironmentTap:
             env: An environment for one agent.
 
         Raises:
-            TypeError: If it is none of this package.
+            TypeError: If it is not one of this package.
         """
-        # Imported here: a device alone needs no physics.
+        # Imported here because a device alone needs no physics.
         from spatula_env.envs.spatula_env import SpatulaEnv
 
         made = env.unwrapped
@@ -51,19 +51,19 @@ class EnvironmentTap:
         self.period = made.steps_per_action * made.simulation.dt
 
     def grip(self) -> FloatArray:
-        """(3,) where the grip is now, workspace frame [m]."""
+        """(3,) current position of the grip, workspace frame [m]."""
         return self._env.grip
 
     def reach(self) -> tuple[FloatArray, FloatArray]:
-        """Two corners (3,) of where the grip can be, workspace frame [m]."""
+        """Two corners (3,) of the region that the grip can reach, workspace frame [m]."""
         return self._env.reach
 
     def install(self, after_step: AfterStep, pilot: Pilot | None = None) -> None:
-        """Have something called around every physics step, until `remove`. An exception of it ends the control step.
+        """Call functions around every physics step, until `remove`. An exception in one of them ends the control step.
 
         Args:
-            after_step: What is called after it.
-            pilot: Who steers the tool in it; None: what the environment's `step` is given.
+            after_step: Called after each physics step.
+            pilot: Steers the tool in each physics step; None to use the action given to the environment's `step`.
         """
 
         def tell(step: PhysicsStep) -> None:
@@ -75,6 +75,6 @@ class EnvironmentTap:
             self._stops.append(self._env.steer(pilot))
 
     def remove(self) -> None:
-        """Call nothing any more. Removing twice is allowed."""
+        """Stop calling the functions. Removing twice is allowed."""
         while self._stops:
             self._stops.pop()()

@@ -1,16 +1,16 @@
-"""What happened at the rate of the haptic loop, on request: kept in memory, and in a file beside an episode.
+"""Recording at the rate of the haptic loop, on request: kept in memory, and in a file next to an episode.
 
-The file is a NumPy archive (`numpy.load`) with arrays of n cycles, device's frame, SI units:
+The file is a NumPy archive (`numpy.load`) with arrays for n cycles, in the device frame and SI units:
 
 =============  ==========  ==============================================================================
-time           (n,)        of the cycle, by the device's clock [s]
-position       (n, 3)      of the grip [m]
-velocity       (n, 3)      of it, filtered [m/s]
-told           (n, 3)      the simulation's force on the tool, as it was last told, not scaled [N]
-shown          (n, 3)      what was sent to the motors [N]
-buttons        (n,)        bit by bit, in the order of `button_names`
+time           (n,)        time of the cycle, by the device's clock [s]
+position       (n, 3)      position of the grip [m]
+velocity       (n, 3)      its filtered velocity [m/s]
+told           (n, 3)      the simulation's force on the tool, as last reported, not scaled [N]
+shown          (n, 3)      force sent to the motors [N]
+buttons        (n,)        bits of the buttons, in the order of `button_names`
 button_names   (b,)        text
-lost           ()          how many cycles did not find room any more
+lost           ()          number of cycles that no longer fitted
 =============  ==========  ==============================================================================
 """
 
@@ -34,7 +34,7 @@ COLUMNS = 14
 
 @dataclass(frozen=True, eq=False)
 class HapticTrack:
-    """What happened in n cycles of a loop; see the module.
+    """Recording of n cycles of a loop; see the module.
 
     Attributes:
         time: (n,) [s].
@@ -43,8 +43,8 @@ class HapticTrack:
         told: (n, 3) [N].
         shown: (n, 3) [N].
         buttons: (n,).
-        button_names: Of the bits.
-        lost: How many cycles did not find room any more.
+        button_names: Names of the bits.
+        lost: Number of cycles that no longer fitted.
     """
 
     time: FloatArray
@@ -57,7 +57,7 @@ class HapticTrack:
     lost: int = 0
 
     def save(self, path: str | Path) -> None:
-        """Write it into a file, which is whole or not there."""
+        """Write the track to a file atomically: the file is complete or absent."""
         target = Path(path)
         target.parent.mkdir(parents=True, exist_ok=True)
         unfinished = target.with_name(target.name + ".part")
@@ -67,14 +67,14 @@ class HapticTrack:
 
     @classmethod
     def load(cls, path: str | Path) -> HapticTrack:
-        """Read it again."""
+        """Load a track from a file."""
         with np.load(path, allow_pickle=False) as found:
             fields = {name: found[name] for name in found.files}
         names = tuple(fields.pop("button_names").tolist())
         return cls(**{**fields, "lost": int(fields["lost"])}, button_names=names)
 
     def motion(self) -> Callable[[float], tuple[float, float, float]]:
-        """Where the grip was against time from 0 on, device's frame [m]; for a hand on an emulated device."""
+        """Grip position as a function of time from 0, device frame [m]; for a hand on an emulated device."""
         start = float(self.time[0])
 
         def place(seconds: float) -> tuple[float, float, float]:
@@ -85,20 +85,20 @@ class HapticTrack:
 
 
 class TrackRecorder:
-    """Takes rows into a place that was made beforehand."""
+    """Stores rows in memory that was allocated in advance."""
 
     def __init__(self, cycles: int) -> None:
-        """Make room.
+        """Allocate the memory.
 
         Args:
-            cycles: For how many rows.
+            cycles: Number of rows.
         """
         self._rows = array("d", bytes(8 * COLUMNS * cycles))
         self._room = cycles
         self._count = self.lost = 0
 
     def add(self, time: float, position: Vector, velocity: Vector, told: Vector, shown: Vector, buttons: int) -> None:
-        """Take a row; what finds no room is counted."""
+        """Add a row; rows that do not fit are only counted."""
         if self._count >= self._room:
             self.lost += 1
             return
@@ -111,10 +111,10 @@ class TrackRecorder:
         self._count += 1
 
     def take(self, button_names: tuple[str, ...]) -> HapticTrack:
-        """What there is; the next row is the first again.
+        """Return the rows so far and start again with the first.
 
         Args:
-            button_names: Of the device.
+            button_names: Names of the device's buttons.
         """
         rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, COLUMNS)[: self._count].copy()
         track = HapticTrack(

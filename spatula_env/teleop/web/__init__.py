@@ -2,16 +2,16 @@
 
 Modules::
 
-    access              who may open the page
-    page_server         serves it, passes viser's messages on, and takes what the page's script sends
-    operator_input      keys and mouse on all pages that are open
-    page                viser's server with the page server in front
+    access              access control: tokens, cookies, origins
+    page_server         serves the page, relays viser's messages, and receives those of the page's script
+    operator_input      keys and mouse of all open pages
+    page                viser's server behind the page server
     pressure_contours   pressure on the organ as filled contours
-    scene_display       organ, tools and goal in the view
+    scene_display       organ, tools and goal in the 3D view
     panel               bars, plot and settings beside it
-    device              all that as a `TeleopDevice`
-    recording           episodes on their way into datasets
-    session             tasks to choose from, and what the page's buttons ask for
+    device              all of this as a `TeleopDevice`
+    recording           records a page's episodes into datasets
+    session             the tasks to choose from, and the actions of the page's buttons
 
 Importing this package loads neither viser nor any physics.
 """
@@ -29,7 +29,7 @@ __all__ = ["WebDevice", "WebSession", "serve"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a module when something of it is first asked for."""
+    """Import a module when one of its names is first accessed."""
     if name in __all__:
         return getattr(import_module(f"{__name__}.{'device' if name == 'WebDevice' else 'session'}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,8 +1,8 @@
-"""Who may open the page, and from where.
+"""Access control: who may open the page, and from where.
 
-On a loopback address everybody on this machine may come in, but no page of another site may: a browser that has such a
-page open would connect to this machine on its behalf. Elsewhere a token is asked for, once; from then on a cookie shows
-that it was known. Whoever guesses has to wait.
+On a loopback address, every user of this machine may connect, but no page of another site may: a browser with such a
+page open would otherwise connect to this machine on its behalf. On other addresses a token is required once; from then
+on a cookie proves that it was known. Wrong guesses are rate-limited.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from pathlib import Path
 from urllib.parse import parse_qs, urlencode
 
 SHORTEST_TOKEN = 8
-"""Characters in a token, at least."""
+"""Least number of characters in a token."""
 
 TOKEN = "token"
-"""The name of the token in an address."""
+"""Name of the token in a URL's query."""
 TOKEN_VARIABLE = "SPATULA_TOKEN"
-"""The environment variable that the token is taken from, if it is not given."""
+"""Environment variable that holds the token, if none is given."""
 
 _AUTHORITY = r"(?P<name>\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_~-]+(?:\.[A-Za-z0-9_~-]+)*\.?)(?::(?P<port>[0-9]{1,5}))?"
 _HOST = re.compile(_AUTHORITY)
@@ -34,31 +34,32 @@ _ORIGIN = re.compile(rf"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<authority>{_AU
 
 
 class MalformedHeader(ValueError):
-    """A header that no browser sends; the message names it."""
+    """A header that no browser would send; the message names it."""
 
 
 class GuessLimit:
-    """How often a token may be guessed: a few times at once, then once in a while.
+    """Rate limit for guessing a token: a few guesses at once, then one from time to time.
 
-    Every wrong guess is taken from a store that fills up again; one store for each address, and one for all.
+    A token bucket: every wrong guess takes from a store that refills; one store for each address, and one for all
+    together.
     """
 
     EACH = (5, 30.0)
-    """Guesses of one address, and how long one takes to come back [s]."""
+    """Number of guesses of one address, and the time in which one is regained [s]."""
     ALL = (50, 3.0)
     """The same for all addresses together."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Nobody has guessed yet.
+        """Start with full stores.
 
         Args:
-            clock: What time it is [s].
+            clock: Returns the time [s].
         """
         self._clock = clock
         self._full: dict[str, float] = {}
 
     def wait(self, address: str) -> float:
-        """How long an address has to wait before it may guess; 0: not at all [s]."""
+        """Time that an address has to wait before it may guess [s]; 0 if it need not."""
         now = self._clock()
         return max(
             0.0,
@@ -69,9 +70,9 @@ class GuessLimit:
         )
 
     def count(self, address: str) -> None:
-        """An address has guessed wrong."""
+        """Count a wrong guess of an address."""
         now = self._clock()
-        # Whose store is full again is as good as new: no more are kept than have guessed lately.
+        # A full store equals a new one, so only addresses with recent guesses are kept.
         self._full = {who: when for who, when in self._full.items() if when > now}
         for who, (_, seconds) in ((_network(address), self.EACH), ("", self.ALL)):
             self._full[who] = max(now, self._full.get(who, now)) + seconds
@@ -79,13 +80,13 @@ class GuessLimit:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict on a request.
+    """Decision on a request.
 
     Attributes:
-        status: OK to let it in, SEE_OTHER for the token was right, anything else is a refusal: BAD_REQUEST, FORBIDDEN,
+        status: OK to admit it; SEE_OTHER if the token was right; anything else is a refusal: BAD_REQUEST, FORBIDDEN,
             UNAUTHORIZED, TOO_MANY_REQUESTS.
-        headers: For the answer.
-        reason: For whoever is refused.
+        headers: Headers of the answer.
+        reason: Explanation for a refusal.
     """
 
     status: HTTPStatus
@@ -94,23 +95,23 @@ class Verdict:
 
 
 class Doorkeeper:
-    """Decides who comes in.
+    """Decides which requests to admit.
 
     Attributes:
-        host: The address that the page is served at.
-        token: What has to be known; None: nothing.
+        host: Address at which the page is served.
+        token: Token that is required; None for none.
     """
 
     def __init__(self, host: str, token: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        """Say who may come in.
+        """Set the rules.
 
         Args:
-            host: The address that the page is served at.
-            token: What has to be known; None: nothing, which is allowed on a loopback address only.
-            clock: What time it is [s].
+            host: Address at which the page is served.
+            token: Token that is required; None for none, which is allowed on a loopback address only.
+            clock: Returns the time [s].
 
         Raises:
-            ValueError: If there is no token where there has to be one, or it is too short.
+            ValueError: If a token is required and missing, or it is too short.
         """
         if token is None and not is_loopback(host):
             raise ValueError(
@@ -135,9 +136,9 @@ class Doorkeeper:
         """Decide about a request.
 
         Args:
-            target: Path and query.
-            headers: All values of each, by its name in lower case.
-            address: Who asks.
+            target: Path and query of the request.
+            headers: All values of each header, by its name in lower case.
+            address: Address of the client.
         """
         try:
             name, port, own = _site(headers)
@@ -146,11 +147,11 @@ class Doorkeeper:
         if not own:
             return Verdict(HTTPStatus.FORBIDDEN, reason="a page of another site may not connect")
         if self.token is None:
-            # Without this, another site's name could be made to point here.
+            # Without this check, the name of another site could be made to resolve to this machine (DNS rebinding).
             if is_loopback(name) or name == self.host.lower():
                 return Verdict(HTTPStatus.OK)
             return Verdict(HTTPStatus.FORBIDDEN, reason="open the page by the name localhost, or serve it with a token")
-        # Cookies are the same for all ports of a host.
+        # A cookie is shared by all ports of a host, so its name contains the port.
         cookie = f"spatula_{port}"
         if any(_equal(given, self._secret) for given in _cookies(headers, cookie)):
             return Verdict(HTTPStatus.OK)
@@ -164,8 +165,8 @@ class Doorkeeper:
                     f"too many wrong tokens: wait {seconds} s",
                 )
             if _equal(given, self.token):
-                # Away with the token from the address bar. Lax: a link to the page works, a connection from elsewhere
-                # not.
+                # Redirect to remove the token from the address bar. With SameSite=Lax, a link to the page works, but a
+                # connection from another site does not.
                 crumb = f"{cookie}={self._secret}; Path=/; HttpOnly; SameSite=Lax"
                 return Verdict(HTTPStatus.SEE_OTHER, {"Location": "/", "Set-Cookie": crumb})
             self._guesses.count(address)
@@ -173,16 +174,16 @@ class Doorkeeper:
 
 
 def find_token(token: str | None = None, file: str | Path | None = None) -> str | None:
-    """The token that the page is to ask for.
+    """Determine the token that the page requires.
 
-    What is given on a command line is seen by all who use the machine; a variable and a file are not.
+    A token on the command line is visible to all users of the machine; an environment variable and a file are not.
 
     Args:
-        token: As it is.
-        file: One that holds it; space around it does not count.
+        token: The token itself.
+        file: File that holds the token; surrounding white space is ignored.
 
     Returns:
-        The token: the one given, or the file's, or that of the variable SPATULA_TOKEN; None if there is none.
+        The given token, or the file's, or that of the environment variable SPATULA_TOKEN; None if there is none.
 
     Raises:
         ValueError: If both are given, or the file is empty or can be read by others.
@@ -205,7 +206,7 @@ def is_loopback(host: str) -> bool:
     """Whether only this machine can connect to an address.
 
     Args:
-        host: A name or an address; an empty one stands for all there are.
+        host: A name or an address; an empty one stands for all addresses.
     """
     if host.lower() == "localhost":
         return True
@@ -216,10 +217,10 @@ def is_loopback(host: str) -> bool:
 
 
 def _site(headers: Mapping[str, Sequence[str]]) -> tuple[str, int, bool]:
-    """The host's name and port that a request is for, and whether no page of another site has sent it.
+    """Name and port of the host that a request is for, and whether it comes from no page of another site.
 
     Raises:
-        MalformedHeader: If that cannot be told.
+        MalformedHeader: If the headers do not tell.
     """
     asked = _single(headers, "host")
     host = None if asked is None else _HOST.fullmatch(asked)
@@ -231,7 +232,7 @@ def _site(headers: Mapping[str, Sequence[str]]) -> tuple[str, int, bool]:
         found = _ORIGIN.fullmatch(origin)
         if found is None and origin != "null":
             raise MalformedHeader("the header Origin must name a site, as browsers do")
-        # A server with TLS in front says so, and no page of another site can.
+        # A TLS proxy in front sets this header; a page of another site cannot.
         scheme = (_single(headers, "x-forwarded-proto") or "http").strip().lower()
         own = (
             found is not None
@@ -239,7 +240,7 @@ def _site(headers: Mapping[str, Sequence[str]]) -> tuple[str, int, bool]:
             and found["scheme"].lower() == scheme
             and found["authority"].lower() == asked.lower()
         )
-    # What a page embeds comes without Origin; what somebody follows a link to may come from anywhere.
+    # Embedded resources come without Origin; a navigation by a link may come from any site.
     fetched = _single(headers, "sec-fetch-site") in ("cross-site", "same-site")
     if fetched and _single(headers, "sec-fetch-mode") != "navigate":
         own = False
@@ -259,12 +260,12 @@ def _cookies(headers: Mapping[str, Sequence[str]], name: str) -> list[str]:
 
 
 def _equal(given: str, wanted: str) -> bool:
-    """Whether two texts are equal, in a time that does not tell where they differ."""
+    """Compare two texts in a time that does not reveal where they differ."""
     return hmac.compare_digest(given.encode(errors="surrogatepass"), wanted.encode(errors="surrogatepass"))
 
 
 def _network(address: str) -> str:
-    """Whom an address belongs to: one who has an address of version 6 has 2^64 of them."""
+    """Network that counts as one client: for IPv6 the /64 prefix, as one client has 2^64 addresses there."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -1,4 +1,4 @@
-"""A page in the browser as a teleoperation device, and as the display for it."""
+"""A web page as a teleoperation device and as its display."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from spatula_env.teleop.web.scene_display import SceneDisplay
 
 LONGEST = 1.0
-"""A page that draws nothing is shown something again after so long [s]."""
+"""A page that does not report drawing is still updated after this long [s]."""
 APPROACH = 0.1
 """Time constant with which the grip follows the mouse [s]."""
 OPENED = 0.25e-3
-"""Jaws that are so near to what the slider says are there [m]."""
+"""Jaws count as having reached the slider's width within this distance [m]."""
 BUTTON_KEYS: Mapping[str, str] = MappingProxyType({"Enter": FINISH, "Backspace": DISCARD, "Escape": QUIT})
-"""Buttons, by the place of a key as browsers name it."""
+"""Buttons by key code, which names the key's place as browsers do."""
 
 
 def weakly(method: Callable[..., None]) -> Callable[..., None]:
-    """A method for the page's thread, that keeps nothing alive: a device that is dropped takes its page with it."""
+    """Wrap a method for the page's thread by a weak reference: a device that is dropped takes its page with it."""
     held = weakref.WeakMethod(method)
 
     def call(*arguments: Any) -> None:
@@ -51,16 +51,16 @@ def weakly(method: Callable[..., None]) -> Callable[..., None]:
 
 
 class WebDevice(TeleopDevice):
-    """A page in a browser: the organ as it deforms, and a tool to be dragged by the mouse or moved by keys.
+    """A web page that shows the organ as it deforms, with a tool to drag by the mouse or move by keys.
 
-    A rate device. While the mouse drags the tool, the rates are those that take the grip where the mouse is. A page
-    that is closed, hidden, or silent for half a second commands nothing.
+    A rate device. While the mouse drags the tool, the rates move the grip towards the mouse position. A page that is
+    closed, hidden, or silent for half a second commands nothing.
 
-    `FalconTeleop` shows it what happens, after every control step.
+    `FalconTeleop` updates it after every control step.
 
     Attributes:
-        page: What browsers open; None while the device is closed.
-        panel: The part of the page beside the view; likewise.
+        page: The page that browsers open; None while the device is closed.
+        panel: Panel beside the view; None while the device is closed.
     """
 
     kind = "rate"
@@ -75,18 +75,18 @@ class WebDevice(TeleopDevice):
         shortcuts: Mapping[str, Callable[[], None]] | None = None,
         patience: float = 600.0,
     ) -> None:
-        """Describe it.
+        """Store the settings of the page; `open` serves it.
 
         Args:
-            host: The address to listen at.
-            port: Where; 0 for any that is free.
-            token: What has to be known to open the page; None: nothing, which is allowed on a loopback address only.
-            shortcuts: What keys do, by their places, beside moving the tool. None: the page has buttons and keys to
-                finish and to discard an episode and to quit.
-            patience: How long `calibrate` waits for somebody to open the page [s].
+            host: Address to listen on.
+            port: Port to listen on; 0 for any that is free.
+            token: Token required to open the page; None for none, which is allowed on a loopback address only.
+            shortcuts: Functions of further keys, by key code, in addition to those that move the tool. None: the page
+                has buttons and keys to finish and to discard an episode and to quit.
+            patience: How long `calibrate` waits for the page to be opened [s].
 
         Raises:
-            ValueError: If there is no such port.
+            ValueError: If the port is out of range.
         """
         if not 0 <= port <= 65535:
             raise ValueError(f"port must be from 0 to 65535, got {port!r}")
@@ -123,11 +123,11 @@ class WebDevice(TeleopDevice):
         return self._opened().url
 
     def open(self) -> None:
-        """See `TeleopDevice`; serves the page, and does not wait for anybody to open it.
+        """See `TeleopDevice`; serves the page without waiting for it to be opened.
 
         Raises:
             ImportError: If viser is missing.
-            ValueError: If there is no token where there has to be one.
+            ValueError: If a token is required and missing.
             DeviceBusy: If the port is taken.
         """
         if self.page is not None:
@@ -151,13 +151,13 @@ class WebDevice(TeleopDevice):
         panel.jaws.on_update(weakly(self._slid))
 
     def calibrate(self, progress: Progress | None = None) -> None:
-        """Wait until somebody has opened the page.
+        """Wait until the page has been opened in a browser.
 
         Args:
-            progress: Told the address.
+            progress: Called with the address of the page.
 
         Raises:
-            NotCalibrated: If nobody does.
+            NotCalibrated: If the page is not opened in time.
         """
         page = self._opened()
         if progress is not None:
@@ -166,7 +166,7 @@ class WebDevice(TeleopDevice):
             raise NotCalibrated(f"nobody opened {page.url} within {self._patience:.0f} s")
 
     def press(self, button: str) -> None:
-        """Press a button, until the next `read`."""
+        """Press a button; it is released by the next `read`."""
         with self._lock:
             self._pressed.add(button)
 
@@ -187,16 +187,16 @@ class WebDevice(TeleopDevice):
         return DeviceSample("rate", self.now(), self._sequence, None, rate, np.zeros(3), pressed)
 
     def extra_rates(self) -> Mapping[str, float]:
-        """See `HasExtraRates`; as of the last `read`."""
+        """See `HasExtraRates`; the values of the last `read`."""
         return {name: rate for name, rate in self._rates.items() if name not in "xyz"}
 
     def watch(self, observation: Any, env: gymnasium.Env[Any, Any]) -> None:
-        """See `Watching`: shows how things stand."""
+        """See `Watching`: shows the current state."""
         made: Any = env.unwrapped
         page, panel = self._opened(), self.panel
         assert panel is not None
         if self._display is None or self._env is not made:
-            # Kernels are compiled, or taken from Numba's cache, when it is first needed.
+            # Imported on first use, as this compiles kernels or loads them from Numba's cache.
             from spatula_env.teleop.web.scene_display import SceneDisplay
 
             page.operator_input.let_go()
@@ -228,7 +228,7 @@ class WebDevice(TeleopDevice):
                 opening=self._width,
             )
         )
-        # A page that is busy drawing would drown in pictures, and have no time for the hands.
+        # A page that is still drawing would fall behind with more updates, and would delay the operator's input.
         self._stale = True
         drawn, now = page.operator_input.frames, self.now()
         busy = any(count is not None and count == self._drawn.get(number) for number, count in drawn.items())
@@ -237,7 +237,7 @@ class WebDevice(TeleopDevice):
             self.refresh()
 
     def refresh(self) -> None:
-        """Show how things stand, if they are not what the page shows."""
+        """Show the current state, if the page does not show it yet."""
         if self._stale and self._display is not None and self.panel is not None:
             self._stale = False
             self._display.show(self._env.moment)
@@ -267,7 +267,7 @@ class WebDevice(TeleopDevice):
 
     def _drag(self, target: FloatArray | None) -> None:
         page, env = self.page, self._env
-        # A page can say anything.
+        # The page's data are untrusted.
         if target is not None and not np.isfinite(target).all():
             return
         if page is not None and env is not None:
@@ -293,12 +293,12 @@ class WebDevice(TeleopDevice):
             self._viewers.look(event.client)
 
     def _slid(self, event: Any) -> None:
-        # What the program sets has no client.
+        # Changes made by the program itself have no client.
         if event.client is not None and self.page is not None:
             self.page.operator_input.open(1e-3 * float(event.target.value))
 
     def _explain(self, env: Any) -> None:
-        """Say what is asked in an environment, and how to do it."""
+        """Show what an environment's task is, and how to do it."""
         made, panel = self._env, self.panel
         assert panel is not None
         control = made.control
@@ -312,7 +312,7 @@ class WebDevice(TeleopDevice):
             panel.say(Status("Playing", f"The episode ends {end}with Finish."))
 
     def _turning(self, wanted: FloatArray | None) -> dict[str, float]:
-        """Rates by name that turn the first tool to an orientation (4,)."""
+        """Rates by name that turn the first tool towards an orientation (4,)."""
         control = self._env.control
         if wanted is None:
             return {}
@@ -321,7 +321,7 @@ class WebDevice(TeleopDevice):
         return {f"rotation_{axis}": float(rates["xyz".index(axis)]) for axis in control.layout.rotations}
 
     def _opening(self, operator_input: OperatorInput) -> dict[str, float]:
-        """Rate by name that brings the jaws as far apart as the slider says, until they are or keys say otherwise."""
+        """Rate by name that moves the jaws to the slider's width, until they reach it or a key moves them."""
         wanted = operator_input.opening
         if wanted is None or self._width is None:
             return {}
@@ -332,13 +332,13 @@ class WebDevice(TeleopDevice):
         return {"jaw_speed": min(1.0, max(-1.0, rate))}
 
     def _key_share(self) -> float:
-        """Of the greatest velocities, what keys command."""
+        """Share of the greatest velocities that keys command."""
         if self._env is None or self.panel is None:
             return 0.0
         return min(1.0, self.panel.key_speed / float(self._env.control.max_speed))
 
     def _toward(self, target: FloatArray) -> FloatArray:
-        """(3,) rates that take the grip to a place."""
+        """(3,) rates that move the grip towards a position."""
         rate: FloatArray = (target - self._grip) / (APPROACH * float(self._env.control.max_speed))
-        # The direction stays where the speed is cut.
+        # Scale all components together, so that limiting the speed keeps the direction.
         return rate / max(1.0, float(np.abs(rate).max()))

@@ -1,4 +1,4 @@
-"""Force and pressure on the page: as bars now, and as curves over the last seconds."""
+"""Force and pressure on the page: current values as bars, and the last seconds as curves."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, PRESSURE_LIMI
 from spatula_env.teleop.web.readings import Reading, css_color
 
 SPAN = 10.0
-"""How much of the past the plot shows [s]."""
+"""Time span of the plot [s]."""
 FORCE_STEPS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-"""Ends of the force's bar [N]: the first that is not exceeded."""
+"""Possible upper ends of the force bar [N]: the first that is not exceeded is used."""
 HIGHEST = 1e-3 * HIGHEST_PRESSURE
 LOWER, UPPER = (1e-3 * limit for limit in PRESSURE_LIMITS)
-"""Pressures that warn [kPa]."""
+"""Pressures from which on the page warns [kPa]."""
 LIMIT_COLORS: tuple[Color, Color] = (PRESSURE.stops[1], PRESSURE.stops[2])
-"""Of the two limits."""
+"""Colours of the two limits."""
 
 FORCE_LINE, PRESSURE_LINE = "#3b82d6", "#e0455a"
 LIMIT_LINES = ("#c98a1b", "#d5406a")
-"""Colours of curves, which have a contrast of 3 or more to white and to the dark panel."""
+"""Colours of the curves, with a contrast of 3 or more to both white and the dark panel."""
 PLOT_HEIGHT = 150
 
 
 class Bars:
-    """Force and pressure now."""
+    """Bars for current force and pressure."""
 
     def __init__(self) -> None:
-        """Nothing has been measured."""
+        """Start without measurements."""
         self.force_end = FORCE_STEPS[0]
 
     def grow(self, force: float) -> bool:
-        """Make room for a force [N]; whether there was too little."""
+        """Extend the force bar's range to a force [N], if necessary; return whether it was."""
         if force <= self.force_end:
             return False
         before, self.force_end = self.force_end, next((step for step in FORCE_STEPS if force <= step), FORCE_STEPS[-1])
@@ -57,13 +57,13 @@ class Bars:
 
 
 class Plot:
-    """Force and pressure of the last seconds, from one episode to the next."""
+    """Plot of force and pressure in the last seconds; continues across episodes."""
 
     def __init__(self, gui: Any) -> None:
-        """Add it to a page.
+        """Add the plot to a page.
 
         Args:
-            gui: viser's.
+            gui: viser's interface.
         """
         self._past: deque[tuple[float, float, float]] = deque()
         self._clock = self._last = 0.0
@@ -99,7 +99,7 @@ class Plot:
         )
 
     def add(self, reading: Reading) -> None:
-        """Take what is measured, once in each control step."""
+        """Add a measurement, once per control step."""
         self._clock += reading.time - self._last if reading.time > self._last else 0.0
         self._last = reading.time
         self._past.append((self._clock, 1e-3 * reading.pressure, reading.force))
@@ -107,15 +107,15 @@ class Plot:
             self._past.popleft()
 
     def show(self) -> None:
-        """Show what has been taken."""
+        """Show the measurements added so far."""
         past = np.array(self._past)
-        # Numbers at both ends: the axis is there from the beginning, and always as long.
+        # Values at both ends keep the time axis at a fixed length from the beginning.
         time = np.concatenate([[-SPAN], past[:, 0] - self._clock, [0.0]])
         pressure, force = (np.concatenate([[np.nan], past[:, column], past[-1:, column]]) for column in (1, 2))
         self._plot.data = (time, pressure, force, np.full(len(time), LOWER), np.full(len(time), UPPER))
 
     def scale(self, most_force: float) -> None:
-        """Have the force's axis end elsewhere [N]."""
+        """Change the upper end of the force axis [N]."""
         self._plot.scales = _scales(most_force)
 
 
@@ -158,7 +158,7 @@ def _scale(marks: list[tuple[float, str]], end: float) -> str:
     spans = []
     for at, text in marks:
         share = at / end
-        # The first and the last stay within the bar.
+        # Keep the first and the last label within the bar.
         shift = "0" if share == 0.0 else "-100%" if share == 1.0 else "-50%"
         spans.append(f'<span style="left:{100.0 * share:.2f}%;transform:translateX({shift})">{text}</span>')
     return f'<div class="scale">{"".join(spans)}</div>'

@@ -1,8 +1,8 @@
-"""What pages may say to viser: messages of a few kinds, with values that a control or a handle can take.
+"""Validation of the messages that pages send to viser: few kinds, and only values that a control or handle accepts.
 
-viser takes whatever a page sends for what its own page would send: a message sets any attribute of a control, its
-callbacks too. So each connection is handed to viser in a guard, which lets nothing through but what somebody can do on
-the page, written anew from what was checked. Everything else is dropped.
+viser trusts any message as if its own page had sent it: a message can set any attribute of a control, callbacks
+included. So viser gets each connection wrapped in a guard, which passes on only what a user can do on the page,
+re-encoded from the checked data. Everything else is dropped.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 LONGEST_NAME = 200
-"""Characters in a name, an id or a choice."""
+"""Greatest number of characters in a name, an id or a choice."""
 UNIT_TOLERANCE = 1e-2
-"""How far the norm of a quaternion may be from 1."""
+"""Greatest deviation of a quaternion's norm from 1."""
 ROUNDING = 1e-6
-"""How far a slider may be beyond its end, as a part of its length: pages count in steps."""
+"""Tolerance beyond a slider's ends, as a share of its range, because pages count in steps."""
 
 Name = Annotated[str, Meta(max_length=LONGEST_NAME)]
 Length = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -34,12 +34,12 @@ Pixels = Annotated[int, Meta(ge=0, le=2**16)]
 Vector = tuple[Length, Length, Length]
 Quaternion = tuple[Component, Component, Component, Component]
 Modifier = Literal["cmd/ctrl", "alt", "shift", "cmd/ctrl+alt", "cmd/ctrl+shift", "alt+shift", "cmd/ctrl+alt+shift"]
-# All nodes of the scene are there for everybody; those of one page alone are of no use here.
+# The nodes of the scene are shared by all pages; nodes of a single page are not used here.
 Everybody = Literal[""]
 
 
 class Camera(Struct, tag="ViewerCameraMessage", forbid_unknown_fields=True, frozen=True):
-    """Where a page looks from."""
+    """A page's camera."""
 
     wxyz: Quaternion
     position: Vector
@@ -53,7 +53,7 @@ class Camera(Struct, tag="ViewerCameraMessage", forbid_unknown_fields=True, froz
 
 
 class Updates(Struct, forbid_unknown_fields=True, frozen=True):
-    """Of all attributes of a control, the one that is a visitor's."""
+    """The only attribute of a control that a user can change."""
 
     value: bool | int | float | Name
 
@@ -66,14 +66,14 @@ class ControlUpdate(Struct, tag="GuiUpdateMessage", forbid_unknown_fields=True, 
 
 
 class GizmoStart(Struct, tag="TransformControlsDragStartMessage", forbid_unknown_fields=True, frozen=True):
-    """A handle was taken."""
+    """A drag of a handle has begun."""
 
     name: Name
     owner: Everybody = ""
 
 
 class GizmoUpdate(Struct, tag="TransformControlsUpdateMessage", forbid_unknown_fields=True, frozen=True):
-    """A handle was moved."""
+    """A handle was dragged."""
 
     name: Name
     wxyz: Quaternion
@@ -82,14 +82,14 @@ class GizmoUpdate(Struct, tag="TransformControlsUpdateMessage", forbid_unknown_f
 
 
 class GizmoEnd(Struct, tag="TransformControlsDragEndMessage", forbid_unknown_fields=True, frozen=True):
-    """A handle was let go."""
+    """A handle was released."""
 
     name: Name
     owner: Everybody = ""
 
 
 class Drag(Struct, tag="SceneNodeDragMessage", forbid_unknown_fields=True, frozen=True):
-    """A tool was taken, moved or let go."""
+    """A tool was grabbed, dragged or released."""
 
     phase: Literal["start", "update", "end"]
     name: Name
@@ -109,20 +109,20 @@ _DECODER = msgspec.msgpack.Decoder(Message)
 
 
 class Malformed(ValueError):
-    """Bytes that are no message of any kind."""
+    """Bytes that are not a valid message."""
 
 
 def read_message(raw: bytes | str) -> Message | None:
-    """A message from a page.
+    """Decode a message from a page.
 
     Args:
-        raw: As it came.
+        raw: The message as received.
 
     Returns:
-        The message; None if it is none of those that our page sends.
+        The message; None if it is of a kind that this page does not send.
 
     Raises:
-        Malformed: If it is no MessagePack at all.
+        Malformed: If it is not valid MessagePack.
     """
     if isinstance(raw, str):
         raise Malformed("text")
@@ -136,24 +136,24 @@ def read_message(raw: bytes | str) -> Message | None:
 
 
 class MessageFilter:
-    """Guards the connections of a page.
+    """Guards the connections of a page by wrapping them.
 
     Attributes:
-        dropped: How many messages were none that somebody on the page could have sent.
-        server: viser's; None before there is one.
+        dropped: Number of messages that a user of the page could not have sent.
+        server: viser's server; None until there is one.
     """
 
     def __init__(self) -> None:
-        """Nothing is known of the page yet: no control, and no handle."""
+        """Start without a server."""
         self.dropped = 0
         self.server: Any = None
 
     def guard(self, connection: ServerConnection) -> GuardedConnection:
-        """A connection, for viser."""
+        """Wrap a connection for viser."""
         return GuardedConnection(connection, self)
 
     def client(self, connection: GuardedConnection) -> Any:
-        """Viser's handle of who is at the other end; None before the first message about the camera."""
+        """Viser's handle of the client at the other end; None before its first message about the camera."""
         if self.server is None:
             return None
         lines = self.server._websock_server._live_connections
@@ -162,14 +162,14 @@ class MessageFilter:
 
 
 class GuardedConnection:
-    """A connection that viser receives from: only what may be said comes through."""
+    """A connection from which viser receives permitted messages only."""
 
     def __init__(self, connection: ServerConnection, messages: MessageFilter) -> None:
-        """Guard it.
+        """Wrap a connection.
 
         Args:
-            connection: The real one.
-            messages: What belongs to all connections.
+            connection: The underlying connection.
+            messages: The filter that all connections share.
         """
         self._connection, self._messages = connection, messages
         self._warned = False
@@ -180,10 +180,10 @@ class GuardedConnection:
         return getattr(self._connection, name)
 
     async def recv(self) -> bytes:
-        """Wait for the next message that may come through.
+        """Wait for the next permitted message.
 
         Raises:
-            websockets.exceptions.ConnectionClosed: If there is none any more.
+            websockets.exceptions.ConnectionClosed: If the connection has closed.
         """
         malformed = False
         while True:
@@ -208,12 +208,12 @@ class GuardedConnection:
             logger.warning("a page sent what it may not, or too late; that is left out, and all more of it unsaid")
 
     def _allow(self, message: Message) -> Message | None:
-        """The message with what may come through of it; None if nothing may."""
+        """The permitted part of a message; None if nothing of it is permitted."""
         if isinstance(message, Camera):
             return message if _is_unit(message.wxyz) else None
         client = self._messages.client(self)
         if client is None:
-            # viser forgets what such a one holds when it goes.
+            # viser has no client for this connection, because it has not sent its camera yet or has gone.
             return None
         if isinstance(message, ControlUpdate):
             return _allow_control(message, (client.gui, self._messages.server.gui))
@@ -238,7 +238,7 @@ class GuardedConnection:
         limits = zip(message.position, gizmo.translation_limits, strict=True)
         if not all(least <= value <= most for value, (least, most) in limits):
             return None
-        # A handle that only turns stays where it is, and one that only shifts as it is.
+        # A handle for rotation only keeps its position, and one for translation only keeps its orientation.
         if gizmo.disable_axes and gizmo.disable_sliders:
             message = msgspec.structs.replace(message, position=tuple(map(float, gizmo.position)))
         if gizmo.disable_rotations:
@@ -259,16 +259,16 @@ class GuardedConnection:
             return None
         if message.phase == "end":
             del self._drags[name]
-        # It ends as what it has begun as: viser tells by these whom to call.
+        # Keep button and modifier of the start: viser selects the callbacks by them.
         return msgspec.structs.replace(message, button=begun.button, modifier=begun.modifier)
 
 
 def _allow_control(message: ControlUpdate, interfaces: tuple[Any, ...]) -> ControlUpdate | None:
-    """The use of a control that is there, can be seen and used, with a value that it can take.
+    """The use of a control, if it exists, is visible and enabled, and accepts the value.
 
     Args:
-        message: What a page says.
-        interfaces: viser's, of this page and of all.
+        message: The page's message.
+        interfaces: viser's interfaces of this page and of all pages.
     """
     handle = next((found for each in interfaces if (found := each._gui_input_handle_from_uuid.get(message.uuid))), None)
     if handle is None or handle.disabled or not _is_shown(handle, interfaces):
@@ -278,11 +278,11 @@ def _allow_control(message: ControlUpdate, interfaces: tuple[Any, ...]) -> Contr
 
 
 def allowed_value(handle: Any, value: bool | int | float | str) -> bool | int | float | str | None:
-    """The value that a control takes; None if it cannot take what it is given.
+    """The value that a control takes on; None if it does not accept the given one.
 
     Args:
-        handle: viser's, of a button, a switch, a slider or a choice; others are on no page.
-        value: What it is given.
+        handle: viser's handle of a button, a switch, a slider or a choice; the pages have no other controls.
+        value: The given value.
     """
     import viser
 
@@ -295,7 +295,7 @@ def allowed_value(handle: Any, value: bool | int | float | str) -> bool | int | 
     if isinstance(handle, viser.GuiSliderHandle) and isinstance(value, int | float) and not isinstance(value, bool):
         least, most = handle.min, handle.max
         room = ROUNDING * (most - least)
-        # What is no number is in no room.
+        # Also rejects NaN, for which every comparison is false.
         if not least - room <= value <= most + room:
             return None
         value = min(max(value, least), most)
@@ -304,7 +304,7 @@ def allowed_value(handle: Any, value: bool | int | float | str) -> bool | int | 
 
 
 def _is_shown(handle: Any, interfaces: tuple[Any, ...]) -> bool:
-    """Whether a control is shown, and all folders that it is in."""
+    """Whether a control and all folders that contain it are visible."""
     while handle is not None:
         if not getattr(handle, "visible", True):
             return False

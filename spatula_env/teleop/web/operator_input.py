@@ -1,4 +1,4 @@
-"""What operators do on the pages: which keys they hold, and where the mouse drags the tool."""
+"""Input of operators on the pages: keys held, and mouse drags of the tool."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ KEYS: Mapping[str, tuple[str, float]] = MappingProxyType(
         "Comma": ("jaw_speed", -1.0),
     }
 )
-"""Rates, by the place of a key as browsers name it: the same on every layout."""
+"""Rates by key code, which names the key's place as browsers do: the same on every keyboard layout."""
 
 SLOW_KEYS = ("ShiftLeft", "ShiftRight")
 SLOW = 0.25
-"""What is left of a rate while one of `SLOW_KEYS` is held."""
+"""Factor on the rates while one of `SLOW_KEYS` is held."""
 
 SILENT = 0.5
-"""A page that has said nothing for so long holds no key [s]; pages speak ten times a second."""
+"""A page that has not reported for this long holds no key [s]; pages report ten times a second."""
 
 AWAY = 3.0
-"""A page that has said nothing for so long is gone [s]."""
+"""A page that has not reported for this long is gone [s]."""
 
 
 MOVES: tuple[tuple[tuple[str, ...], str, str], ...] = (
@@ -57,10 +57,10 @@ MOVES: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("KeyO", "KeyL"), "rotation_z", "turn left, right"),
     (("Period", "Comma"), "jaw_speed", "open, close the jaws"),
 )
-"""Keys, the number in an action that they need, and what they do."""
+"""Keys, the name of the action component that they need, and their description."""
 
 NAMES: Mapping[str, str] = MappingProxyType({"Period": ".", "Comma": ",", "ShiftLeft": "Shift"})
-"""What is printed on keys, where that is not the end of their code."""
+"""Labels of keys whose label is not the end of their code."""
 
 
 @dataclass
@@ -72,13 +72,13 @@ class _PageInput:
 
 
 class OperatorInput:
-    """Input from all pages that are open. Everything may be called by any thread."""
+    """Combined input of all open pages. All methods may be called from any thread."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        """Nobody is there yet.
+        """Start without any pages.
 
         Args:
-            now: The clock [s].
+            now: Returns the time [s].
         """
         self._now = now
         self._lock = threading.Lock()
@@ -89,13 +89,13 @@ class OperatorInput:
         self._anybody = threading.Event()
 
     def hear(self, page: int, keys: Iterable[str], hidden: bool = False, frames: int | None = None) -> frozenset[str]:
-        """A page says what is held.
+        """Update a page's state from its report.
 
         Args:
-            page: Which.
-            keys: All keys that are held, by their places.
-            hidden: Whether nobody can see the page.
-            frames: How many pictures it has drawn; None: it does not say.
+            page: Number of the page.
+            keys: Codes of all keys that are held.
+            hidden: Whether the page is not visible.
+            frames: Number of frames it has drawn; None if it does not report that.
 
         Returns:
             The keys that were not held before.
@@ -109,69 +109,69 @@ class OperatorInput:
         return held - before
 
     def leave(self, page: int) -> None:
-        """A page is closed."""
+        """Remove a page that was closed."""
         with self._lock:
             self._pages.pop(page, None)
 
     def drag(self, target: FloatArray | None) -> None:
-        """The mouse drags the grip to a place (3,), workspace frame [m]; None: it has let go."""
+        """Set the position (3,) to which the mouse drags the grip, workspace frame [m]; None on release."""
         with self._lock:
             self._target = None if target is None else np.array(target, dtype=np.float64)
 
     def turn(self, orientation: FloatArray | None) -> None:
-        """The mouse turns the first tool to an orientation (4,), workspace frame; None: it has let go."""
+        """Set the orientation (4,) to which the mouse turns the first tool, workspace frame; None on release."""
         with self._lock:
             self._orientation = None if orientation is None else np.array(orientation, dtype=np.float64)
 
     def open(self, opening: float | None) -> None:
-        """The jaws are to be so far apart [m]; None: they are to stay as they are."""
+        """Set the wanted distance between the jaws [m]; None to leave them as they are."""
         with self._lock:
             self._opening = opening
 
     def let_go(self) -> None:
-        """Forget what the mouse was about."""
+        """Discard all mouse input."""
         with self._lock:
             self._target = self._orientation = self._opening = None
 
     @property
     def target(self) -> FloatArray | None:
-        """(3,) where the mouse drags the grip to [m]; None if it does not, or nobody is there."""
+        """(3,) position to which the mouse drags the grip [m]; None without a drag, or if no page is present."""
         with self._lock:
             return self._target if self._fresh(SILENT) else None
 
     @property
     def orientation(self) -> FloatArray | None:
-        """(4,) what orientation the mouse turns the first tool to; None if it does not, or nobody is there."""
+        """(4,) orientation to which the mouse turns the first tool; None without a turn, or if no page is present."""
         with self._lock:
             return self._orientation if self._fresh(SILENT) else None
 
     @property
     def opening(self) -> float | None:
-        """How far apart the jaws are to be [m]; None if nobody has said, or nobody is there."""
+        """Wanted distance between the jaws [m]; None if none is set, or if no page is present."""
         with self._lock:
             return self._opening if self._fresh(SILENT) else None
 
     @property
     def keys(self) -> frozenset[str]:
-        """All keys that are held now."""
+        """Codes of all keys that are held now."""
         with self._lock:
             return frozenset().union(*(page.keys for page in self._fresh(SILENT)))
 
     @property
     def present(self) -> bool:
-        """Whether somebody looks at a page."""
+        """Whether a page is open and visible."""
         with self._lock:
             return bool(self._fresh(AWAY))
 
     @property
     def viewers(self) -> int:
-        """How many pages are looked at."""
+        """Number of pages that are open and visible."""
         with self._lock:
             return len(self._fresh(AWAY))
 
     @property
     def frames(self) -> dict[int, int | None]:
-        """How many pictures each page that is looked at has drawn."""
+        """Number of frames that each visible page has drawn."""
         earliest = self._now() - AWAY
         with self._lock:
             pages = self._pages.items()
@@ -179,24 +179,24 @@ class OperatorInput:
 
     @property
     def active(self) -> bool:
-        """Whether somebody moves the tool."""
+        """Whether an operator is moving the tool."""
         by_mouse = self.target is not None or self.orientation is not None or self.opening is not None
         return by_mouse or not self.keys.isdisjoint(KEYS)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until somebody looks at a page.
+        """Wait until a page is visible.
 
         Args:
-            timeout: How long at most [s].
+            timeout: Longest time to wait [s].
 
         Returns:
-            Whether somebody does.
+            Whether a page is visible.
         """
         self._anybody.clear()
         return self.present or (self._anybody.wait(timeout) and self.present)
 
     def rates(self) -> dict[str, float]:
-        """What the keys that are held command, by name, each in [-1, 1]."""
+        """Rates that the held keys command, by name, each in [-1, 1]."""
         held = self.keys
         factor = SLOW if held.intersection(SLOW_KEYS) else 1.0
         rates: dict[str, float] = {}
@@ -211,11 +211,11 @@ class OperatorInput:
 
 
 def hints(names: tuple[str, ...], buttons: tuple[tuple[str, str], ...] = ()) -> str:
-    """What keys, mouse and fingers do, as HTML.
+    """Description of keys, mouse and touch gestures as HTML.
 
     Args:
-        names: Of the numbers in an action: only keys that move one of them are named.
-        buttons: Codes of further keys, and what they do.
+        names: Names of the action's components: only keys that move one of them are described.
+        buttons: Codes of further keys with their descriptions.
     """
     turns, jaws = any(name.startswith("rotation_") for name in names), "jaw_speed" in names
     keys = [("".join(map(_key, codes)), does) for codes, name, does in MOVES if name in names]

@@ -1,4 +1,4 @@
-"""One page: viser, and the server that takes the place of its own."""
+"""A page: viser's server, with the page server in place of viser's own listener."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from spatula_env.teleop.web.operator_input import KEYS, SLOW_KEYS, OperatorInput
 from spatula_env.teleop.web.page_server import PageServer
 
 _REPLACING = threading.Lock()
-"""Held while a name in another package stands for something else."""
+"""Held while a name in another package is replaced."""
 
 
 class Page:
-    """A page that any number of browsers open; all see the same.
+    """A page that any number of browsers can open; all show the same.
 
     Attributes:
-        server: viser's, to put things on the page.
-        operator_input: What is done on it by keys and mouse.
-        messages: What visitors may do on it otherwise.
-        url: What to open in a browser on this machine, with the token.
+        server: viser's server, for adding things to the page.
+        operator_input: Keys and mouse input of the page.
+        messages: Filter of all other input of the page.
+        url: URL to open in a browser on this machine, with the token.
     """
 
     def __init__(
@@ -36,23 +36,23 @@ class Page:
         keys: tuple[str, ...] = (),
         on_key: Callable[[str], None] = lambda key: None,
     ) -> None:
-        """Serve it.
+        """Serve the page.
 
         Args:
-            host: The address to listen at.
-            port: Where; 0 for any that is free.
-            token: What has to be known to open it; None: what the environment variable SPATULA_TOKEN says, or nothing,
+            host: Address to listen on.
+            port: Port to listen on; 0 for any that is free.
+            token: Token required to open it; None for the value of the environment variable SPATULA_TOKEN, or for none,
                 which is allowed on a loopback address only.
-            keys: Further keys to tell of, beside those that move the tool.
-            on_key: Called with the code of a key that is pressed, by a thread of the page's.
+            keys: Codes of further keys to report, in addition to those that move the tool.
+            on_key: Called with the code of a key that is pressed, in the page's thread.
 
         Raises:
             ImportError: If viser is missing.
-            ValueError: If there is no token where there has to be one.
+            ValueError: If a token is required and missing.
             DeviceBusy: If the port is taken.
         """
         viser = require_viser()
-        # Needs what comes with viser.
+        # Imported here because it needs viser's dependencies.
         from spatula_env.teleop.web.messages import MessageFilter
 
         doorkeeper = Doorkeeper(host, find_token(token))
@@ -61,10 +61,10 @@ class Page:
         self._page_server = PageServer(
             doorkeeper, port, self.operator_input, self.messages, (*KEYS, *SLOW_KEYS, *keys), on_key
         )
-        # It tells everybody the address that nobody is to use.
+        # viser prints an address that is not to be used, so redirect its output.
         with _served_by(self._page_server) as host, contextlib.redirect_stdout(io.StringIO()):
             self.server: Any = viser.ViserServer(host=host, port=0, verbose=False)
-        # A page may ask for the scene to be shown to the whole world; not here.
+        # A page may ask viser to share the scene on the internet; refuse.
         self.server.request_share_url = _do_not_share
         self.messages.server = self.server
         try:
@@ -75,11 +75,11 @@ class Page:
         self.url = doorkeeper.address(self._page_server.port)
 
     def take_focus(self) -> None:
-        """Have the keys go to the tool again, and to no part of the panel."""
+        """Return the keyboard focus from the panel to the tool."""
         self._page_server.tell({"blur": True})
 
     def notify(self, title: str, text: str, *, color: Any = None) -> None:
-        """Say something on all pages, for a few seconds."""
+        """Show a notification on all pages for a few seconds."""
         for client in self.server.get_clients().values():
             client.add_notification(title, text, auto_close_seconds=5.0, color=color)
 
@@ -96,16 +96,16 @@ class Page:
 
 
 class _Marked(str):
-    """An address that is known again by its identity; a loopback one, should viser take it for what it is."""
+    """An address recognised by its identity; its value is a loopback address, in case viser uses it literally."""
 
 
 @contextlib.contextmanager
 def _served_by(page_server: PageServer) -> Iterator[str]:
-    """Have the page server serve what viser would.
+    """Make viser's constructor use the page server instead of its own.
 
     viser's constructor starts `websockets.asyncio.server.serve` with the address that it is given, and offers no other
-    way to say who may connect. So that name stands for the page server meanwhile, if it is called with the address that
-    this yields; for all others it stays what it is.
+    way to restrict connections. So while this context is active, that function starts the page server when called with
+    the address that this yields; all other calls are unaffected.
     """
     from websockets.asyncio import server
 
@@ -129,7 +129,7 @@ def require_viser() -> Any:
     """Import viser.
 
     Raises:
-        ImportError: If it is missing; says what to install.
+        ImportError: If it is missing; the message says what to install.
     """
     try:
         import viser

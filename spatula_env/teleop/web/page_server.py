@@ -1,8 +1,8 @@
-"""The one server that listens, which lets in whom the doorkeeper does.
+"""The only listening server; it admits the requests that the doorkeeper admits.
 
-viser asks nobody for anything, so it does not listen at all: `PageServer.serve` takes the place of the server that
-viser would start, in viser's own thread, and passes on the connections of those who may come in. It also serves viser's
-page, with a script for the keys. What that sends over ``/spatula/hand`` goes to `operator_input`.
+viser has no access control, so it does not listen at all: `PageServer.serve` takes the place of the server that viser
+would start, in viser's own thread, and passes admitted connections on to viser. It also serves viser's page with an
+additional script for the keys, whose messages over ``/spatula/hand`` go to `operator_input`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ HAND = "/spatula/hand"
 SCRIPT = "/spatula/page.js"
 
 LARGEST_MESSAGE = 2**14
-"""That viser's pages may send [bytes]. What may be said is short; see `messages`."""
+"""Greatest size of a message from viser's pages [bytes]. Permitted messages are short; see `messages`."""
 LARGEST_WORD = 4096
-"""That the script may send [bytes]."""
+"""Greatest size of a message from the script [bytes]."""
 MOST_FRAMES = 2**53
-"""That a page may have drawn."""
+"""Greatest number of frames that a page may report."""
 BUFFER = 2**18
-"""Kept for a page that is slow [bytes]. What is on the way is old: viser leaves out what is outdated, if it is let."""
+"""Buffer for a slow page [bytes]. Small, as buffered data are old and viser can only skip what is not yet sent."""
 ENDING = 5.0
-"""How long connections may take to close [s]."""
+"""Longest time that closing connections may take [s]."""
 
 ASK = """<!doctype html><meta charset="utf-8"><title>spatula</title>
 <style>body{{font:16px system-ui;display:grid;place-content:center;height:90vh;gap:1em;text-align:center}}</style>
@@ -57,7 +57,7 @@ class PageServer:
     """Serves the page at one address, in viser's thread.
 
     Attributes:
-        port: Where it listens; 0 while it does not.
+        port: Port on which it listens; 0 while it does not.
     """
 
     def __init__(
@@ -69,15 +69,15 @@ class PageServer:
         keys: tuple[str, ...],
         on_key: Callable[[str], None],
     ) -> None:
-        """Describe the server.
+        """Store the settings of the server.
 
         Args:
-            doorkeeper: Who comes in, and at which address.
-            port: Where; 0 for any that is free.
-            operator_input: Fed with what the pages' scripts say.
-            messages: Chooses what of what the pages say comes to viser.
-            keys: Codes of the keys that pages tell of.
-            on_key: Called with the code of each key when it is pressed, by viser's thread.
+            doorkeeper: Decides about requests, and holds the address to serve at.
+            port: Port to listen on; 0 for any that is free.
+            operator_input: Receives the reports of the pages' scripts.
+            messages: Filters the pages' messages to viser.
+            keys: Codes of the keys that pages report.
+            on_key: Called with the code of each key when it is pressed, in viser's thread.
         """
         self.port = 0
         self._wanted = port
@@ -94,13 +94,13 @@ class PageServer:
 
     @asynccontextmanager
     async def serve(self, draw: Callable[[ServerConnection], Awaitable[None]], **options: Any) -> AsyncIterator[Any]:
-        """Listen, instead of `websockets.asyncio.server.serve`, for as long as this lasts.
+        """Listen while this context is active, instead of `websockets.asyncio.server.serve`.
 
-        What goes wrong is kept for `check`: viser waits for its server for ever.
+        Errors are kept for `check`, as viser would wait for its server for ever.
 
         Args:
-            draw: viser's handler of connections.
-            options: viser's, of which its choice of a protocol is used.
+            draw: viser's connection handler.
+            options: viser's options, of which only the choice of a protocol is used.
         """
         from websockets.asyncio.server import serve
 
@@ -132,11 +132,11 @@ class PageServer:
             yield server
 
     def check(self) -> None:
-        """Check that it listens.
+        """Check that the server listens.
 
         Raises:
             DeviceBusy: If the port is taken.
-            DeviceError: If the address cannot be served at, or viser has not asked this to serve.
+            DeviceError: If the address cannot be served, or viser has not started the server.
         """
         error = self._failure
         if error is not None:
@@ -148,7 +148,7 @@ class PageServer:
             raise DeviceError("this version of viser listens by itself, so nobody can guard it; take viser 1.1.1")
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Send something to the scripts of all pages."""
+        """Send a message to the scripts of all pages."""
         text = json.dumps(message)
 
         async def send() -> None:
@@ -159,7 +159,7 @@ class PageServer:
         self._call(send())
 
     def close(self) -> None:
-        """Close it, and all connections. Closing twice is allowed."""
+        """Close the server and all connections. Closing twice is allowed."""
         server, self._server = self._server, None
         if server is None:
             return
@@ -175,14 +175,14 @@ class PageServer:
                 ended.result(ENDING)
 
     def _call(self, work: Any) -> Future[Any] | None:
-        """Have viser's thread do something; None if it has ended."""
+        """Run work in viser's thread; None if that thread has ended."""
         if self._loop is not None and not self._loop.is_closed():
             with suppress(RuntimeError):
                 return asyncio.run_coroutine_threadsafe(work, self._loop)
         work.close()
         return None
 
-    # In viser's thread.
+    # The following run in viser's thread.
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         address = str(connection.remote_address[0]) if connection.remote_address else ""
@@ -206,11 +206,11 @@ class PageServer:
         if connection.request.path.partition("?")[0] == HAND:
             await self._listen(connection)
         else:
-            # viser only calls what the guard has, or hands on.
+            # viser only uses attributes that the guard provides or forwards.
             await self._draw(cast("ServerConnection", self._messages.guard(connection)))
 
     async def _listen(self, connection: ServerConnection) -> None:
-        """Take the messages of a page's script."""
+        """Process the messages of a page's script."""
         from websockets.exceptions import ConnectionClosed
 
         page = next(self._numbers)
@@ -232,15 +232,15 @@ class PageServer:
 
 
 def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str], bool, int | None] | None:
-    """Read a message of a page's script.
+    """Decode a message of a page's script.
 
     Args:
         word: The message.
-        known: Codes of keys that it may tell of; others are left out.
+        known: Codes of keys that it may report; others are ignored.
 
     Returns:
-        The keys that are held, whether the page is hidden, and how many pictures it has drawn, None if it does not say;
-        None if that is no message of the script.
+        The keys that are held, whether the page is hidden, and the number of frames that it has drawn (None if it does
+        not say); None instead of all if this is not a message of the script.
     """
     if not isinstance(word, str) or len(word) > LARGEST_WORD:
         return None
@@ -257,7 +257,7 @@ def read_word(word: str | bytes, known: tuple[str, ...]) -> tuple[frozenset[str]
 
 
 def _with_script() -> bytes:
-    """The page of viser, with the script before everything else."""
+    """The page of viser with the script before everything else."""
     try:
         document = files("viser").joinpath("client", "build", "index.html").read_bytes()
     except FileNotFoundError as error:
@@ -269,7 +269,7 @@ def _with_script() -> bytes:
 
 
 def _unfolded(request: Request) -> dict[str, list[str]]:
-    """All values of each header, by its name in lower case: a header may come twice, which is for others to judge."""
+    """All values of each header by its lower-case name. A header may occur twice; the caller decides about that."""
     values: dict[str, list[str]] = {}
     for name, value in request.headers.raw_items():
         values.setdefault(name.lower(), []).append(value)

@@ -1,4 +1,4 @@
-"""The page's panel: what is asked, what goes on, what is measured, and settings."""
+"""The page's side panel: task, status, measurements and settings."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from spatula_env.teleop.web.operator_input import hints
 from spatula_env.teleop.web.readings import Reading, Status, colors_in_words, criteria_table
 
 PLOT_EVERY = 2
-"""Bars are shown so many times as often as the plot."""
+"""Number of updates of the bars for each update of the plot."""
 KEY_SPEED = 0.03
-"""Speed of the tool by keys at first [m/s]."""
+"""Initial speed of the tool when moved by keys [m/s]."""
 TITLE = "Spatula"
 
 
 class Panel:
-    """The part of a page beside the view.
+    """Side panel of a page.
 
     Attributes:
-        gui: viser's, to add further things to.
+        gui: viser's interface, for adding further elements.
         commands: Folder for buttons, between the goal and the instruments.
         view: Folder for settings of the view.
-        jaws: Slider for the free width between the jaws [mm]; only seen where there are any.
+        jaws: Slider for the free width between the jaws [mm]; visible only if the tool has jaws.
     """
 
     def __init__(self, server: Any) -> None:
-        """Add everything to a page.
+        """Add the panel to a page.
 
         Args:
-            server: viser's.
+            server: viser's server.
         """
         self.gui = gui = server.gui
         gui.set_panel_label(TITLE)
@@ -63,17 +63,17 @@ class Panel:
 
     @property
     def key_speed(self) -> float:
-        """How fast keys move the tool [m/s]."""
+        """Speed of the tool when moved by keys [m/s]."""
         return 1e-3 * float(self.speed.value)
 
     def add_command(self, label: str, on_click: Callable[[], None], *, color: Any = None, hint: str = "") -> Any:
         """Add a button.
 
         Args:
-            label: On it.
-            on_click: Called by a thread of viser's.
-            color: One of viser's names of colours.
-            hint: Shown under the mouse.
+            label: Text of the button.
+            on_click: Called in one of viser's threads.
+            color: Name of one of viser's colours.
+            hint: Tooltip.
 
         Returns:
             viser's handle.
@@ -92,14 +92,14 @@ class Panel:
         roles: tuple[str, ...] = (),
         opening: tuple[float, float] | None = None,
     ) -> None:
-        """Say what is asked, and how to do it.
+        """Show what the task is, and how to do it.
 
         Args:
-            task: Its name.
-            instruction: A sentence.
-            names: Of the numbers in an action.
-            roles: What is marked in the picture; see `colors_in_words`.
-            opening: Least and greatest width between the jaws [m]; None: there are none.
+            task: Name of the task.
+            instruction: The task in one sentence.
+            names: Names of the action's components.
+            roles: Roles of the marks in the picture; see `colors_in_words`.
+            opening: Least and greatest width between the jaws [m]; None without jaws.
         """
         self._task, self._instruction, self._names, self._roles = task, instruction, names, roles
         self.jaws.visible = opening is not None
@@ -109,10 +109,10 @@ class Panel:
         self.hint(self._buttons)
 
     def hint(self, buttons: tuple[tuple[str, str], ...]) -> None:
-        """Say which keys stand for which buttons now.
+        """Show which keys currently act as which buttons.
 
         Args:
-            buttons: Names of keys, and what they do.
+            buttons: Names of keys with their descriptions.
         """
         self._buttons = buttons
         if self._names:
@@ -121,18 +121,18 @@ class Panel:
                 self._hints.content = content
 
     def say(self, status: Status) -> None:
-        """Say what goes on."""
+        """Show the current status."""
         if status != self._status:
             self._status = status
             self._write()
 
     def add(self, reading: Reading) -> None:
-        """Take what is measured, once in each control step."""
+        """Add a measurement, once per control step."""
         self._plot.add(reading)
         self._reading = reading
 
     def show(self) -> None:
-        """Show what was measured last, and before."""
+        """Update bars and plot with the measurements so far."""
         if self._bars.grow(self._reading.force):
             self._plot.scale(self._bars.force_end)
         self._write()
@@ -142,7 +142,7 @@ class Panel:
             self._plot.show()
 
     def show_opening(self) -> None:
-        """Have the jaws' slider show how far apart they are."""
+        """Set the jaws' slider to their current width."""
         if self._reading.opening is None:
             return
         shown = round(2e3 * self._reading.opening) / 2.0
@@ -174,11 +174,11 @@ class Panel:
 
 
 def theme(gui: Any, *, dark: bool = False) -> None:
-    """Choose colours.
+    """Choose the colour theme.
 
     Args:
-        gui: viser's, of all pages or of one.
-        dark: Whether they are dark.
+        gui: viser's interface, of all pages or of one.
+        dark: Whether to use dark colours.
     """
     gui.configure_theme(
         control_width="medium",

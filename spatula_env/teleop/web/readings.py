@@ -1,4 +1,4 @@
-"""What the page tells, and in which words."""
+"""Measurements and status that the page shows, and how it words them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from spatula_env.render.palette import CAUTION, FORCE, GOAL, MARKER, PRESSURE
 from spatula_env.tasks.criteria import Criterion
 
 SHOWN_UNITS: dict[str, tuple[float, str, int]]
-"""For each unit: the factor to the one that is shown, its name, and how many decimals."""
+"""For each unit: factor to the displayed unit, its name, and the number of decimals."""
 SHOWN_UNITS = {"m": (1e3, "mm", 1), "rad": (math.degrees(1.0), "°", 1), "1": (100.0, "%", 0), "N": (1.0, "N", 2)}
 
 
 ROLE_COLORS = MappingProxyType({"goal": GOAL, "target": MARKER, "caution": CAUTION})
-"""Of marks in the picture."""
+"""Colours of the marks in the picture, by role."""
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,15 @@ class Reading:
     """Measurements at the end of a control step.
 
     Attributes:
-        time: Since the episode began [s].
+        time: Time since the episode began [s].
         force: Magnitude of the contact force [N].
         pressure: Greatest contact pressure [Pa].
         success: Whether the goal has been held in this episode.
-        dose: Of pressure, in the episode [Pa s].
-        held: For how long the goal has been kept [s].
-        hold_time: For how long it is to be kept [s].
-        criteria: What the goal asks for.
-        opening: Free width between the jaws [m]; None: there are none.
+        dose: Pressure dose in the episode [Pa s].
+        held: Time for which the goal has been held [s].
+        hold_time: Time for which it has to be held [s].
+        criteria: Criteria of the goal.
+        opening: Free width between the jaws [m]; None without jaws.
     """
 
     time: float
@@ -49,12 +49,12 @@ class Reading:
 
 @dataclass(frozen=True)
 class Status:
-    """What goes on.
+    """Status of the session.
 
     Attributes:
-        text: In a few words.
-        detail: What to do, or what has been done.
-        recording: Whether this is being recorded.
+        text: Status in a few words.
+        detail: What to do, or what was done.
+        recording: Whether the episode is being recorded.
     """
 
     text: str
@@ -63,21 +63,21 @@ class Status:
 
 
 def in_words(value: float, unit: str, *, named: bool = True) -> str:
-    """A number in a unit that is easy to read.
+    """Format a number in a unit that is easy to read.
 
     Args:
         value: In SI units.
-        unit: "m", "rad", "1", "N", or any other, which is shown as it is.
+        unit: "m", "rad", "1", "N", or any other, which is shown unchanged.
         named: Whether to name the unit.
     """
     factor, name, decimals = SHOWN_UNITS.get(unit, (1.0, unit, 2))
-    # No minus sign before a zero.
+    # Adding 0.0 removes the sign of a negative zero.
     shown = f"{round(factor * value, decimals) + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
     return f"{shown}{'' if name == '°' else ' '}{name}".rstrip() if named else shown
 
 
 def wanted_in_words(criterion: Criterion) -> str:
-    """The goal of a criterion, in words."""
+    """A criterion's goal in words."""
     low, high, unit = criterion.low, criterion.high, criterion.unit
     if low == high:
         return in_words(low, unit)
@@ -89,7 +89,7 @@ def wanted_in_words(criterion: Criterion) -> str:
 
 
 def criteria_table(reading: Reading) -> str:
-    """The goal, what has been achieved of it, and for how long it has been kept, as HTML."""
+    """Table of the goal's criteria, the values achieved and the time for which they have been held, as HTML."""
     rows = [
         '<tr><th colspan="2">Goal</th><th class="n">now</th><th class="n">wanted</th></tr>',
         *(_criterion_row(criterion) for criterion in reading.criteria),
@@ -108,7 +108,7 @@ def colors_in_words(roles: tuple[str, ...]) -> str:
     """Legend of the colours in the picture, as HTML.
 
     Args:
-        roles: Of the marks that are there: "goal", and those of patches.
+        roles: Roles of the marks that are shown: "goal", and those of patches.
     """
     meanings = {"goal": "goal", "target": "what is to be moved", "caution": "to be spared"}
     named = [(ROLE_COLORS[role], said) for role, said in meanings.items() if role in roles]
@@ -118,10 +118,10 @@ def colors_in_words(roles: tuple[str, ...]) -> str:
 
 
 def css_color(color: Any) -> str:
-    """A colour as style sheets name it.
+    """A colour in CSS notation.
 
     Args:
-        color: Three numbers in 0..1.
+        color: Three numbers in [0, 1].
     """
     return "#" + "".join(f"{round(255.0 * float(value)):02x}" for value in color)
 

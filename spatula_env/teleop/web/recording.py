@@ -1,4 +1,4 @@
-"""Episodes of a page on their way into datasets."""
+"""Recording a page's episodes into datasets."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
     from spatula_env.teleop.wrapper import FalconTeleop
 
 DATASET = "spatula/{task}/web-v0"
-"""The dataset of a task, unless another is named."""
+"""Default name of a task's dataset."""
 
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """How episodes of a page are recorded.
+    """How a page's episodes are recorded.
 
     Attributes:
-        exclusive: Whether the page is there to record: then it is checked at the start that this can be done, and
-            nobody else records into the dataset meanwhile. Otherwise that is seen to when an episode begins.
-        author: Who holds the device; kept with each episode.
-        description: Of the dataset.
-        episodes: After so many the page ends; None: it goes on.
-        total: It ends when the dataset has so many; None: it goes on.
-        attempts: It ends after so many tries, kept or not; None: it goes on.
+        exclusive: Whether the page serves to record: the dataset is then checked at the start and kept from other
+            programs meanwhile. Otherwise that is done when an episode begins.
+        author: Name of the operator; stored with each episode.
+        description: Description of the dataset.
+        episodes: The page ends after this number of episodes; None for no limit.
+        total: The page ends when the dataset has this number of episodes; None for no limit.
+        attempts: The page ends after this number of attempts, kept or not; None for no limit.
         keep_failures: Whether episodes that do not reach their goal are added, too.
         end_on_success: Whether reaching the goal ends an episode.
-        states: Whether the physics' state is recorded.
-        state_dtype: How precisely; see `EpisodeRecorder`.
+        states: Whether to record the physics state.
+        state_dtype: Precision of the states; see `EpisodeRecorder`.
     """
 
     exclusive: bool = False
@@ -63,29 +63,29 @@ class RecordingOptions:
 
 
 class PageRecording:
-    """Recording from a page.
+    """Records episodes of a page.
 
     Attributes:
-        options: How.
-        saved: How many episodes have been added, by ids of datasets.
-        discarded: How many were not kept.
-        successes: How many of those added reached their goal.
+        options: How episodes are recorded.
+        saved: Number of episodes added, by dataset id.
+        discarded: Number of episodes that were not kept.
+        successes: Number of added episodes that reached their goal.
     """
 
     def __init__(
         self, first_id: str, options: RecordingOptions, *, dataset: str | None, root: Path | None, seed: int
     ) -> None:
-        """Describe it.
+        """Store the settings.
 
         Args:
-            first_id: The task to begin with.
+            first_id: Id of the first task.
             options: How to record.
-            dataset: Id of the dataset of the first task, or of all tasks with ``{task}`` in it; None: `DATASET`.
+            dataset: Id of the first task's dataset, or with ``{task}`` in it, of all tasks' datasets; None: `DATASET`.
             root: Folder of all datasets; Minari's own by default.
-            seed: Of the first episode, at least.
+            seed: Least seed of the first episode.
 
         Raises:
-            ValueError: If the dataset has a name that Minari does not take.
+            ValueError: If Minari does not accept the dataset's name.
         """
         self.options = options
         self.saved: dict[str, int] = {}
@@ -97,17 +97,17 @@ class PageRecording:
 
     @property
     def recorded(self) -> int:
-        """How many episodes have been added."""
+        """Number of episodes added."""
         return sum(self.saved.values())
 
     @property
     def claimed(self) -> bool:
-        """Whether nobody else records into the dataset of the first task."""
+        """Whether the dataset of the first task is claimed, so that no other program records into it."""
         return self._claimed is not None
 
     @property
     def done(self) -> bool:
-        """Whether all is recorded that was to be."""
+        """Whether all requested episodes have been recorded."""
         wanted = self.options
         return (
             (wanted.episodes is not None and self.recorded >= wanted.episodes)
@@ -121,7 +121,7 @@ class PageRecording:
         return (self._dataset if own else DATASET).replace("{task}", task_name(env_id))
 
     def summary(self) -> RecordingSummary:
-        """The summary, for the dataset of the first task."""
+        """Summary for the dataset of the first task."""
         name = self.dataset_id(self._first_id)
         return RecordingSummary(
             dataset_id=name,
@@ -134,15 +134,15 @@ class PageRecording:
 
     @contextmanager
     def claim(self, env: gymnasium.Env[Any, Any]) -> Iterator[None]:
-        """Record into the dataset of the first task for as long as a ``with`` block lasts, and let nobody else.
+        """Claim the dataset of the first task while a ``with`` block lasts, so that no other program records into it.
 
         Args:
-            env: The first task.
+            env: Environment of the first task.
 
         Raises:
             ImportError: If Minari is missing.
             ValueError: If episodes of `env` cannot be added to the dataset.
-            DatasetBusy: If somebody else records into it.
+            DatasetBusy: If another program records into it.
             OSError: If it cannot be written to.
         """
         name = self.dataset_id(self._first_id)
@@ -159,16 +159,16 @@ class PageRecording:
 
     @contextmanager
     def episode(self, env: FalconTeleop, env_id: str) -> Iterator[PageEpisode]:
-        """Record an episode in a ``with`` block; then say what becomes of it.
+        """Record an episode in a ``with`` block; the caller saves or discards it.
 
         Args:
-            env: The task, with the page as its device.
-            env_id: Its id.
+            env: Environment of the task, with the page as its device.
+            env_id: Id of the environment.
 
         Raises:
             ImportError: If Minari is missing.
             ValueError: If episodes of `env` cannot be added to the dataset.
-            DatasetBusy: If somebody else records into it.
+            DatasetBusy: If another program records into it.
             DatasetWriteError: If it cannot be written to.
         """
         name = self.dataset_id(env_id)
@@ -192,34 +192,34 @@ class PageRecording:
         self._in_dataset = writer.total_episodes
 
     def next_seed(self, writer: DatasetWriter) -> int:
-        """The seed of the next episode."""
+        """Seed of the next episode."""
         return next_seed(writer, self._seed)
 
 
 class PageEpisode:
-    """An episode while it is recorded.
+    """An episode while it is being recorded.
 
     Attributes:
-        recorder: Takes what happens.
-        seed: Of its reset.
+        recorder: Records the episode.
+        seed: Seed of its reset.
     """
 
     def __init__(self, recording: PageRecording, env: FalconTeleop, writer: DatasetWriter) -> None:
-        """Begin with it."""
+        """Begin recording."""
         self._recording, self._env, self._writer = recording, env, writer
         options = recording.options
         self.recorder = EpisodeRecorder(env.env, states=options.states, state_dtype=options.state_dtype)
         self.seed = recording.next_seed(writer)
 
     def save(self, summary: EpisodeSummary, **attributes: Any) -> str:
-        """Add it to its dataset, unless it has failed and failures are dropped.
+        """Add the episode to its dataset, unless it failed and failures are dropped.
 
         Args:
-            summary: How it went.
-            **attributes: What else there is to tell of it.
+            summary: Result of the episode.
+            **attributes: Further metadata of the episode.
 
         Returns:
-            What has become of it, in words; empty if it was not added.
+            Description of what was saved; empty if the episode was not added.
 
         Raises:
             DatasetWriteError: If it could not be written.
@@ -232,5 +232,5 @@ class PageEpisode:
         return f"Episode {number} of {self._writer.dataset_id}, {summary.steps} steps."
 
     def discard(self) -> None:
-        """It is not kept."""
+        """Drop the episode."""
         self._recording.discarded += 1

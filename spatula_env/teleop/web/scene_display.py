@@ -1,4 +1,4 @@
-"""The organ, the tools and the goal in the page's three-dimensional view."""
+"""Organ, tools and goal in the page's 3D view."""
 
 from __future__ import annotations
 
@@ -26,43 +26,43 @@ if TYPE_CHECKING:
     from spatula_env.teleop.web.viewers import Viewers
 
 LIFT = 0.006
-"""How far over the organ what colours it lies [u]."""
+"""Height of coloured pieces above the organ's surface [u]."""
 PATCH_LIFT = 0.004
 DYE = 0.85
-"""How much of a marked part's colour is that of the dye."""
+"""Weight of the dye in the colour of a marked part."""
 SHINING = 0.4
-"""Opacity of what shows the goal, where something hides it."""
+"""Opacity of goal marks where they are hidden by something."""
 SEEN_THROUGH = 0.45
-"""Opacity of an organ that is to be seen through."""
+"""Opacity of a see-through organ."""
 GIZMO_SIZE, ARC_SIZE = 0.9, 1.6
-"""Of the handles to drag the tool by, and of those to turn it by [u]."""
+"""Size of the handles that drag the tool, and of those that turn it [u]."""
 UPSIDE_DOWN = (0.0, 1.0, 0.0, 0.0)
-"""No tool is: viser tells pages of an orientation that is not the last one, and they keep that of a tool before."""
+"""An orientation that no tool has. viser sends only changed orientations, and pages keep that of an earlier tool."""
 GROUND_SIZE = 400.0
-"""Edge of the ground [u]."""
+"""Edge length of the ground [u]."""
 GROUND: Color = (0.62, 0.66, 0.70)
 ROOM_ABOVE = 0.2
-"""How much of the workspace over the organ is in the first view, beside where the tools start."""
+"""Share of the workspace above the organ that the first view includes, besides the tools' starting positions."""
 
 Drag = Callable[[FloatArray | None], None]
-"""Takes where the mouse drags the grip to (3,) [u], or how it turns the first tool (4,), and None when it lets go."""
+"""Takes the grip position (3,) to which the mouse drags [u], or the first tool's orientation (4,); None on release."""
 
 
 class SceneDisplay:
-    """Shows one environment; another one needs another stage.
+    """Shows one environment; another environment needs another display.
 
-    Everything is in the frame and the unit of the scene, as if nothing of it had been drawn at random.
+    Everything is in the frame and unit of the scene, without the random placement of an episode.
     """
 
     def __init__(self, server: Any, viewers: Viewers, env: SpatulaEnv, on_drag: Drag, on_turn: Drag) -> None:
-        """Build it up.
+        """Build the scene.
 
         Args:
-            server: viser's.
-            viewers: Whose cameras to aim.
-            env: What to show.
-            on_drag: Told when the mouse drags the tool.
-            on_turn: Told when the mouse turns the tool.
+            server: viser's server.
+            viewers: Aims the pages' cameras.
+            env: Environment to show.
+            on_drag: Called when the mouse drags the tool.
+            on_turn: Called when the mouse turns the tool.
         """
         self._server, self._viewers, self._env = server, viewers, env
         self._on_drag, self._on_turn = on_drag, on_turn
@@ -74,7 +74,7 @@ class SceneDisplay:
         self._count = len(nodes)
         self._contact_nodes = [(np.array(placed.tool.nodes), np.array(placed.tool.normals)) for placed in scene.tools]
         self._shapes = [(np.array(placed.tool.vertices), np.array(placed.tool.triangles)) for placed in scene.tools]
-        # What the mouse has grabbed of the tool, and where the grip was then.
+        # Point of the tool that the mouse has grabbed, and the grip's position at that time.
         self._grabbed: FloatArray | None = None
         self._held: FloatArray = np.zeros(3)
         self._on_gizmo = self._on_arc = False
@@ -108,27 +108,27 @@ class SceneDisplay:
         self.begin(anew=True)
 
     def begin(self, *, anew: bool = False) -> None:
-        """An episode begins: have its goal in view.
+        """Begin an episode: bring its goal into view.
 
         Args:
-            anew: Whether it is the first one.
+            anew: Whether it is the first episode of this scene.
         """
         self._viewers.aim(*first_view(self._env), anew=anew)
 
     def set_gizmo(self, visible: bool) -> None:
-        """Show the handles by which the tool can be dragged along one axis and turned, or not."""
+        """Show or hide the handles that drag the tool along one axis and turn it."""
         for handle in (self._gizmo, *self._arcs):
             handle.visible = visible
 
     def set_see_through(self, wanted: bool) -> None:
-        """Let the organ be seen through, or not."""
+        """Make the organ see-through, or opaque."""
         self._organ.opacity = SEEN_THROUGH if wanted else None
 
     def show(self, moment: Moment) -> None:
-        """Show a moment.
+        """Show the state at a moment.
 
         Args:
-            moment: Of the environment.
+            moment: State of the environment.
         """
         with self._server.atomic():
             self._show(moment)
@@ -152,7 +152,7 @@ class SceneDisplay:
             for arc in self._arcs:
                 arc.position, arc.wxyz = self._grip, (1.0, 0.0, 0.0, 0.0)
 
-    # What there is.
+    # Parts of the scene.
 
     def _light_up(self) -> None:
         scene = self._server.scene
@@ -200,7 +200,7 @@ class SceneDisplay:
     def _color(
         self, points: FloatArray, normals: FloatArray, moment: Moment, positions: FloatArray, orientations: FloatArray
     ) -> None:
-        """The organ by the pressure on it."""
+        """Colour the organ by the pressure on it."""
         field = np.zeros(len(points))
         for tool, pressures in enumerate(moment.pressures or ()):
             nodes, out = self._contact_nodes[tool]
@@ -212,11 +212,11 @@ class SceneDisplay:
             _replace(contour, piece)
 
     def _point(self, composition: Composition) -> None:
-        """Forces and goals."""
+        """Draw forces and goals."""
         arrows = composition.meshes[1 + len(self._tools) :]
         self._arrows = self._draw("/force", self._arrows, arrows)
         self._signs = self._draw("/goal", self._signs, composition.marks)
-        # Again, for what hides it: the page's script draws these over everything.
+        # Draw the marks once more, for where they are hidden: the page's script draws these over everything.
         self._ghosts = self._draw("/through", self._ghosts, composition.marks, opacity=SHINING)
 
     def _draw(self, name: str, handles: list[Any], meshes: list[Mesh], opacity: float | None = None) -> list[Any]:
@@ -234,7 +234,7 @@ class SceneDisplay:
         return handles
 
     def _dye(self, points: FloatArray, normals: FloatArray, patches: list[Patch]) -> None:
-        """Parts of the organ that a task is about."""
+        """Place the dyed patches of the organ that the task marks."""
         same = len(patches) == len(self._patches) and all(
             patch.role == before.role and np.array_equal(patch.nodes, before.nodes)
             for patch, (before, _, _) in zip(patches, self._patches, strict=True)
@@ -249,7 +249,7 @@ class SceneDisplay:
     def _add_patch(self, index: int, patch: Patch) -> tuple[Any, NDArray[np.intp]]:
         inside = np.zeros((self._count, 1))
         inside[patch.nodes] = 1.0
-        # Up to the middle of the edges that leave the patch, where they are split.
+        # Up to the midpoints of the edges that leave the patch, where they are split.
         share = self._surface.interpolate(inside)[:, 0]
         chosen = self._surface.triangles[(share[self._surface.triangles] > 0.499).all(axis=1)]
         if len(chosen) == 0:
@@ -262,12 +262,12 @@ class SceneDisplay:
         return add(f"/patch/{index}", vertices, faces, color=color, cast_shadow=False), used.astype(np.intp)
 
     def _add_arc(self, axis: str) -> Any:
-        """A handle by which the tool is turned about an axis."""
+        """Add a handle that turns the tool about an axis."""
         arc = self._server.scene.add_transform_controls(
             f"/turn/{axis}",
             scale=ARC_SIZE,
             line_width=4.0,
-            # An arc lies between the other two axes.
+            # viser's arc about an axis lies in the plane of the other two axes.
             active_axes=tuple(each != axis for each in "xyz"),
             disable_axes=True,
             disable_sliders=True,
@@ -278,7 +278,7 @@ class SceneDisplay:
         arc.on_update(self._arc_moved)
         return arc
 
-    # The mouse. These are called by viser's thread, in order.
+    # Mouse callbacks, which viser's thread calls in order.
 
     def _make_drag(self, *, level: bool) -> Any:
         async def drag(event: Any) -> None:
@@ -311,7 +311,7 @@ class SceneDisplay:
 
 
 def first_view(env: SpatulaEnv) -> tuple[FloatArray, Viewpoint]:
-    """What is to be seen at first, (P, 3) [u], and from where: organ, tools and room above them, and the goal."""
+    """Points (P, 3) of the first view [u] and its viewpoint: organ, tools with the room above them, and the goal."""
     scene, workspace, moment = env._episodes.worlds.scene, env.workspace, env.moment
     nodes, triangles = np.asarray(moment.nodes), env._episodes.worlds.triangles
     viewpoint = replace(viewpoint_toward(scene, nodes, triangles, moment.marks), room=0.05)
@@ -322,7 +322,7 @@ def first_view(env: SpatulaEnv) -> tuple[FloatArray, Viewpoint]:
         seen.append(points[points[:, 2] >= low + viewpoint.base * (high - low)])
     top = float(workspace.to_scene(ROOM_ABOVE * workspace.high)[2])
     places, orientations = np.atleast_2d(moment.tool_positions), np.atleast_2d(moment.tool_orientations)
-    # Of a long blade, the part that works and the handles to drag it by.
+    # Of a long blade, include only the working part and the drag handles.
     highest = float(places[:, 2].mean()) + GIZMO_SIZE
     for tool, place, orientation in zip(scene.tools, places, orientations, strict=True):
         corners = turn(orientation, moment.tool_scale * np.asarray(tool.tool.vertices)) + place
@@ -339,16 +339,16 @@ def _points_of(mark: Ring | Path | Points) -> FloatArray:
 
 
 def on_drag_plane(eye: FloatArray, point: FloatArray, grabbed: FloatArray, *, level: bool) -> FloatArray | None:
-    """Where a mouse drags what it has grabbed.
+    """Point to which a mouse drags what it has grabbed.
 
     Args:
-        eye: (3,) the camera.
-        point: (3,) any point that is seen where the mouse is.
-        grabbed: (3,) the point that was grabbed.
-        level: Whether it stays at its height; else it stays in the upright plane that faces the camera.
+        eye: (3,) position of the camera.
+        point: (3,) any point on the line of sight through the mouse.
+        grabbed: (3,) point that was grabbed.
+        level: Whether to drag at constant height; otherwise in the upright plane that faces the camera.
 
     Returns:
-        (3,) the point of this plane that is seen where the mouse is; None if it is at infinity or behind the camera.
+        (3,) intersection of the line of sight with this plane; None if it is at infinity or behind the camera.
     """
     ray = point - eye
     normal = np.array([0.0, 0.0, 1.0]) if level else np.array([grabbed[0] - eye[0], grabbed[1] - eye[1], 0.0])
@@ -375,7 +375,7 @@ def _single(points: FloatArray) -> Any:
 
 
 def _flat(vertices: FloatArray, triangles: Any) -> tuple[Any, Any]:
-    """Vertices of their own for each triangle."""
+    """Give each triangle vertices of its own."""
     return _single(vertices[triangles].reshape(-1, 3)), np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
 
 

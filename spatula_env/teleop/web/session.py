@@ -1,4 +1,4 @@
-"""Playing and recording on a page, with all that the page's buttons ask for."""
+"""A session of playing and recording on a page, including the actions of the page's buttons."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from spatula_env.teleop.web.recording import PageEpisode, PageRecording, Recordi
 from spatula_env.teleop.wrapper import FalconTeleop
 
 RECORD, SAVE, SUCCESS, RESET, TASK = "record", "save", "success", "reset", "task"
-"""What the page's buttons ask for, beside "discard" and "quit"."""
+"""Requests of the page's buttons, besides "discard" and "quit"."""
 VERDICTS = (SAVE, SUCCESS, DISCARD)
-"""What becomes of an episode that is recorded."""
+"""Possible decisions about a recorded episode."""
 
 KEYS_WAITING = (("Enter", "record"),)
 KEYS_RECORDING = (("Enter", "save"), ("Backspace", "discard"))
-"""What keys stand for which buttons, while nothing is recorded and while something is."""
+"""Keys that act as buttons, while nothing is being recorded and while something is."""
 
 PRACTICE = "Nothing is recorded, and there is no limit of time."
 MESSAGE_TIME = 8.0
-"""For how long it is said what has become of the last recording [s]."""
+"""Time for which the result of the last recording is shown [s]."""
 
 LOOKING = 0.2
-"""How often a session that waits looks whether it is to end [s]."""
+"""Interval at which a waiting session checks whether it is to end [s]."""
 
 
 class WebSession:
-    """A page on which tasks are played, and episodes recorded.
+    """A page on which tasks are played and episodes recorded.
 
-    Physics runs in a thread of its own. It stands still while nobody looks at a page, so that nothing is lost when a
-    browser goes away in the middle of an episode.
+    Physics runs in a thread of its own. It pauses while no page is visible, so that nothing is lost when a browser
+    disconnects in the middle of an episode.
 
-    While it is not recorded, a task has no limit of time.
+    There is no time limit while an episode is not recorded.
 
     Attributes:
-        env_id: The task that is played.
-        env: Its environment; None while there is none.
-        recording: What has been recorded.
+        env_id: Id of the current task.
+        env: Environment of the current task; None while there is none.
+        recording: The episodes recorded so far.
     """
 
     def __init__(
@@ -65,28 +65,28 @@ class WebSession:
         recording: RecordingOptions | None = None,
         progress: Callable[[str, EpisodeSummary], None] | None = None,
     ) -> None:
-        """Describe it.
+        """Store the settings of the session; `start` serves the page.
 
         Args:
-            env_id: The task to begin with, one of `task_ids`.
-            host: The address to serve the page at.
-            port: Where; 0 for any that is free.
-            token: What has to be known to open the page; None: nothing, which is allowed on a loopback address only.
-            dataset: Text: the id of the dataset to add to, in which ``{task}`` stands for the task's name; without it,
-                it is that of the first task only. A `Path`: the folder of all datasets. By default
-                ``spatula/{task}/web-v0`` in Minari's own folder.
-            seed: Of the first episode; the others go on from it.
-            env_kwargs: Options of all environments.
-            real_time: Whether simulated time passes as fast as real time, at most.
+            env_id: Id of the first task, one of `task_ids`.
+            host: Address at which the page is served.
+            port: Port to listen on; 0 for any that is free.
+            token: Token required to open the page; None for none, which is allowed on a loopback address only.
+            dataset: A string is the id of the dataset to add to, in which ``{task}`` stands for the task's name;
+                without ``{task}``, it is used for the first task only. A `Path` is the folder of all datasets. By
+                default, ``spatula/{task}/web-v0`` in Minari's own folder.
+            seed: Seed of the first episode; the others continue from it.
+            env_kwargs: Arguments with which all environments are made.
+            real_time: Whether simulated time is limited to the speed of real time.
             root: Folder of all datasets, if `dataset` is an id; Minari's own by default.
-            recording: How episodes are recorded; None: as they come.
-            progress: Called after each episode with its fate, "recorded", "discarded" or "practice"; by the
+            recording: How episodes are recorded; None for the defaults.
+            progress: Called after each episode with its outcome, "recorded", "discarded" or "practice"; in the
                 session's thread.
 
         Raises:
             ImportError: If viser is missing.
-            ValueError: If there is no such task, no token where there has to be one, or the dataset has a name that
-                Minari does not take.
+            ValueError: If the task does not exist, a token is required and missing, or Minari does not accept the
+                dataset's name.
         """
         self.env_id = find_task(env_id)
         self.env: Any = None
@@ -120,7 +120,7 @@ class WebSession:
 
     @property
     def saved(self) -> int:
-        """How many episodes have been added to datasets."""
+        """Number of episodes added to datasets."""
         return self.recording.recorded
 
     @property
@@ -129,7 +129,7 @@ class WebSession:
         return self._device
 
     def start(self) -> None:
-        """Serve the page, and begin to play when somebody looks at it.
+        """Serve the page, and begin to play when it is visible in a browser.
 
         Raises:
             ImportError: If viser is missing.
@@ -142,13 +142,13 @@ class WebSession:
         self._thread.start()
 
     def wait(self, timeout: float | None = None) -> None:
-        """Wait until it ends by itself, which it does only when something is wrong.
+        """Wait until the session ends by itself, which happens only after an error or when all is recorded.
 
         Args:
-            timeout: How long at most [s].
+            timeout: Longest time to wait [s].
 
         Raises:
-            Exception: What is wrong.
+            Exception: The error that ended it.
         """
         # Not by joining: up to Python 3.12, Ctrl-C in a join leaves the thread marked as ended while it still runs.
         if self._thread is not None:
@@ -157,7 +157,7 @@ class WebSession:
             raise self._failure
 
     def stop(self) -> None:
-        """End it. An episode that is being recorded is saved as far as it has come. Stopping twice is allowed."""
+        """End the session. An episode that is being recorded is saved up to this point. Stopping twice is allowed."""
         self._stopping.set()
         self._asked.put(QUIT)
         if self._thread is not None:
@@ -171,7 +171,7 @@ class WebSession:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    # The page's furniture. Its callbacks come from other threads, and only ask.
+    # The page's controls. Their callbacks run in other threads, and only put requests.
 
     def _furnish(self) -> None:
         panel = self._device.panel
@@ -194,7 +194,7 @@ class WebSession:
         self._offer()
 
     def _ask(self, what: str) -> None:
-        # A second click on a button that is about to disappear means nothing.
+        # Ignore a second click on a button that is about to disappear.
         if (what in VERDICTS) == self._recording:
             self._asked.put(what)
 
@@ -206,7 +206,7 @@ class WebSession:
         self._ask(SAVE if self._recording else RECORD)
 
     def _offer(self) -> None:
-        """Show the buttons that mean something now."""
+        """Show the buttons that apply now."""
         for name, button in self._buttons.items():
             button.visible = (name in VERDICTS) == self._recording
         self._choice.visible = not self._recording
@@ -223,7 +223,7 @@ class WebSession:
         if self._device.page is not None:
             self._device.page.notify(title, text, color=color)
 
-    # The session's thread.
+    # The following run in the session's thread.
 
     def _run(self) -> None:
         try:
@@ -250,7 +250,7 @@ class WebSession:
         try:
             if self.recording.options.exclusive and not self.recording.claimed:
                 claims.enter_context(self.recording.claim(self.env))
-            # Without recording, there is no limit of time: neither Gymnasium's nor the environment's own.
+            # Practice has no time limit: neither Gymnasium's nor the environment's own.
             practice, timed = (
                 FalconTeleop(env, self._device, real_time=self._real_time) for env in (self.env.unwrapped, self.env)
             )
@@ -269,7 +269,7 @@ class WebSession:
                     ends = self.recording.options.end_on_success
                     practised = run_episode(practice, seed=seed, end_on_success=ends, after_step=self._after_practice)
                     self._progress("practice", practised)
-                    # What is said is about the episode before this one.
+                    # The message is about the episode before this one.
                     self._said = ""
                 seed = None
         finally:
@@ -277,11 +277,11 @@ class WebSession:
             env.close()
 
     def _take_choice(self) -> bool:
-        """Change to the task that is chosen on the page, if it is one of those offered."""
-        # A page can say anything, and `gymnasium.make` imports what stands before a colon.
+        """Switch to the task chosen on the page, if it is one of those offered."""
+        # The page's data are untrusted, and `gymnasium.make` imports the module named before a colon.
         chosen = str(self._choice.value)
         if chosen not in task_ids():
-            # First: whoever reads the refusal may choose again.
+            # Reset the choice before the refusal is shown, as the user may then choose again.
             self._choice.value = self.env_id
             self._tell("Not a task", f"There is no task {chosen[:80]!r} here.", "red")
             return False
@@ -296,7 +296,7 @@ class WebSession:
         self._press_if_asked(QUIT, info)
 
     def _pause(self) -> None:
-        """Stand still while nobody looks."""
+        """Wait while no page is visible."""
         page = self._device.page
         assert page is not None
         if page.operator_input.present:
@@ -310,8 +310,8 @@ class WebSession:
     # Recording.
 
     def _record(self, env: FalconTeleop) -> None:
-        # ImportError where Minari is missing, ValueError where the dataset is of another environment, OSError where it
-        # cannot be written or somebody else records into it.
+        # ImportError if Minari is missing, ValueError if the dataset belongs to another environment, OSError if it
+        # cannot be written or if another program records into it.
         with (
             _Mishaps(self, ImportError, OSError, ValueError),
             self.recording.episode(env, self.env_id) as episode,
@@ -353,9 +353,10 @@ class WebSession:
         self._press_if_asked(FINISH, info)
 
     def _press_if_asked(self, button: str, info: dict[str, Any]) -> None:
-        """End the episode if anything is asked for: nothing happens in a control step but what was asked for before it.
+        """End the episode if there is a request, so that a control step includes only what was requested before it.
 
-        Not before the first step: a button that ended the last episode counts only after a step in which it is up.
+        Not before the first step: a button that ended the last episode counts only after a step in which it is
+        released.
         """
         if self._asked.what is not None and info["time"] > 0.0:
             self._device.press(button)
@@ -368,7 +369,7 @@ class WebSession:
         self._moved = page.operator_input.active
 
     def _verdict(self) -> str:
-        """What becomes of the episode that has just ended."""
+        """Wait for the decision about the episode that has just ended."""
         self._device.refresh()
         while True:
             asked = self._asked.take()
@@ -378,7 +379,7 @@ class WebSession:
             self._asked.wait(LOOKING)
 
     def _judge(self, episode: PageEpisode, summary: EpisodeSummary) -> None:
-        """Keep an episode that has ended, or do not."""
+        """Save or discard the episode that has just ended."""
         verdict = self._verdict()
         said = ""
         if verdict == DISCARD or not self._moved:
@@ -394,28 +395,28 @@ class WebSession:
 
 
 class Asked:
-    """The last request of the page's buttons."""
+    """The latest request of the page's buttons."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start without a request."""
         self._condition = threading.Condition()
         self._what: str | None = None
 
     @property
     def what(self) -> str | None:
-        """The request; None: there is none."""
+        """The request; None if there is none."""
         with self._condition:
             return self._what
 
     def put(self, what: str) -> None:
-        """Ask for something. Nothing takes the place of "quit"."""
+        """Put a request. No other request replaces "quit"."""
         with self._condition:
             if self._what != QUIT:
                 self._what = what
             self._condition.notify_all()
 
     def take(self) -> str | None:
-        """Take the request away and return it; but "quit" stays."""
+        """Return the request and remove it, unless it is "quit"."""
         with self._condition:
             what = self._what
             if what != QUIT:
@@ -423,14 +424,14 @@ class Asked:
             return what
 
     def wait(self, timeout: float) -> None:
-        """Wait until something is asked for, or some time has passed [s]."""
+        """Wait until there is a request, or some time has passed [s]."""
         with self._condition:
             if self._what is None:
                 self._condition.wait(timeout)
 
 
 class _Mishaps:
-    """Errors that do not end the session: they are shown on the page."""
+    """Context in which errors are shown on the page instead of ending the session."""
 
     def __init__(self, session: WebSession, *kinds: type[Exception]) -> None:
         self._session, self._kinds = session, kinds
@@ -443,7 +444,7 @@ class _Mishaps:
 
         if isinstance(error, (SimulationDiverged, *self._kinds)):
             if self._session._stopping.is_set():
-                # Nobody looks at the page any more.
+                # No page is visible any more, so the error has to end the session.
                 self._session._failure = error
             self._session._tell("Something went wrong", str(error), "red")
             return True
@@ -452,7 +453,7 @@ class _Mishaps:
 
 @contextmanager
 def _no_limit(made: Any) -> Iterator[None]:
-    """Have an environment's episodes go on for as long as somebody plays."""
+    """Remove an environment's own time limit while a context is active."""
     limit, made._max_episode_steps = made._max_episode_steps, None
     try:
         yield
@@ -461,18 +462,18 @@ def _no_limit(made: Any) -> Iterator[None]:
 
 
 def task_ids() -> list[str]:
-    """The ids of all tasks that are registered."""
+    """Ids of all registered tasks."""
     return [name for name in gymnasium.registry if name.startswith("Spatula/")]
 
 
 def find_task(env_id: str) -> str:
-    """The id of a task, without the module that registers it.
+    """Id of a task, without the module that registers it.
 
     Args:
-        env_id: As `gymnasium.make` takes it.
+        env_id: Id as `gymnasium.make` takes it.
 
     Raises:
-        ValueError: If there is no such task.
+        ValueError: If the task does not exist.
     """
     name = env_id.rpartition(":")[2]
     if name not in task_ids():
@@ -495,30 +496,30 @@ def serve(
     recording: RecordingOptions | None = None,
     progress: Callable[[str, EpisodeSummary], None] | None = None,
 ) -> RecordingSummary:
-    """Serve a page on which a task is played and recorded, until Ctrl-C or until all is recorded.
+    """Serve a page on which a task is played and recorded, until Ctrl-C or until all requested episodes are recorded.
 
-    An episode that is being recorded then is saved as far as it has come.
+    An episode that is being recorded at that time is saved up to this point.
 
     Args:
-        env_id: The task to begin with.
-        host: The address to serve the page at.
-        port: Where; 0 for any that is free.
-        token: What has to be known to open the page; None: nothing, which is allowed on a loopback address only.
+        env_id: Id of the first task.
+        host: Address at which the page is served.
+        port: Port to listen on; 0 for any that is free.
+        token: Token required to open the page; None for none, which is allowed on a loopback address only.
         dataset: See `WebSession`.
-        seed: Of the first episode; the others go on from it.
-        env_kwargs: Options of the environments.
-        on_ready: Called with the address to open, when the page can be opened.
-        real_time: Whether simulated time passes as fast as real time, at most.
+        seed: Seed of the first episode; the others continue from it.
+        env_kwargs: Arguments with which the environments are made.
+        on_ready: Called with the address when the page can be opened.
+        real_time: Whether simulated time is limited to the speed of real time.
         root: Folder of all datasets, if `dataset` is an id.
-        recording: How episodes are recorded; None: as they come.
+        recording: How episodes are recorded; None for the defaults.
         progress: See `WebSession`.
 
     Returns:
-        What was recorded.
+        Summary of the recording.
 
     Raises:
         ImportError: If viser is missing.
-        ValueError: If there is no such task, no token where there has to be one, or the dataset does not take the
+        ValueError: If the task does not exist, a token is required and missing, or the dataset does not accept the
             task's episodes.
         DeviceBusy: If the port is taken.
         DatasetBusy: If another program records into the dataset.
@@ -541,6 +542,6 @@ def serve(
         if on_ready is not None:
             on_ready(session.url)
         session.wait()
-    # What was being recorded may not have been saved.
+    # Raises an error that kept an episode from being saved.
     session.wait(0.0)
     return session.recording.summary()

@@ -1,4 +1,4 @@
-"""What each page that is open has for itself: its camera, and whether its colours are dark."""
+"""Per-page settings of all open pages: camera, and dark or light colours."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from spatula_env.render.camera import Camera
 
 NEAR, FAR = 0.1, 200.0
-"""What the camera sees [u]."""
+"""Near and far plane of the camera [u]."""
 FOG = (1.3, 4.0)
-"""Where the ground begins to fade, and where it is gone, as parts of the distance from the camera to the farthest thing
-that is to be seen: nothing of those fades."""
+"""Distances at which the ground begins to fade and at which it has vanished, relative to the distance from the camera
+to the farthest thing to be seen: nothing to be seen fades."""
 LIGHT_SKY, DARK_SKY = (255, 255, 255), (20, 20, 20)
-"""What the ground fades to: viser's background."""
+"""Colours to which the ground fades: viser's backgrounds."""
 LEAST_ASPECT, GREATEST_ASPECT = 0.4, 2.5
-"""Of views that all is to be seen in."""
+"""Range of aspect ratios of a page in which everything is guaranteed to be in view."""
 ASPECT = 1.25
-"""Width over height of a view, before a page has told it."""
+"""Aspect ratio of a view before the page has reported it."""
 SETTLING = 0.5
-"""A page that still has another camera so long after it was given one has been given it by its user [s]."""
+"""If a page's camera still differs this long after it was set, its user has moved it [s]."""
 DARK = "Dark colours"
-"""The label of the switch, which the page's script clicks where the system's colours are dark."""
+"""Label of the switch, which the page's script clicks if the system uses dark colours."""
 
 
 @dataclass
@@ -45,14 +45,14 @@ class _Viewer:
 
 
 class Viewers:
-    """All pages that are open. Everything may be called by any thread."""
+    """All open pages. All methods may be called from any thread."""
 
     def __init__(self, server: Any, panel: Panel) -> None:
-        """Take care of all who are there, and of all who come.
+        """Handle the pages that are open and those that will be opened.
 
         Args:
-            server: viser's.
-            panel: Gets a switch for dark colours, which is each page's own.
+            server: viser's server.
+            panel: Panel that gets a switch for dark colours, which each page has for itself.
         """
         self._server, self._panel = server, panel
         self._lock = threading.RLock()
@@ -63,14 +63,14 @@ class Viewers:
         server.on_client_disconnect(self._leave)
 
     def aim(self, points: FloatArray, viewpoint: Viewpoint, *, anew: bool = False) -> None:
-        """Choose the first view.
+        """Set the first view.
 
-        Pages whose users have chosen another one keep it.
+        Pages whose users have moved the camera keep their view.
 
-        Args:
+        points: (P, 3) points to be seen [u].
             points: (P, 3) what is to be seen [u].
-            viewpoint: From where.
-            anew: Whether all pages are to look from there, as it is another scene.
+            viewpoint: Direction to look from.
+            anew: Whether to set it on all pages, because the scene is a new one.
         """
         with self._lock:
             self._points, self._viewpoint = points, viewpoint
@@ -87,17 +87,17 @@ class Viewers:
                     self._color(viewer)
 
     def look(self, client: Any) -> None:
-        """Go back to the first view on one page.
+        """Return to the first view on one page.
 
         Args:
-            client: viser's.
+            client: viser's client.
         """
         with self._lock:
             viewer = self._viewers.get(client.client_id)
             if viewer is not None:
                 self._look(viewer)
 
-    # Called by viser's thread.
+    # The following are called in viser's thread.
 
     async def _welcome(self, client: Any) -> None:
         with self._lock:
@@ -128,7 +128,7 @@ class Viewers:
             if given is None or viewer.moved:
                 return
             if abs(_aspect(camera) - viewer.aspect) > 0.01 * viewer.aspect:
-                # Another size, as when a panel is opened: all of it is to be seen still.
+                # The size has changed, for example because a panel was opened: fit everything into the view again.
                 self._look(viewer)
                 return
             away = 1e-2 * math.dist(given.position, given.target)
@@ -144,7 +144,7 @@ class Viewers:
         viewer.given = camera = fit_camera(self._points, self._viewpoint, aspect)
         viewer.moved, viewer.when = False, time.monotonic()
         with viewer.client.atomic():
-            # In this order: viser refuses an upward direction along which one looks, as somebody may who looks down.
+            # In this order: viser refuses an up direction parallel to the view, which a user who looks down may have.
             handle.position, handle.look_at = camera.position, camera.target
             handle.up_direction, handle.fov = camera.up, math.radians(camera.vertical_field_of_view)
         self._color(viewer)
