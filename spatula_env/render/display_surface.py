@@ -45,7 +45,7 @@ class DisplaySurface:
     determined on the surface at rest, so that nothing flickers as it deforms.
 
     Attributes:
-        triangles: (T', 3) of what is drawn, counter-clockwise from outside.
+        triangles: (T', 3) that are drawn, counter-clockwise from outside.
         rest: (V', 3) vertices at rest [u].
     """
 

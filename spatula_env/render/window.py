@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
 DEGREES_PER_PIXEL = 0.35
-"""Angle by which the scene turns per pixel of dragging."""
+"""Angle by which the scene turns for each pixel that the mouse is dragged [degrees]."""
 
 PATIENCE = 1.0 / 60.0
 """Longest time between two checks of mouse and keyboard [s]."""

@@ -239,14 +239,14 @@ class BulletWorld:
                 self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
 
     def set_state(self, positions: FloatArray) -> None:
-        """Put the nodes somewhere (V, 3), standing still [u]; what follows depends on nothing that was before."""
+        """Set the positions (V, 3) of the nodes, at rest [u]; what follows does not depend on the previous state."""
         self._set_state(self._from_scene(positions))
 
     def _set_state(self, positions: FloatArray) -> None:
         """Set all positions, in the order of this object, and erase the velocities.
 
         Bullet's velocities cannot be set, only changed by forces, and a velocity that is changed to the wanted one
-        keeps a rounding error that depends on what it was. So the bodies first make one step far away, without
+        keeps a rounding error that depends on its previous value. So the bodies first make one step far away, without
         gravity and with their velocities cancelled: there the remaining velocity times the time step is too small to
         change a position, so the step's outcome, and the velocity after it, are the same whatever was before.
         """

@@ -9,7 +9,7 @@ from collections.abc import Callable
 def share_out(work: Callable[[int], None], count: int, threads: int) -> None:
     """Do `work(0)` to `work(count - 1)`, each once, on some threads; for work that releases the interpreter's lock.
 
-    Threads are started for this call and have ended when it returns, so that none is left that would be lost in a fork.
+    Threads are started for this call and have ended when it returns, so that the process can be forked afterwards.
 
     Args:
         work: The function to call; pieces must not depend on each other.

@@ -94,7 +94,7 @@ class TissueEngine:
         """See `engine.Engine`.
 
         Raises:
-            ImportError: If an organ is none of the presets' and Netgen is not installed; says what to install.
+            ImportError: If an organ is not one of the presets' and Netgen is not installed; says what to install.
             ValueError: If an organ cannot be filled.
 
         Warns:

@@ -15,8 +15,8 @@ from spatula_env.sim.tissue.lanes import Build, Row, dot
 from spatula_env.sim.tissue.nodal import instructions, vector
 
 LONGEST_THROW = 0.005
-"""Greatest distance from where a node has been held to where, as contact is told, it would be without being held [u]:
-enough for it to be found in the tool; farther away, it might be found on the tool's other side."""
+"""Greatest distance between a held node and the place, passed to contact, where it would be without being held [u]. It
+suffices for the node to be found in the tool; farther away, it might be found on the tool's other side."""
 
 GIVEN_BACK = 0.2
 """Share of a debt that is given back in a step: given back at once, it would be a blow."""
