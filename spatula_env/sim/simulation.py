@@ -131,7 +131,7 @@ class Simulation:
         self.worlds.place_tool(index, as_vector3(position, "position"), as_quaternion(orientation, "orientation"))
 
     def set_tools(self, tools: Sequence[PlacedTool]) -> None:
-        """Exchange the tools' shapes and friction. Everything starts again, as after `reset`.
+        """Exchange the tools, with their shapes, friction and initial poses. Everything starts again, as after `reset`.
 
         Args:
             tools: As many as there are; organs stay at rest as they were.
