@@ -10,7 +10,7 @@ Example:
     >>> observation, info = env.reset(seed=0)
     >>> env.close()
 
-`gymnasium.make_vec` makes many that are stepped together.
+`gymnasium.make_vec` creates many environments that are stepped together.
 
 `Simulation` and `scenes` are the layer below: the physics, without Gymnasium.
 """
@@ -48,12 +48,12 @@ TASKS = ("Press", "Retract", "Fissure", "Clamp", "Palpate")
 """Names of the tasks; their ids are Spatula/<name>-v0."""
 
 EPISODE_TIME = 10.0
-"""After which episodes are cut [s], in as many control steps as that makes, unless `episode_time` or
+"""Time after which an episode is truncated [s], converted to a number of control steps, unless `episode_time` or
 `max_episode_steps` says otherwise."""
 
 
 def _register() -> None:
-    """Tell Gymnasium what there is. It finds nothing in packages that are not imported."""
+    """Register the environments with Gymnasium, which does not discover those of packages that are not imported."""
     for name in TASKS:
         if f"Spatula/{name}-v0" not in gymnasium.registry:
             module = f"spatula_env.envs.{name.lower()}"

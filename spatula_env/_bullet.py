@@ -1,7 +1,8 @@
-"""PyBullet, imported without the line about its build that it writes to standard error.
+"""PyBullet, imported without the line about its build time that it writes to standard error.
 
-It writes that line below Python, to the descriptor, in every process. What else is written meanwhile, by other threads
-for instance, is passed on. As this is a module, Python sees to it that it happens once, whichever threads import it.
+PyBullet writes that line below Python, directly to the file descriptor, in every process. Anything else that is written
+meanwhile, for instance by other threads, is passed on. Because this is a module, Python performs the import only once,
+whichever threads request it.
 """
 
 from __future__ import annotations
@@ -13,24 +14,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 STANDARD_ERROR = 2
-"""The descriptor."""
+"""File descriptor of standard error."""
 
 GREETING = b"pybullet build time: "
-"""How the line begins."""
+"""Beginning of the line that is left out."""
 
 
 @contextmanager
 def without_lines(beginning: bytes, descriptor: int = STANDARD_ERROR) -> Iterator[None]:
-    """Leave lines out of what is written to a descriptor.
+    """Filter lines out of what is written to a file descriptor.
 
     Args:
-        beginning: Of the lines that are left out.
-        descriptor: Open or not; if not, nothing is done.
+        beginning: Lines that begin with this are left out.
+        descriptor: The file descriptor; if it is not open, nothing is done.
     """
     try:
         place = os.dup(descriptor)
     except OSError:
-        # Closed: nothing is to be seen, nor to be left out.
+        # The descriptor is closed: there is no output to filter.
         yield
         return
     try:
@@ -50,14 +51,14 @@ def without_lines(beginning: bytes, descriptor: int = STANDARD_ERROR) -> Iterato
             os.close(place)
             caught.seek(0)
             said = b"".join(line for line in caught if not line.startswith(beginning))
-            # Whoever has read the other end may have gone.
+            # The reader at the other end of a pipe may have gone.
             with suppress(OSError):
                 while said:
                     said = said[os.write(descriptor, said) :]
 
 
 def _flush() -> None:
-    """Have what Python has buffered written to where it belongs."""
+    """Flush Python's buffered standard error to the present target of the descriptor."""
     if sys.stderr is not None:
         with suppress(OSError, ValueError):
             sys.stderr.flush()

@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept, and what is said while they are compiled.
+"""Where compiled kernels are cached, and what is logged while they are compiled.
 
-Numba keeps what it has compiled beside the source, or else in the user's cache, and raises an error where neither can
-be written, as in a container that another user runs. A cache is to help and not to be needed: there it is kept in a
-folder for temporary files, and where that cannot be written either, nowhere.
+Numba caches compiled code beside the source, or else in the user's cache, and raises an error if neither can be
+written, as in a container that another user runs. A cache should help but not be required: in that case kernels are
+cached in a folder for temporary files, and if that cannot be written either, they are not cached.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 
 COMPILE = "numba:compile"
-"""The event of Numba's that begins when a kernel is compiled and not when it is loaded."""
+"""Numba's event that starts when a kernel is compiled, but not when it is loaded from the cache."""
 
 VARIABLE = "NUMBA_CACHE_DIR"
 """The environment variable that names another folder for the cache."""
@@ -31,7 +31,7 @@ PARTS = {
     "tasks": "what tasks measure",
     "render": "what draws pictures",
 }
-"""Whose kernels are compiled, by subpackage."""
+"""Names of the parts of the package in the message about compilation, by subpackage."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class Cache:
 
     Attributes:
         kept: Whether they are kept at all.
-        folder: A folder for temporary files that stands in for the places where Numba keeps them; None if none has to.
+        folder: A folder for temporary files, used in place of Numba's own locations; None if those can be used or if
+            nothing is kept.
     """
 
     kept: bool
@@ -48,7 +49,7 @@ class Cache:
 
     @property
     def told(self) -> str:
-        """How often kernels are compiled, in words."""
+        """How often kernels are compiled, as a phrase for a message."""
         if not self.kept:
             return (
                 "in every process anew, as no folder for compiled code can be written; set the environment variable "
@@ -63,7 +64,7 @@ class Cache:
 
 
 def find_cache() -> Cache:
-    """Find a place for compiled kernels, and have Numba use it."""
+    """Find a writable folder for compiled kernels, and make Numba use it."""
     if _is_kept():
         return Cache(kept=True)
     folder = _temporary_folder()
@@ -77,7 +78,7 @@ def find_cache() -> Cache:
 
 
 def _is_kept() -> bool:
-    """Whether Numba finds a place."""
+    """Whether Numba finds a writable folder for its cache."""
     try:
         FunctionCache(_is_kept)  # type: ignore[no-untyped-call]
     except RuntimeError:
@@ -86,7 +87,7 @@ def _is_kept() -> bool:
 
 
 def _temporary_folder() -> Path | None:
-    """A folder that belongs to this user alone: what is loaded from it is run."""
+    """A folder that only this user can write, because code loaded from it is executed; None if there is none."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     folder = Path(tempfile.gettempdir(), f"spatula_env-kernels-{user}")
     try:
@@ -107,10 +108,10 @@ def _module_of(event: Any) -> str:
 
 
 class Announcer(event.Listener):
-    """Says that kernels are compiled, of each part of the package once in a process."""
+    """Logs that kernels are being compiled, once per process for each part of the package."""
 
     def __init__(self, cache: Cache) -> None:
-        """Announce nothing yet.
+        """Create a listener that has announced nothing yet.
 
         Args:
             cache: Where kernels are kept.
@@ -136,10 +137,10 @@ class Announcer(event.Listener):
 
 
 class Counter(event.Listener):
-    """Counts the package's functions that are compiled.
+    """Counts the functions of this package that are compiled.
 
     Attributes:
-        count: How many so far.
+        count: Number of functions so far.
     """
 
     def __init__(self) -> None:

@@ -1,9 +1,9 @@
-"""Numba's on-disk cache, told when what a kernel calls has changed.
+"""Numba's on-disk cache, extended to notice changes in the code that a kernel calls.
 
-Numba loads what it has compiled as long as the file of the kernel itself is as it was. What is compiled into it from
-other files, the helpers that it calls and the constants that it names, may have changed since: whoever edits one file,
-or pulls a newer version, would go on with what was there before, and no word of it. Here the code of all that a kernel
-reaches is part of the stamp that the cache compares.
+Numba reuses compiled code as long as the file of the kernel itself is unchanged. What is compiled into the kernel from
+other files, such as the helpers that it calls and the constants that it names, may have changed since: after an edit of
+such a file, or an update of the package, the outdated code would silently be used. Here the code of everything that a
+kernel reaches is part of the stamp that the cache compares.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 PACKAGE = __name__.partition(".")[0] + "."
-"""What the names of this package's modules begin with."""
+"""Prefix of the names of this package's modules."""
 
 
 class KernelCache(FunctionCache):
     """The cache of one kernel."""
 
     def __init__(self, function: Callable[..., object]) -> None:
-        """Find what there is.
+        """Open the cache of a kernel.
 
         Args:
-            function: The kernel, as it is written.
+            function: The kernel as a Python function, not compiled.
         """
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
@@ -39,10 +39,10 @@ class KernelCache(FunctionCache):
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The code compiled for a signature; None if there is none, or none that can be read. See Numba."""
+        """The code compiled for a signature; None if there is none that can be read. Overrides Numba's method."""
         try:
             return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        # What is damaged, after a power cut for example, is read as bytes of anything: it may raise whatever it likes.
+        # A file that is damaged, for example by a power cut, contains arbitrary bytes: reading may raise any exception.
         except Exception:
             with suppress(OSError):
                 self.flush()  # type: ignore[no-untyped-call]
@@ -50,13 +50,13 @@ class KernelCache(FunctionCache):
 
 
 def fingerprint(function: Callable[..., object]) -> str:
-    """A digest of the code of a function and of all functions and constants of modules that it reaches by name.
+    """A digest of the code of a function and of all functions and module constants that it reaches by name.
 
     Args:
-        function: As it is written, or compiled by Numba.
+        function: A Python function, or one compiled by Numba.
 
     Returns:
-        The same in every process, as long as nothing of that changes.
+        A hexadecimal string that is the same in every process as long as none of that code changes.
     """
     parts: list[str] = []
     _add_value(function, parts, set())
@@ -64,8 +64,8 @@ def fingerprint(function: Callable[..., object]) -> str:
 
 
 def _add_value(value: Any, parts: list[str], seen: set[int]) -> None:
-    """Add what is to be told of what a name stands for."""
-    # Of a kernel, the function that was compiled; of an intrinsic, the one that writes its instructions.
+    """Append to `parts` what identifies the value that a name stands for."""
+    # For a kernel: the function that is compiled. For an intrinsic: the function that generates its instructions.
     function = getattr(value, "py_func", getattr(value, "_defn", value))
     if isinstance(function, FunctionType):
         if id(function) in seen:
@@ -81,25 +81,25 @@ def _add_value(value: Any, parts: list[str], seen: set[int]) -> None:
     elif isinstance(value, np.ndarray):
         parts.append(f"{value.dtype.str}{value.shape}{value.tobytes().hex()}")
     elif isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields"):
-        # A kernel takes the fields of a named tuple by their places.
+        # Compiled code accesses the fields of a named tuple by position.
         parts.append(f"{value.__qualname__}{value._fields}")
         _add_records(value.__annotations__, vars(sys.modules[value.__module__]), parts, seen)
     elif isinstance(value, ModuleType):
         parts.append(value.__name__)
     elif isinstance(value, type) and value.__module__.startswith(PACKAGE):
-        # What instructions are written with.
+        # A class of this package that an intrinsic uses to generate its instructions.
         if id(value) not in seen:
             seen.add(id(value))
             for method in vars(value).values():
                 if isinstance(method, FunctionType):
                     _add_value(method, parts, seen)
     else:
-        # Types, intrinsics and functions of other libraries: their versions are Numba's business.
+        # Types, intrinsics and functions of other libraries, by name: their versions are left to Numba.
         parts.append(str(getattr(value, "__qualname__", type(value).__qualname__)))
 
 
 def _add_records(annotations: dict[str, Any], names: dict[str, Any], parts: list[str], seen: set[int]) -> None:
-    """Add what is to be told of the named tuples that arguments or fields are said to be."""
+    """Append to `parts` what identifies the named tuples with which arguments or fields are annotated."""
     for annotation in annotations.values():
         value = names.get(getattr(annotation, "__forward_arg__", annotation))
         if hasattr(value, "_fields"):

@@ -1,8 +1,8 @@
 """Numba's decorator with the settings and the types the package uses.
 
-Kernels are compiled, or loaded from Numba's on-disk cache, when they are first needed, each for the signatures written
-beside it: a process pays for the few that it calls. `fastmath` stays off: the ray test relies on IEEE arithmetic (see
-`spatula_env.contact.raycast`) and results must not depend on how the compiler regroups sums.
+Kernels are compiled, or loaded from Numba's on-disk cache, when they are first needed, each for the signatures given to
+its decorator: a process pays only for the few that it calls. `fastmath` stays off: the ray test relies on IEEE
+arithmetic (see `spatula_env.contact.raycast`), and results must not depend on how the compiler regroups sums.
 """
 
 from __future__ import annotations
@@ -45,20 +45,20 @@ class Kernel:
     """A function that Numba compiles when it is first needed: called, or compiled into another kernel that calls it.
 
     Attributes:
-        py_func: The function as it is written; Numba's own have it by the same name.
-        counts: Whether references to arrays are counted, as must be where arrays are made.
+        py_func: The Python function; Numba's dispatchers have an attribute of the same name.
+        counts: Whether references to arrays are counted, which a function that creates arrays requires.
     """
 
     def __init__(
         self, function: Callable[..., object], signatures: Sequence[Any], nogil: bool, counts: bool = True
     ) -> None:
-        """Compile nothing yet.
+        """Wrap a function without compiling it yet.
 
         Args:
-            function: What to compile.
-            signatures: For which; none means for those with which it is called.
-            nogil: Whether other threads run meanwhile.
-            counts: Whether references to arrays are counted, as must be where arrays are made.
+            function: The function to compile.
+            signatures: Signatures to compile it for; without any, it is compiled for those with which it is called.
+            nogil: Whether other Python threads may run meanwhile.
+            counts: Whether references to arrays are counted, which a function that creates arrays requires.
         """
         functools.update_wrapper(self, function)
         self.py_func = function
@@ -67,7 +67,7 @@ class Kernel:
 
     @functools.cached_property
     def dispatcher(self) -> Any:
-        """Numba's function, compiled for the signatures."""
+        """Numba's dispatcher, compiled for the signatures."""
         # The last option is in Numba's list of them, but not in its stubs.
         options: dict[str, Any] = {"error_model": "numpy", "nogil": self._nogil, "_nrt": self.counts}
         made: Any = numba.njit(**options)(self.py_func)
@@ -80,7 +80,7 @@ class Kernel:
         return made
 
     def compile(self) -> None:
-        """Compile it now, if that has not been done; nothing is to be done where there are no signatures."""
+        """Compile the kernel now, unless that has been done or it has no signatures."""
         if self._signatures:
             _ = self.dispatcher
 
@@ -90,7 +90,7 @@ class Kernel:
         return types.Dispatcher(self.dispatcher)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call what is compiled."""
+        """Call the compiled function."""
         return self.dispatcher(*arguments)
 
 
@@ -98,9 +98,9 @@ def kernel(*signatures: Any, nogil: bool = False) -> Callable[[Callable[..., obj
     """Compile a function for the given Numba signatures, and only for those.
 
     Args:
-        *signatures: Numba signatures, as strings such as ``"f8(f8[::1], i4)"`` or as objects. None at all means those
-            with which it is called: for helpers, which LLVM inlines where that pays, and for what comes in precisions
-            of which a process needs one.
+        *signatures: Numba signatures, as strings such as ``"f8(f8[::1], i4)"`` or as objects. Without any, the function
+            is compiled for those with which it is called: this is for helpers, which LLVM inlines where that pays, and
+            for functions in several precisions, of which a process needs only one.
         nogil: Whether other Python threads may run meanwhile.
 
     Returns:
@@ -110,14 +110,14 @@ def kernel(*signatures: Any, nogil: bool = False) -> Callable[[Callable[..., obj
 
 
 def inline_kernel(function: Function) -> Function:
-    """Compile a small helper that only other kernels call, for whatever they give it."""
+    """Compile a small helper that only other kernels call, for the types with which they call it."""
     return cast("Function", Kernel(function, (), nogil=False))
 
 
 def array_kernel(function: Function) -> Function:
-    """Compile a small helper that other kernels call, which neither makes arrays nor takes them out of structures.
+    """Compile a small helper that other kernels call, which neither creates arrays nor takes them out of structures.
 
-    It counts no references to the arrays that it is given. Counting is atomic, and where a helper is called for every
-    pair of features it took a third of all time.
+    References to its array arguments are not counted: counting is atomic, and in a helper that is called for every pair
+    of features it took a third of the total time.
     """
     return cast("Function", Kernel(function, (), nogil=False, counts=False))

@@ -1,4 +1,4 @@
-"""Warnings about what a scene is made of."""
+"""Warnings about the contents of a scene."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ PACKAGE = str(Path(__file__).parent)
 
 
 class SceneWarning(UserWarning):
-    """Something in a scene is likely not to be as it is meant."""
+    """Something in a scene is probably not as intended."""
 
 
 def warn(message: str) -> None:
-    """Warn of a scene, as from where this package was called.
+    """Warn about a scene; the warning points to the line outside this package that called it.
 
     Args:
-        message: What is amiss.
+        message: What is wrong.
     """
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_code.co_filename.startswith(PACKAGE):

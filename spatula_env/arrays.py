@@ -10,6 +10,6 @@ FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
-"""Of shapes: which nodes triangles and edges have."""
+"""Connectivity of shapes: the node indices of triangles and edges."""
 IndexArray = NDArray[np.integer]
-"""Of any integers."""
+"""Indices of any integer type."""

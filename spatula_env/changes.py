@@ -1,4 +1,4 @@
-"""Changes of options and configurations, as they are told on a command line."""
+"""Changes of options and configurations, as given on a command line."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ def with_changes(content: Mapping[str, Any], changes: Iterable[str]) -> dict[str
     """A copy of a nested mapping with some values replaced.
 
     Args:
-        content: Of mappings in mappings; None stands for an empty one.
+        content: Nested mappings; None stands for an empty one.
         changes: Each "key=value" or "key.sub=value", the value in YAML.
 
     Raises:
-        ValueError: If a change is not of that form, or leads below what is no mapping.
+        ValueError: If a change is not of that form, or names a key below a value that is not a mapping.
     """
     import yaml
 

@@ -1,6 +1,8 @@
-"""Numbers of tasks' definitions: what was asked, rewarded and counted when a policy was trained or a dataset recorded.
+"""Version numbers of task definitions.
 
-A number is written with what is trained, recorded or measured. What has none is of the first definition.
+A definition is what is asked, rewarded and counted in a task. Its number is stored with every policy that is trained,
+every dataset that is recorded and every result that is measured, so that a later change is noticed. Anything stored
+without a number is of the first definition.
 """
 
 from __future__ import annotations
@@ -15,28 +17,28 @@ from gymnasium.envs.registration import load_env_creator
 from spatula_env.naming import bare_id
 
 FIRST = 1
-"""The definition of what has no number."""
+"""Number of the definition of anything that is stored without a number."""
 
 
 class DefinitionWarning(UserWarning):
-    """Something is of another definition of its task than the present one."""
+    """A policy, dataset or result was made with another definition of its task than the present one."""
 
 
 def definition_number(env_id: str) -> int:
-    """The number of the present definition of an environment's task; the first where it is not known here."""
+    """The number of the present definition of an environment's task; `FIRST` if it is not known here."""
     return int(getattr(getattr(_definition(env_id), "task", None), "definition", FIRST))
 
 
 def present_options(env_id: str, number: int, kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """An environment's options in which what was done with a former definition can be done again.
+    """Translate an environment's options from a former definition to the present one.
 
     Args:
-        env_id: Of the environment.
-        number: Of the definition.
-        kwargs: The options, as they were called then.
+        env_id: Id of the environment.
+        number: Number of the definition under which the options were chosen.
+        kwargs: The options as they were then.
 
     Returns:
-        As they are called now: an option whose value means something else by now has the value that means the same.
+        The options as they are now: a value whose meaning has changed is replaced by the one that now means the same.
     """
     options = dict(kwargs)
     former: Mapping[int, Any] = getattr(_definition(env_id), "former_options", {})
@@ -52,10 +54,10 @@ def tell_definition(what: str, env_id: str, number: int, stacklevel: int = 2) ->
     """Warn if something is of another definition of its task than the present one.
 
     Args:
-        what: It is, for the warning.
-        env_id: Of its environment.
-        number: Of its definition.
-        stacklevel: Of whom the warning is told, as `warnings.warn` has it.
+        what: What it is, as the subject of the warning's sentence.
+        env_id: Id of its environment.
+        number: Number of its definition.
+        stacklevel: As for `warnings.warn`, counted from the caller of this function.
     """
     present = definition_number(env_id)
     if number != present:
@@ -68,7 +70,7 @@ def tell_definition(what: str, env_id: str, number: int, stacklevel: int = 2) ->
 
 
 def _definition(env_id: str) -> Any:
-    """That of a registered environment; None if there is none, or nobody has imported what makes it."""
+    """The definition of a registered environment; None if it is not registered, cannot be imported or has none."""
     spec = gymnasium.registry.get(bare_id(env_id))
     if spec is None or spec.entry_point is None:
         return None

@@ -1,4 +1,4 @@
-"""Which engines there are, and which one is taken when none is named. Importing this loads none of them."""
+"""Registry of engines, and the choice of one when none is named. Importing this module loads no engine."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ ENGINES: dict[str, str] = {
     "batch": "spatula_env.sim.batch_engine:BatchEngine",
     "tissue": "spatula_env.sim.tissue.engine:TissueEngine",
 }
-"""What can integrate the organs, by name: module and class of a `sim.engine.Engine`. As Gymnasium's registry of
-environments does, it grows by registration; see `register_engine`."""
+"""The engines that can integrate the organs, by name: module and class of a `sim.engine.Engine`. Like Gymnasium's
+registry of environments, it grows by registration; see `register_engine`."""
 
 DEFAULT = '"bullet" where PyBullet is installed, else "batch"'
-"""The engine that is taken when none is named, for people."""
+"""Description, for messages and help texts, of the engine that is used when none is named."""
 
 BULLET_DISTRIBUTIONS = ("pybullet", "pybullet-arm64")
-"""What brings the module `pybullet`: the original, and a fork with wheels for more platforms."""
+"""Distributions that provide the module `pybullet`: the original, and a fork with wheels for more platforms."""
 
 
 def register_engine(name: str, entry_point: str) -> None:
-    """Make an engine known, so that environments and simulations take it by its name.
+    """Register an engine, so that environments and simulations accept its name.
 
     Args:
-        name: What the option `engine` is to be.
-        entry_point: Where its class is, "module:Class"; the module is imported when the engine is first used. The class
-            is a `sim.engine.Engine`.
+        name: Value of the option `engine` that selects it.
+        entry_point: Its class as "module:Class"; the module is imported when the engine is first used. The class is a
+            `sim.engine.Engine`.
 
     Raises:
         ValueError: If `entry_point` is not of that form, or the name is that of another engine.
@@ -49,14 +49,14 @@ def load_engine(name: str) -> Any:
 
 
 def choose_engine(engine: str | None = None, contact: str = "flags") -> str:
-    """The engine to use.
+    """Choose the engine to use.
 
     Args:
-        engine: Its name; None: the default.
-        contact: What is to resolve contact: only Bullet has "bullet".
+        engine: Name of an engine; None: the default.
+        contact: The method that resolves contact; "bullet" needs the engine "bullet", which is then the default.
 
     Returns:
-        Its name.
+        Name of the engine.
 
     Raises:
         ValueError: If there is no such engine.
@@ -74,9 +74,9 @@ def choose_engine(engine: str | None = None, contact: str = "flags") -> str:
 
 @cache
 def default_engine() -> str:
-    """The engine that is taken when none is named: "bullet" where PyBullet can be imported, else "batch".
+    """The engine that is used when none is named: "bullet" if PyBullet can be imported, else "batch".
 
-    The first time that it is "batch", a warning says so.
+    A warning is issued the first time that it is "batch".
     """
     if bullet_is_there():
         return "bullet"
@@ -90,7 +90,7 @@ def default_engine() -> str:
 
 
 def bullet_is_there() -> bool:
-    """Whether PyBullet can be imported. It is imported to tell."""
+    """Whether PyBullet can be imported, determined by importing it."""
     try:
         _load_bullet()
     except ImportError:
@@ -99,7 +99,7 @@ def bullet_is_there() -> bool:
 
 
 def _load_bullet() -> Any:
-    """The module `pybullet`, without what it says when it is imported first."""
+    """The module `pybullet`, without the line that it writes when it is first imported."""
     if "pybullet" not in sys.modules:
         import_module("spatula_env._bullet")
     return import_module("pybullet")
@@ -136,15 +136,15 @@ def bullet_hint() -> str:
 def bullet_distribution(
     system: str | None = None, machine: str | None = None, version: tuple[int, int] | None = None
 ) -> str | None:
-    """The distribution with a wheel of PyBullet; the dependencies' markers in pyproject.toml say the same.
+    """The distribution with a PyBullet wheel for a platform; the markers in pyproject.toml encode the same rules.
 
     Args:
-        system: As `sys.platform`; this one's by default.
-        machine: As `platform.machine()`; this one's by default.
-        version: Of CPython; this one's by default.
+        system: As `sys.platform`; by default that of this machine.
+        machine: As `platform.machine()`; by default that of this machine.
+        version: Version of CPython; by default that of this interpreter.
 
     Returns:
-        Its name; None if there is no wheel.
+        Name of the distribution; None if there is no wheel.
     """
     system, machine = system or sys.platform, machine or platform.machine()
     version = version or sys.version_info[:2]
@@ -158,8 +158,8 @@ def bullet_distribution(
 
 
 def bullet_version() -> tuple[str, str] | None:
-    """Name and version of the distribution that brings PyBullet; None if none is installed."""
-    # It takes as long to import as all else here.
+    """Name and version of the distribution that provides PyBullet; None if none is installed."""
+    # Importing this takes as long as everything else in this module.
     from importlib import metadata
 
     for name in BULLET_DISTRIBUTIONS:

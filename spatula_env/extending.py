@@ -1,4 +1,4 @@
-"""What a task of one's own is written with, in one place; docs/extending.md writes one."""
+"""The names that are needed to write a new task, in one place; docs/extending.md has an example."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writing of files: a file is there completely or not at all."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from contextlib import contextmanager
 from pathlib import Path
 
 UNFINISHED = ".tmp"
-"""In the names of files that are being written, which are hidden; their endings are those of the files."""
+"""Marks the hidden files that are still being written; in their names it stands before the ending of the final file."""
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Write a file in a ``with`` block: it is as it was before, or complete, whatever happens.
+    """Write a file atomically in a ``with`` block: whatever happens, it is complete or as it was before.
 
     Args:
-        path: Of the file; its folder is made.
+        path: Path of the file; its folder is created if it does not exist.
 
     Yields:
-        Where to write it, with the same ending. At the end it takes the place of what is at `path`.
+        Temporary path to write to, with the same ending. At the end of the block it replaces the file at `path`.
 
     Raises:
         OSError: If it cannot be written.
@@ -34,12 +34,12 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, all at once."""
+    """Write a text file atomically."""
     with whole_file(path) as unfinished:
         unfinished.write_text(text, encoding="utf-8")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, all at once."""
+    """Write a binary file atomically."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(content)

@@ -1,4 +1,4 @@
-"""How to install what is missing: the words depend on where this package was installed from."""
+"""Commands that install missing extras; they depend on where this package was installed from."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from urllib.parse import unquote, urlsplit
 DISTRIBUTION = "spatula-env"
 
 QUOTE = '"' if os.name == "nt" else "'"
-"""What shells take a word with brackets and spaces in."""
+"""Quotation mark that shells need around a word with brackets and spaces."""
 
 
 def install_hint(*extras: str) -> str:
     """The command that installs extras of this package, from where the package itself came from.
 
     Args:
-        *extras: Such as "train"; pyproject.toml says what they bring.
+        *extras: Names of extras, such as "train"; pyproject.toml lists what they contain.
 
     Returns:
         Such as ``pip install 'spatula-env[train]'``; from a checkout ``pip install -e '/path/of/checkout[train]'``.
@@ -31,19 +31,19 @@ def install_hint(*extras: str) -> str:
 
 @cache
 def _origin() -> tuple[str, str, str]:
-    """Options of pip, and what stands before and after the extras."""
+    """Options of pip, and the text before and after the extras, for this installation."""
     return origin_of(_direct_url(), Path(__file__).parents[1])
 
 
 def origin_of(direct_url: dict[str, Any] | None, place: Path) -> tuple[str, str, str]:
-    """Where to install from.
+    """Determine where to install from.
 
     Args:
-        direct_url: What pip has written down of an installation from elsewhere than an index; None: nothing.
-        place: The folder that this package lies in.
+        direct_url: What pip has recorded of an installation from elsewhere than an index; None: nothing.
+        place: The folder that contains this package.
 
     Returns:
-        Options of pip, and what stands before and after the extras.
+        Options of pip, and the text before and after the extras.
     """
     if (place / "pyproject.toml").is_file():
         return "-e ", str(place), ""
@@ -54,7 +54,7 @@ def origin_of(direct_url: dict[str, Any] | None, place: Path) -> tuple[str, str,
         told = direct_url["vcs_info"]
         return "", DISTRIBUTION, f" @ {told['vcs']}+{url}@{told.get('requested_revision') or told['commit_id']}"
     if "dir_info" in direct_url:
-        # Imported where it is used, as the next one: they take longer than all else that a short command does.
+        # Imported locally, like importlib.metadata below: these imports take longer than all else in a short command.
         from urllib.request import url2pathname
 
         folder = Path(url2pathname(unquote(urlsplit(url).path)))
@@ -65,7 +65,7 @@ def origin_of(direct_url: dict[str, Any] | None, place: Path) -> tuple[str, str,
 
 
 def _direct_url() -> dict[str, Any] | None:
-    """What pip has written down; see PEP 610."""
+    """What pip has recorded of the installation's origin, see PEP 610; None: nothing."""
     from importlib import metadata
 
     try:

@@ -1,7 +1,7 @@
-"""What an environment is called: short names, ids, and ids with the module that registers them.
+"""Names of environments: short names, ids, and ids with the module that registers them.
 
-A module is imported only where a person has named it, on a command line or in a configuration. What a file of a run or
-of a dataset names is looked up among the environments that are registered already.
+A module is imported only if a person has named it, on a command line or in a configuration. An environment that a file
+of a run or of a dataset names is only looked up among those that are registered already.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ def env_ids() -> list[str]:
 
 
 def find_environment(text: str) -> str:
-    """The environment that a person has named.
+    """Find the environment that a person has named.
 
     Args:
-        text: An id in any case, such as "Spatula/Press-v0"; the task's name alone, "press"; the id of an environment of
-            one's own that is registered; or "module:id" with the module that registers it, which is imported, if need
+        text: An id in any case, such as "Spatula/Press-v0"; the task's name alone, "press"; the id of a registered
+            environment of the user's own; or "module:id" with the module that registers it, which is imported, if need
             be from the working directory.
 
     Returns:
@@ -55,11 +55,11 @@ def find_environment(text: str) -> str:
 
 
 def registered_id(stored: str, named: str | None = None) -> str:
-    """The environment that a file of a run or of a dataset names. Nothing is imported for the file's sake.
+    """Find the environment that a file of a run or of a dataset names. No module is imported because a file names it.
 
     Args:
-        stored: What the file says: an id, with a module or without.
-        named: What the person who reads it has named, if anything; that is what `find_environment` takes.
+        stored: The id in the file, with or without a module.
+        named: The environment that the reader of the file has named, if any, in a form that `find_environment` takes.
 
     Returns:
         An id, as gymnasium.make takes it.
@@ -101,7 +101,7 @@ def find_spec(env_id: str) -> EnvSpec:
     """The specification registered under an id whose module has been imported.
 
     Raises:
-        gymnasium.error.Error: If there is nothing.
+        gymnasium.error.Error: If nothing is registered under that id.
     """
     return gymnasium.spec(bare_id(env_id))
 
@@ -113,11 +113,12 @@ def vector_spec(env_id: str) -> EnvSpec:
         env_id: An id whose module has been imported.
 
     Returns:
-        The registered spec; if that has no vector environment, one with a class made for the same definition.
+        The registered spec; if it has no vector environment, a copy with a class that is made for the same definition.
 
     Raises:
         gymnasium.error.Error: If there is no such environment.
-        ValueError: If it is not built on this package, or does more than its definition says.
+        ValueError: If it is not built on this package, or has no vector environment and does more than its definition
+            says.
     """
     from spatula_env.envs.spatula_env import SpatulaEnv
     from spatula_env.envs.vector import SpatulaVectorEnv
@@ -132,7 +133,7 @@ def vector_spec(env_id: str) -> EnvSpec:
     maker = None if spec.entry_point is None else _load(spec.entry_point, env_id)
     if not (isinstance(maker, type) and issubclass(maker, SpatulaEnv)):
         raise ValueError(f"{env_id} must be an environment of this package or built on it, a SpatulaEnv, got {maker}")
-    # What Python puts into a class says nothing; but it may be set up in its own way.
+    # Attributes that Python itself adds to a class do not count, but an __init__ of its own does.
     own = [
         name
         for kind in maker.__mro__[: maker.__mro__.index(SpatulaEnv)]
@@ -155,8 +156,8 @@ def check_built_on(env_id: str) -> None:
         env_id: A registered id.
 
     Raises:
-        ImportError: If what it is made by cannot be imported.
-        ValueError: If it is another one.
+        ImportError: If its entry point cannot be imported.
+        ValueError: If it is neither.
     """
     spec = find_spec(env_id)
     if str(spec.entry_point).startswith(f"{PACKAGE}."):
@@ -164,7 +165,7 @@ def check_built_on(env_id: str) -> None:
     from spatula_env.envs.spatula_env import SpatulaEnv
 
     maker = None if spec.entry_point is None else _load(spec.entry_point, env_id)
-    # What is no class may well make one; it is seen then.
+    # An entry point that is not a class, such as a function, may still create one; that shows when it is called.
     if maker is None or (isinstance(maker, type) and not issubclass(maker, SpatulaEnv)):
         raise ValueError(f"{env_id} must be an environment of this package or built on it, a SpatulaEnv, got {maker}")
 
@@ -183,10 +184,10 @@ def _import_module(module: str, text: str) -> None:
     try:
         importlib.import_module(module)
     except ModuleNotFoundError as error:
-        # An installed command does not look where it is called, as `python -m` does.
+        # An installed command does not search the working directory, as `python -m` does.
         here = os.getcwd()
         if error.name != module.partition(".")[0] or here in sys.path or "" in sys.path:
-            # Without a name: this is no package of an extra that one could be told to install.
+            # Raised without `name`: this is not a package of an extra that the user could be told to install.
             raise ImportError(f"{text!r} names a module that cannot be imported: {error}") from error
         sys.path.append(here)
         _import_module(module, text)

@@ -1,7 +1,7 @@
-"""Independent work in other processes, which end at once when whoever has started them does.
+"""Independent work in other processes, which end at once when the process that has started them ends.
 
-`concurrent.futures` waits for what its processes are in the middle of, whatever has happened: an interrupted command
-would go on for as long as its longest piece of work.
+`concurrent.futures` waits for the items that its processes are working on, whatever has happened: an interrupted
+command would run on until the longest of them is done.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 PATIENCE = 0.5
-"""How long a process that is told to end may take before it is killed [s]."""
+"""Time that a process is given to end before it is killed [s]."""
 
 
 class WorkerDied(RuntimeError):
@@ -31,7 +31,7 @@ class WorkerDied(RuntimeError):
 
 
 class WorkerFailed(RuntimeError):
-    """The traceback of an exception in another process; the exception itself is raised from it."""
+    """The traceback of an exception in another process; it is the cause from which the exception itself is raised."""
 
 
 def available_cores() -> int:
@@ -47,23 +47,23 @@ def in_processes(
     workers: int,
     prepare: Callable[[], None] | None = None,
 ) -> Generator[tuple[int, Result], None, None]:
-    """Do some work for each item, in other processes, and yield each result when it is there.
+    """Apply a function to each item in other processes, and yield each result when it is ready.
 
     Closing the iterator, as an exception in the loop around it does, ends the processes at once.
 
     Args:
-        work: What to do; it is pickled, and so are the items and the results.
-        items: What to do it for; begun in this order.
-        workers: Number of processes, of which no more are started than there are items.
-        prepare: What each process does first.
+        work: The function; it is pickled, and so are the items and the results.
+        items: Its arguments; they are begun in this order.
+        workers: Number of processes; no more are started than there are items.
+        prepare: Function that each process calls first.
 
     Yields:
-        The number of an item with its result, in the order in which they become ready.
+        The index of an item and its result, in the order in which results become ready.
 
     Raises:
         ValueError: If `workers` is not positive.
-        WorkerDied: If a process ends before its work does; the message says which item may have been the reason.
-        Exception: What `work` raises.
+        WorkerDied: If a process ends before its work does; the message says which item it was working on.
+        Exception: Whatever `work` raises.
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
@@ -90,7 +90,7 @@ def in_processes(
 
 
 class _Worker(Generic[Item, Result]):
-    """A process, as seen from the one that has started it."""
+    """A worker process, as seen from the process that has started it."""
 
     def __init__(self, work: Callable[[Item], Result], prepare: Callable[[], None] | None) -> None:
         # Not forked: the kernels' threads would not survive that.
@@ -98,7 +98,7 @@ class _Worker(Generic[Item, Result]):
         self.pipe, far = context.Pipe()
         self.process: SpawnProcess = context.Process(target=_serve, args=(far, work, prepare), daemon=True)
         self.process.start()
-        # So that this end is told when the other one is closed.
+        # Closed here, so that this end is notified when the process closes the other one.
         far.close()
         self._item: tuple[int, Item] | None = None
 
@@ -113,7 +113,7 @@ class _Worker(Generic[Item, Result]):
         return self._item is not None
 
     def take(self) -> tuple[int, Result]:
-        """The result that has come."""
+        """Receive the result of the current item, with the item's index."""
         assert self._item is not None
         try:
             failed, answer = self.pipe.recv()
@@ -139,7 +139,7 @@ class _Worker(Generic[Item, Result]):
 
 
 def _end(team: Sequence[_Worker[Any, Any]]) -> None:
-    """End processes, also those in the middle of something."""
+    """End processes, even those that are still working."""
     for worker in team:
         worker.pipe.close()
         worker.process.terminate()
@@ -152,7 +152,7 @@ def _end(team: Sequence[_Worker[Any, Any]]) -> None:
 
 
 def _serve(pipe: Connection, work: Callable[[Any], Any], prepare: Callable[[], None] | None) -> None:
-    """What another process does: items come, results go."""
+    """Run in a worker process: receive items and send results until there are no more."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare is not None:
         prepare()
@@ -170,12 +170,12 @@ def _serve(pipe: Connection, work: Callable[[Any], Any], prepare: Callable[[], N
         try:
             pipe.send(answer)
         except OSError:
-            # Nobody waits any more.
+            # The other end is closed: nobody waits for the result any more.
             return
 
 
 def _sendable(error: Exception) -> Exception:
-    """An exception that survives the way to another process."""
+    """The exception if it can be pickled, for sending it to another process; else a RuntimeError with its text."""
     import pickle
 
     try:
@@ -186,7 +186,7 @@ def _sendable(error: Exception) -> Exception:
 
 
 def _end_with_parent() -> None:
-    """Do not outlive the process that waits for results, however it has ended."""
+    """End this process when the one that waits for its results has ended, for whatever reason."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -195,14 +195,14 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Keep interrupts until processes are started, which are begun with them blocked.
+    """Defer interrupts until the processes in the block are started, with interrupts blocked.
 
-    Ctrl-C goes to all processes of a terminal's group. Only the first one is to say anything; it ends the others. A
-    process whose start is interrupted complains of what it has not been told.
+    Ctrl-C goes to all processes of a terminal's group. Only the first one should report it; it ends the others. A
+    process that is interrupted while it starts prints errors about data that it has not received.
     """
     came: list[tuple[int, FrameType | None]] = []
     here = threading.current_thread() is threading.main_thread()
-    # Another thread may take a signal that this one blocks, and the handler runs in this one all the same.
+    # Another thread may receive a signal that this one blocks; Python still runs the handler in this, the main thread.
     handler = signal.signal(signal.SIGINT, lambda *arguments: came.append(arguments)) if here else None
     try:
         with _interrupts_blocked():
@@ -220,7 +220,7 @@ def _interrupts_blocked() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Started on its own account, this one lets interrupts through again.
+    # Started first, because starting the resource tracker unblocks interrupts in this thread.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -3,9 +3,9 @@
 Modules::
 
     demo, envs, play, record, replay, datasets, falcon, view, bench, forward    the commands
-    common      errors, options that several have, how results are printed
+    common      errors, shared options, printing of results
     devices     options of devices, and an open device
-    acting      what acts where no operator does: experts, chance, trained policies
+    acting      policies that act in place of an operator: experts, random actions, trained policies
     showing     windows, pictures, films
 
 A command imports what it needs when it runs, so that the others start quickly and work without its extras.

@@ -1,4 +1,4 @@
-"""Policies that act in commands where no operator does."""
+"""Policies that act in commands in place of an operator."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Policy = Callable[[Any], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Actor:
-    """Who acts.
+    """A policy that acts, before it is made for an environment.
 
     Attributes:
-        name: As it was asked for.
-        options: What the environment must be made with for it.
+        name: Name as given on the command line.
+        options: Options with which the environment must be made for it.
         make: Makes the policy for an environment with one agent; the number is the seed of its first episode.
     """
 
@@ -33,15 +33,15 @@ class Actor:
 
 
 def find_actor(name: str, env_id: str) -> Actor:
-    """What a name on the command line means.
+    """Find the policy that the command line names.
 
     Args:
         name: See `POLICY_HELP`.
-        env_id: Of the environment.
+        env_id: Id of the environment.
 
     Raises:
         FileNotFoundError: If there is no such policy.
-        ValueError: If it is one for another environment.
+        ValueError: If the policy is for another environment.
     """
     from spatula_env.learning.finding import find_policy
 
@@ -53,7 +53,7 @@ def find_actor(name: str, env_id: str) -> Actor:
         shape = env.action_space.shape or ()
 
         def act(observation: Any) -> NDArray[np.float32]:
-            # Those made for many worlds answer with one row for each.
+            # Policies for many worlds return one row per world.
             return np.asarray(policy(observation), dtype=np.float32).reshape(shape)
 
         return act

@@ -29,10 +29,10 @@ CORE: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "tasks": ("--episodes", "10", "--engines", "batch"),
     }
 )
-"""Those that `--core` runs, and how: a few minutes in all."""
+"""Benchmarks that `--core` runs, with their arguments: a few minutes in all."""
 
 NEED_BULLET = ("parity", "step")
-"""Those of them that have nothing to measure without PyBullet."""
+"""Core benchmarks that have nothing to measure without PyBullet."""
 
 DESCRIPTION = """Run the measurements of speed and quality.
 
@@ -57,7 +57,7 @@ def add_parser(commands: Parsers) -> None:
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """List or run."""
+    """List the benchmarks or run one, or the core ones."""
     known = benchmarks()
     if chosen.core:
         if chosen.name is not None:
@@ -73,25 +73,25 @@ def run(chosen: argparse.Namespace) -> int:
         return 0
     if chosen.name not in known:
         raise CommandError(f"there is no benchmark {chosen.name!r}; there are {', '.join(known)}")
-    # A process of its own: some start others, which import the main module.
+    # In a process of its own, because some benchmarks start others, which import the main module.
     extra = ["--json"] if chosen.json and "--json" not in chosen.arguments else []
     return subprocess.run([*_command(chosen.name), *chosen.arguments, *extra], check=False).returncode
 
 
 def benchmarks() -> dict[str, str]:
-    """The first lines of the documentation of all benchmarks, by name. Nothing of them is imported.
+    """The first docstring lines of all benchmarks, by name. No benchmark is imported.
 
     Raises:
-        CommandError: If this is no checkout: they are not installed.
+        CommandError: If this is not a checkout: benchmarks are not installed.
     """
     package = find_spec("benchmarks")
     folders = [] if package is None else [Path(place) for place in package.submodule_search_locations or ()]
-    # Somebody else's package may have the name.
+    # Another package may have the same name.
     ours = [folder for folder in folders if all((folder / f"{name}.py").exists() for name in CORE)]
     found = {}
     for file in sorted(ours[0].glob("*.py")) if ours else ():
         text = file.read_text(encoding="utf-8")
-        # Others are what the benchmarks are made of.
+        # Modules without a main part are helpers of the benchmarks.
         if 'if __name__ == "__main__"' in text:
             about = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
             found[file.stem] = about

@@ -1,4 +1,4 @@
-"""What the commands share: errors, options, how results are printed."""
+"""What the commands share: errors, options, printing of results."""
 
 from __future__ import annotations
 
@@ -24,53 +24,53 @@ if TYPE_CHECKING:
 FAILURE = 1
 INTERRUPTED = 130
 LARGEST_SEED = 2**63 - 1
-"""That a dataset can keep."""
+"""Greatest seed that a dataset can store."""
 
 
 class CommandError(Exception):
-    """Something that the user can mend; the message says what."""
+    """An error that the user can fix; the message says how."""
 
 
 class Stopped(Exception):
-    """The user has stopped a command that can go on later; the message says how."""
+    """The user has stopped a command; the message says what was done, and how to continue if that is possible."""
 
 
 def fail(message: str, status: int = FAILURE, command: str = "spatula") -> int:
-    """Say on standard error what is wrong.
+    """Print an error message to standard error.
 
     Args:
         message: A sentence.
         status: The exit status.
-        command: What was typed, such as "spatula record".
+        command: The command, such as "spatula record".
 
     Returns:
         The exit status.
     """
-    # Text from a file does not look like another message.
+    # Further lines are indented, so that text from a file does not look like another message.
     note(f"{command}: {message}".replace("\n", "\n  "))
     return status
 
 
 def note(message: str) -> None:
-    """Tell something that is no result, on standard error, so that results can be piped."""
-    # Nobody may be left to hear it: the terminal was closed, and what was done has to be saved all the same.
+    """Print a message that is not a result to standard error, so that results can be piped."""
+    # The terminal may have been closed, and the work that was done must be saved nevertheless.
     with suppress(OSError):
         print(printable(message, lines=True), file=sys.stderr, flush=True)
 
 
 def say(line: str, *, flush: bool = False) -> None:
-    """Print a line of a result, in which there may be text from a file; at once if `flush`."""
+    """Print a line of a result, which may contain text from a file; at once if `flush`."""
     print(printable(line), flush=flush)
 
 
 def new_parser(commands: Parsers, name: str, help_text: str, description: str) -> argparse.ArgumentParser:
-    """A parser for a command.
+    """Add a parser for a command.
 
     Args:
-        commands: To which it is added.
-        name: Of the command.
-        help_text: A few words.
-        description: What it does; paragraphs are kept.
+        commands: The parsers to which it is added.
+        name: Name of the command.
+        help_text: A few words about the command.
+        description: What the command does; paragraphs are kept.
     """
     parser = commands.add_parser(
         name, help=help_text, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -127,12 +127,12 @@ def engine_option(chosen: argparse.Namespace) -> dict[str, str]:
 
 
 def count_of(number: int, noun: str) -> str:
-    """How many there are, in words: "1 episode", "2 episodes"."""
+    """A number with its noun in the singular or plural: "1 episode", "2 episodes"."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def at_least(least: int, greatest: int | None = None) -> Any:
-    """A type of argument: an integer not below a limit, and not above another one."""
+    """A type of argument for `argparse`: an integer with a lower limit, and an upper one if given."""
 
     def integer(text: str) -> int:
         try:
@@ -149,13 +149,13 @@ def at_least(least: int, greatest: int | None = None) -> Any:
 
 
 def resolve_env(text: str) -> str:
-    """The environment that the command line names.
+    """Find the environment that the command line names.
 
     Args:
         text: See `spatula_env.naming.find_environment`.
 
     Raises:
-        CommandError: If there is no such environment; says which there are.
+        CommandError: If there is no such environment; lists those that exist.
     """
     try:
         return find_environment(text)
@@ -169,9 +169,9 @@ def make_environment(
     """Make the environment that the command line asks for.
 
     Args:
-        chosen: From `add_environment_options`.
-        options: What is to be so unless the command line says otherwise.
-        **more: What is to be so in any case, such as the mode of rendering.
+        chosen: Arguments of `add_environment_options`.
+        options: Options that the command line can override.
+        **more: Options that it cannot override, such as the render mode.
 
     Raises:
         CommandError: If there is no such environment or option.
@@ -181,13 +181,13 @@ def make_environment(
     try:
         return gymnasium.make(env_id, **wanted)
     except (TypeError, ValueError) as error:
-        # Gymnasium adds where it was raised, which is here.
+        # Gymnasium appends where the error was raised, which is always here.
         reason = str(error).partition(" was raised from the environment creator")[0]
         raise CommandError(f"{env_id} cannot be made so: {reason}") from error
 
 
 def print_json(result: Mapping[str, Any]) -> None:
-    """Print a result as one line, strictly JSON: what is no number is null."""
+    """Print a result as one line of strict JSON: numbers that are not finite become null."""
     print(json.dumps(_strict(result), allow_nan=False))
 
 

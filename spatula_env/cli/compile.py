@@ -41,7 +41,7 @@ def run(chosen: argparse.Namespace) -> int:
         print(f"what is compiled here is lost with this process: kernels are compiled {CACHE.told}", file=sys.stderr)
     counter, logger = Counter(), logging.getLogger("spatula_env")
     level = logger.level
-    # This command says itself what it is doing; whoever calls it goes on as before.
+    # This command reports its progress itself; the caller's log level is restored afterwards.
     logger.setLevel(logging.ERROR)
     event.register(COMPILE, counter)  # type: ignore[no-untyped-call]
     try:
@@ -59,13 +59,13 @@ def run(chosen: argparse.Namespace) -> int:
 
 @contextmanager
 def _progress(count: int) -> Iterator[Callable[[str], None]]:
-    """Show how far it is: a bar with Rich in a terminal, otherwise a line for each step.
+    """Show progress: a bar with Rich in a terminal, otherwise a line for each step.
 
     Args:
         count: Number of steps.
 
     Yields:
-        What to call with the name of each step when it begins.
+        A function to call with the name of each step when it begins.
     """
     try:
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -191,7 +191,7 @@ def _picture_observations() -> None:
 
 
 def _what_is_left() -> None:
-    """Kernels that nothing above has called: all modules with kernels are imported by now."""
+    """Compile the kernels that no other step has called; all modules with kernels are imported by now."""
     from spatula_env._kernels import Kernel
 
     for name, module in list(sys.modules.items()):
@@ -211,4 +211,4 @@ STEPS: dict[str, Callable[[], None]] = {
     "observations in pictures and points": _picture_observations,
     "what is left": _what_is_left,
 }
-"""What is done, once each and in this order, to have everything compiled, by name."""
+"""The steps that compile everything, by name; each is done once, in this order."""

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from spatula_env.teleop.session import EpisodeSummary
 
 EPISODE_NAMES = ("operator", "device", "success", "engine", "author")
-"""What `inspect` tells of each episode."""
+"""Attributes of each episode that `inspect` shows."""
 
 DESCRIPTION = """Look after datasets of demonstrations: see what is there, join and clean them, draw their
 statistics, make scripted ones, export them.
@@ -54,7 +54,7 @@ examples:
 
 
 def add_parser(commands: Parsers) -> None:
-    """Add the command and those below it."""
+    """Add the command and its subcommands."""
     parser = new_parser(commands, "datasets", "list, join, draw, make and export datasets", DESCRIPTION)
     inner = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
@@ -171,7 +171,7 @@ def _list(chosen: argparse.Namespace) -> int:
         try:
             summaries.append(summarize(name, chosen.root))
         except (OSError, ValueError) as error:
-            # The others are listed all the same.
+            # The other datasets are still listed.
             damaged[name] = str(error)
     if chosen.json:
         print_json(
@@ -221,7 +221,7 @@ def _inspect(chosen: argparse.Namespace) -> int:
             "steps": entry.steps,
             "seed": entry.seed,
             **{name: entry.attributes[name] for name in EPISODE_NAMES if name in entry.attributes},
-            # Where all were recorded with the same options, there is nothing to tell.
+            # The column is left out if all episodes were recorded with the same options.
             **({"spec": entry.spec} if len(specs) > 1 else {}),
         }
         for number, entry in enumerate(read_entries(chosen.dataset, chosen.root))
@@ -282,7 +282,7 @@ def _drop_failures(chosen: argparse.Namespace) -> int:
 
 @contextmanager
 def _nothing_half_made(chosen: argparse.Namespace) -> Iterator[None]:
-    """Say after Ctrl-C what there is of what was being made: nothing."""
+    """Turn Ctrl-C into the message that nothing of the target was made."""
     try:
         yield
     except KeyboardInterrupt:
@@ -302,7 +302,7 @@ def _statistics(chosen: argparse.Namespace) -> int:
     from spatula_env.data.statistics import statistics
 
     if chosen.plot is not None:
-        # Before all episodes are read.
+        # Checked before all episodes are read.
         check_plot(chosen.plot)
     found = statistics(chosen.dataset, chosen.root)
     if chosen.plot is not None:
@@ -444,7 +444,7 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _describe_space(space: Any) -> str:
-    """A space in a few words: its bounds would fill a page."""
+    """Describe a space in a few words, without its bounds, which would fill a page."""
     inner = getattr(space, "spaces", None)
     if isinstance(inner, Mapping):
         return ", ".join(f"{name}: {_describe_space(each)}" for name, each in inner.items())

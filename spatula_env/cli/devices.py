@@ -37,10 +37,10 @@ DEVICES = (
     "replay",
     "web",
 )
-"""What can be named. All but the last two are `spatula_env.teleop.registry`'s."""
+"""Names that --device accepts. All but the last two are in `spatula_env.teleop.registry`."""
 SCRIPTED = ("scripted", "scripted-falcon")
 POSITIONS = ("falcon", "forcedimension", "emulated-falcon", "scripted-falcon")
-"""Those with a grip that is somewhere; the others tell how fast to move."""
+"""Devices whose grip has a position; the others give a velocity."""
 APPLICABLE: Mapping[str, tuple[Any, tuple[str, ...]]] = MappingProxyType(
     {
         "index": (0, ("gamepad", "spacemouse", "falcon")),
@@ -63,11 +63,11 @@ APPLICABLE: Mapping[str, tuple[Any, tuple[str, ...]]] = MappingProxyType(
         "buttons": (None, ("falcon", "forcedimension", "emulated-falcon", "gamepad", "spacemouse", "keyboard")),
     }
 )
-"""Options that mean something with some devices only: their defaults, and those devices."""
+"""Options that apply to some devices only: their defaults, and those devices."""
 
 
 def add_device_options(parser: argparse.ArgumentParser) -> None:
-    """Add what a device needs."""
+    """Add the options of devices."""
     group = parser.add_argument_group("device")
     group.add_argument(
         "--device",
@@ -123,8 +123,8 @@ def add_device_options(parser: argparse.ArgumentParser) -> None:
 
 
 def teleop_options(chosen: argparse.Namespace) -> dict[str, Any]:
-    """What `FalconTeleop` is made with."""
-    # Nobody watches the clock of what is no hand.
+    """The arguments with which `FalconTeleop` is made."""
+    # Devices that no human holds need not run in real time.
     waits = not chosen.no_wait and chosen.device not in (*SCRIPTED, "replay")
     return {
         "mode": chosen.mode,
@@ -141,10 +141,10 @@ def check_device(chosen: argparse.Namespace) -> Actor | None:
     """Check the options of a device before anything is loaded.
 
     Returns:
-        Who acts by itself, if anybody does.
+        The policy that acts, if there is one.
 
     Raises:
-        CommandError: If one is missing, or one would change nothing.
+        CommandError: If an option is missing, or one would have no effect.
     """
     check_applicable(chosen)
     read_buttons(chosen)
@@ -162,10 +162,10 @@ def check_device(chosen: argparse.Namespace) -> Actor | None:
 
 
 def check_applicable(chosen: argparse.Namespace) -> None:
-    """Check that no option is given that means nothing with the device.
+    """Check that no option is given that does not apply to the device.
 
     Raises:
-        CommandError: If one is; says with which devices it goes.
+        CommandError: If one is; says to which devices it applies.
     """
     for name, (default, devices) in APPLICABLE.items():
         if getattr(chosen, name, default) != default and chosen.device not in devices:
@@ -189,13 +189,13 @@ def check_applicable(chosen: argparse.Namespace) -> None:
 def opened_device(
     chosen: argparse.Namespace, env: gymnasium.Env[Any, Any], actor: Actor | None, seed: int
 ) -> Iterator[TeleopDevice]:
-    """The device that the command line asks for, open and calibrated, for as long as a ``with`` block lasts.
+    """The device that the command line names, open and calibrated during a ``with`` block.
 
     Args:
-        chosen: From `add_device_options`.
-        env: What it acts in.
-        actor: From `check_device`.
-        seed: Of the first episode.
+        chosen: Arguments of `add_device_options`.
+        env: The environment in which it acts.
+        actor: Result of `check_device`.
+        seed: Seed of the first episode.
     """
     with _make(chosen, env, actor, seed) as device:
         if not device.is_calibrated:
@@ -230,7 +230,7 @@ def _make(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any], actor: Actor
 
 
 def _check_recording(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -> None:
-    """Check that a recording fits, so that its numbers do not mean something else."""
+    """Check that a recording fits the environment, so that its numbers have the same meaning."""
     from spatula_env.data.replaying import open_dataset
 
     dataset = open_dataset(chosen.recording, chosen.root)
@@ -244,7 +244,7 @@ def _check_recording(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -
 
 
 def check_page(chosen: argparse.Namespace) -> None:
-    """Check the options of a command whose device is the page.
+    """Check the options of a command with --device web.
 
     Raises:
         CommandError: If one does not go with it.
@@ -266,13 +266,13 @@ def serve_page(
     progress: Callable[[str, EpisodeSummary], None],
     dataset: str | None = None,
 ) -> RecordingSummary:
-    """Serve the page on which a task is played and recorded, until Ctrl-C or until all is recorded.
+    """Serve the page on which a task is played and recorded, until Ctrl-C or until all episodes are recorded.
 
     Args:
         chosen: The command line, checked by `check_page`.
         recording: How episodes are recorded.
-        progress: Called after each episode with its fate.
-        dataset: To which episodes are added; None: the page's own choice.
+        progress: Called after each episode, with what became of it and its summary.
+        dataset: Dataset to which episodes are added; None: the page's own choice.
 
     Returns:
         What was recorded.

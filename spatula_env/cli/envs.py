@@ -38,7 +38,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _summary(spec: EnvSpec) -> str:
-    """The first line of an environment's documentation, read from its source: importing it takes far longer."""
+    """The first line of an environment's docstring, read from its source because importing it takes far longer."""
     found = _documentation(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point.__doc__
     return (found or "").strip().partition("\n")[0]
 

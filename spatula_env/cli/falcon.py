@@ -51,7 +51,7 @@ def add_parser(commands: Parsers) -> None:
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Check."""
+    """Run the check."""
     from spatula_env.teleop.falcon.check import check_falcon
     from spatula_env.teleop.falcon.transport import find_falcons
 
@@ -93,7 +93,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _weigh(falcon: Falcon, chosen: argparse.Namespace, say: Callable[[str], None]) -> None:
-    """Tell how great the forces are."""
+    """Measure how great the forces are, and print the options that correct them."""
     from spatula_env.teleop.falcon.weighing import weigh
 
     with falcon:
@@ -110,7 +110,7 @@ def _weigh(falcon: Falcon, chosen: argparse.Namespace, say: Callable[[str], None
 
 
 def _consent(chosen: argparse.Namespace, question: str, say: Callable[[str], None]) -> bool:
-    """Ask, if anybody is there to answer."""
+    """Ask for consent, unless an option answers beforehand; without a terminal the answer is no."""
     if chosen.no_force:
         return False
     if chosen.yes or chosen.emulated:
@@ -123,7 +123,7 @@ def _consent(chosen: argparse.Namespace, question: str, say: Callable[[str], Non
 
 
 def _emulated() -> tuple[Any, Callable[[], Sequence[object]], Callable[[str], None]]:
-    """A Falcon in software, what lists it, and the hand that does as the check says."""
+    """A Falcon in software, a function that lists it, and one that tells its hand what the check asks for."""
     from spatula_env.teleop.emulator import ElasticHand, FalconEmulator, homing_motion
     from spatula_env.teleop.falcon import Falcon
 
@@ -135,7 +135,7 @@ def _emulated() -> tuple[Any, Callable[[], Sequence[object]], Callable[[str], No
 
 
 class _Obedient:
-    """Where an operator wants the grip: through the homing, then wherever the check asks for."""
+    """Position at which an operator wants the grip: the homing motion, then wherever the check asks for."""
 
     def __init__(self, homing: Motion) -> None:
         self._homing = homing
@@ -146,7 +146,7 @@ class _Obedient:
         return x + self._offset[0], y + self._offset[1], z + self._offset[2]
 
     def hear(self, text: str) -> None:
-        """Do what a sentence of the check asks for."""
+        """Follow a request of the check."""
         from spatula_env.teleop.falcon.check import MIDDLE_REQUEST, MOVES
 
         for request, direction in MOVES:

@@ -1,4 +1,4 @@
-"""Options of force feedback, and what a session tells of it."""
+"""Options of force feedback, and the report on it after a session."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ if TYPE_CHECKING:
 HELD = ("falcon", "forcedimension")
 """Devices that a human holds."""
 HAPTIC = (*HELD, "emulated-falcon", "scripted-falcon")
-"""Devices with force."""
+"""Devices with force feedback."""
 ROLES = ("center", "forward", "plus", "minus", "finish", "discard", "quit")
-"""What a button can be taken for."""
+"""Functions that can be assigned to a button."""
 GRIP_WEIGHT = 0.7
-"""What is borne of a Falcon's grip by default: less than the 0.9 N that others have found, so that it sinks [N]."""
+"""Weight of a Falcon's grip that the motors bear by default: less than the 0.9 N that others have found, so that it
+sinks [N]."""
 
 
 def add_force_options(parser: argparse.ArgumentParser) -> None:
-    """Add what the hand feels."""
+    """Add the options of force feedback."""
     group = parser.add_argument_group("what the hand feels")
     scale = group.add_mutually_exclusive_group()
     scale.add_argument(
@@ -63,10 +64,10 @@ def add_force_options(parser: argparse.ArgumentParser) -> None:
 
 
 def read_buttons(chosen: argparse.Namespace) -> dict[str, str] | None:
-    """What buttons are to be taken for.
+    """Read the functions assigned to buttons.
 
     Raises:
-        CommandError: If it is not written as it should be.
+        CommandError: If the option is malformed.
     """
     if chosen.buttons is None:
         return None
@@ -81,14 +82,14 @@ def read_buttons(chosen: argparse.Namespace) -> dict[str, str] | None:
 
 
 def force_settings(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -> HapticSettings:
-    """The gains that the command line asks for; tells the force scale where a human feels it.
+    """The gains that the command line asks for; prints the force scale if a human feels it.
 
     Args:
-        chosen: From `add_force_options`.
-        env: Whose task it is.
+        chosen: Arguments of `add_force_options`.
+        env: The environment, whose task has a force scale.
 
     Raises:
-        CommandError: If a number is not one of those allowed.
+        CommandError: If a number is not allowed.
     """
     from spatula_env.teleop.haptics.scales import force_scale
     from spatula_env.teleop.haptics.settings import HapticSettings
@@ -115,7 +116,7 @@ def force_settings(chosen: argparse.Namespace, env: gymnasium.Env[Any, Any]) -> 
 
 
 def tell_loop(device: TeleopDevice) -> None:
-    """Tell how a device's haptic loop went, if it has one that still answers."""
+    """Print how a device's haptic loop went, if it has one and still answers."""
     from spatula_env.teleop.device import DeviceError
     from spatula_env.teleop.haptics.device import HapticDevice
 
@@ -124,12 +125,12 @@ def tell_loop(device: TeleopDevice) -> None:
     try:
         note(loop_in_words(device.statistics()))
     except DeviceError:
-        # What it was lost by has been told.
+        # The reason for the loss of the device has been reported already.
         pass
 
 
 def loop_in_words(found: LoopStatistics) -> str:
-    """A line about a haptic loop."""
+    """Describe a haptic loop in a line."""
     rate = 1.0 / found.median_period if found.median_period > 0.0 else 0.0
     held_back = found.limited / found.cycles if found.cycles else 0.0
     return (

@@ -20,11 +20,11 @@ TARGETS: Mapping[str, str] = MappingProxyType(
         "convert": "rewrite runs of earlier versions, which kept pickles",
     }
 )
-"""What the commands do; each is a module of `spatula_env.learning.commands`."""
+"""Help texts of the commands; each is a module of `spatula_env.learning.commands`."""
 
 
 def add_parser(commands: Parsers) -> None:
-    """List the commands; `run` gets their options, whatever they are."""
+    """Add the commands to the help; their options are passed to `run` unparsed."""
     for name, help_text in TARGETS.items():
         commands.add_parser(name, help=help_text, add_help=False)
 
@@ -34,7 +34,7 @@ def run(name: str, arguments: Sequence[str]) -> int:
 
     Args:
         name: One of `TARGETS`.
-        arguments: What follows it.
+        arguments: The arguments that follow it.
 
     Returns:
         The exit status.

@@ -1,4 +1,4 @@
-"""Signals that end a command: Ctrl-C, and what the system sends before it ends a program."""
+"""Signals that end a command: Ctrl-C, and those that the system sends before it ends a program."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ class Terminated(KeyboardInterrupt):
     """The system has ended the command.
 
     Attributes:
-        status: The exit status that tells so.
+        status: The exit status, 128 plus the number of the signal.
     """
 
     def __init__(self, number: int) -> None:
-        """End by a signal.
+        """Create the exception for a signal.
 
         Args:
-            number: Of the signal.
+            number: Number of the signal.
         """
         super().__init__(f"ended by {signal.Signals(number).name}")
         self.status = 128 + number
@@ -32,9 +32,10 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def endings_like_ctrl_c() -> Iterator[None]:
-    """For as long as a ``with`` block lasts, whatever ends the program ends it like Ctrl-C, which loses nothing.
+    """Make signals that end the program act like Ctrl-C during a ``with`` block, so that nothing is lost.
 
-    What is being ignored stays ignored, so that ``nohup`` does what it is for. Threads are not told, only the main one.
+    Signals that are ignored stay ignored, so that ``nohup`` works. Only the main thread can handle signals; in other
+    threads this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -42,7 +43,7 @@ def endings_like_ctrl_c() -> Iterator[None]:
     before: dict[int, Any] = {}
 
     def end(number: int, _: Any) -> None:
-        # Once: what is saved now is not to be interrupted by the next one.
+        # Only once: further signals must not interrupt the saving that follows.
         for each in before:
             signal.signal(each, signal.SIG_IGN)
         raise Terminated(number)

@@ -1,4 +1,4 @@
-"""The `spatula` command: finds the command that is meant, and turns its errors into a line."""
+"""The `spatula` command: runs the chosen command, and prints its errors as one line."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from spatula_env.cli.interrupting import endings_like_ctrl_c
 from spatula_env.printing import printable
 
 MODULES = ("demo", "envs", "play", "record", "replay", "datasets", "falcon", "view", "forward", "bench", "compile")
-"""Of the commands, in the order in which help lists them; all but `forward` are called like their command."""
+"""Modules of the commands, in the order in which help lists them; all but `forward` have the name of their command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command.
 
     Args:
-        arguments: What follows the command's name; None takes them from the command line.
+        arguments: The arguments after "spatula"; None takes them from the command line.
 
     Returns:
         The exit status: 0 if all went well.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Their options are none of this parser's business.
+    # These commands parse their options themselves.
     if given and given[0] in forward.TARGETS:
         return _run(lambda: forward.run(given[0], given[1:]))
     parser = make_parser(given[0] if given else None)
@@ -41,10 +41,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """The parser of the command line.
+    """Make the parser of the command line.
 
     Args:
-        command: The one that is meant: no other is imported. If it is none of them, all are.
+        command: The chosen command; no other is imported. If there is no such command, all are.
     """
     parser = argparse.ArgumentParser(
         prog="spatula",
@@ -59,11 +59,11 @@ def make_parser(command: str | None = None) -> argparse.ArgumentParser:
 
 
 def _run(run: Callable[[], int], command: str = "spatula") -> int:
-    # Looked up here: importing it brings NumPy, which `spatula --version` can do without.
+    # Imported here because it loads NumPy, which `spatula --version` does not need.
     from spatula_env.teleop.device import DeviceError
 
     usual = warnings.formatwarning
-    # People who type a command are not helped by the line of code that warns.
+    # The line of code that issues a warning does not help the user of a command.
     warnings.formatwarning = lambda message, *_: f"spatula: {printable(str(message), lines=True)}\n"
     try:
         return run()
@@ -72,7 +72,8 @@ def _run(run: Callable[[], int], command: str = "spatula") -> int:
     except KeyboardInterrupt as interrupt:
         return fail(str(interrupt) or "interrupted", getattr(interrupt, "status", INTERRUPTED), command)
     except BrokenPipeError:
-        # Whoever read the output, `head` for example, has seen enough. The interpreter would complain at its end.
+        # The reader of the output, `head` for example, has closed the pipe. Without this, the interpreter would print
+        # an error when it exits.
         sys.stdout = None
         return FAILURE
     except (CommandError, DeviceError, gymnasium.error.Error, ImportError, OSError, ValueError) as error:

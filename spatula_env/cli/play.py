@@ -76,7 +76,7 @@ def add_view_options(parser: argparse.ArgumentParser) -> None:
 
 
 def render_mode(chosen: argparse.Namespace) -> str | None:
-    """How the environment has to be rendered for what `add_view_options` asks for."""
+    """The render mode of the environment for the options of `add_view_options`."""
     if chosen.film is not None:
         if chosen.view == "window":
             raise CommandError("--film and --view window do not go together")
@@ -137,7 +137,7 @@ def run(chosen: argparse.Namespace) -> int:
         raise Stopped(f"stopped after {count_of(len(told), 'episode')}; playing records nothing") from None
     finally:
         env.close()
-        # Also of what was interrupted.
+        # The film is also written after an interruption.
         if film is not None and film.frames:
             note(f"wrote {film.write()}")
     if chosen.json:
@@ -146,7 +146,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _on_page(chosen: argparse.Namespace) -> int:
-    """Play on the page."""
+    """Play on the web page."""
     from spatula_env.teleop.web.recording import RecordingOptions
 
     check_page(chosen)
@@ -171,7 +171,7 @@ def _on_page(chosen: argparse.Namespace) -> int:
 
 
 def describe(summary: EpisodeSummary) -> str:
-    """An episode in a line."""
+    """Describe an episode in a line."""
     fate = "success" if summary.success else "no success"
     return (
         f"{fate} after {summary.steps} steps, return {summary.total_reward:.1f}, greatest force "

@@ -99,7 +99,7 @@ def run(chosen: argparse.Namespace) -> int:
     if on_page:
         check_page(chosen)
     actor = None if on_page else check_device(chosen)
-    # A page may be asked for a dataset of each task.
+    # With the page, the name may contain {task}, for a dataset of each task.
     check_dataset_id(chosen.dataset.replace("{task}", "task") if on_page else chosen.dataset)
     require_minari()
     check_can_write(dataset_folder(chosen.dataset, chosen.root))
@@ -112,7 +112,7 @@ def run(chosen: argparse.Namespace) -> int:
     try:
         return _report(chosen, _on_page(chosen) if on_page else _with_device(chosen, actor))
     except KeyboardInterrupt:
-        # By what is on the disk: it may have come between an episode and its count.
+        # Counted on the disk, because the interrupt may have come between an episode and its count.
         added = _total(chosen) - there
         were = "was" if added == 1 else "were"
         raise Stopped(
@@ -122,7 +122,7 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def _with_device(chosen: argparse.Namespace, actor: Actor | None) -> RecordingSummary:
-    """Record with a device that is held."""
+    """Record with a device."""
     from spatula_env.data.dataset import check_target
     from spatula_env.teleop.recording import record
 
@@ -138,7 +138,7 @@ def _with_device(chosen: argparse.Namespace, actor: Actor | None) -> RecordingSu
 
     try:
         film = None if chosen.film is None else Film(chosen.film, env.metadata["render_fps"])
-        # Before the operator takes hold of anything.
+        # Checked before the operator takes hold of the device.
         check_target(chosen.dataset, env, chosen.root)
         with opened_device(chosen, env, actor, chosen.seed) as device:
             policy = actor.make(env, chosen.seed) if actor is not None and chosen.device not in SCRIPTED else None
@@ -170,14 +170,14 @@ def _with_device(chosen: argparse.Namespace, actor: Actor | None) -> RecordingSu
 
 
 def _on_page(chosen: argparse.Namespace) -> RecordingSummary:
-    """Record on the page. Ctrl-C ends it; what is being recorded then is saved as far as it has come."""
+    """Record on the web page until Ctrl-C, which saves the current episode as far as it has come."""
     from spatula_env.teleop.web.recording import RecordingOptions
 
     options = RecordingOptions(
         exclusive=True,
         author=chosen.author,
         description=chosen.description,
-        # Unless something is asked for, there is no end to it.
+        # Without any of these, recording does not end by itself.
         episodes=chosen.episodes,
         total=chosen.total,
         attempts=chosen.attempts,
@@ -195,7 +195,7 @@ def _on_page(chosen: argparse.Namespace) -> RecordingSummary:
 
 
 def _report(chosen: argparse.Namespace, summary: RecordingSummary) -> int:
-    """Tell the result; returns the exit status."""
+    """Print the result and return the exit status."""
     if chosen.json:
         result = asdict(summary)
         print_json({"dataset": result.pop("dataset_id"), **result})
@@ -212,7 +212,7 @@ def _report(chosen: argparse.Namespace, summary: RecordingSummary) -> int:
 
 
 def _total(chosen: argparse.Namespace) -> int:
-    """How many episodes the dataset has."""
+    """Number of episodes in the dataset; 0 if it does not exist."""
     from spatula_env.data.dataset import dataset_folder
     from spatula_env.data.index import read_metadata
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from spatula_env.render.window import Window
 
 SIZE = 480
-"""Of a film's pictures [pixels]."""
+"""Width and height of a film's pictures [pixels]."""
 
 DESCRIPTION = """Do the episodes of a dataset again.
 
@@ -78,7 +78,7 @@ def add_parser(commands: Parsers) -> None:
     add_root_option(parser)
     add_view_options(parser)
     add_json_option(parser)
-    # A replay is for its numbers; who wants to look says so.
+    # A replay is run for its numbers; it is shown only on request.
     parser.set_defaults(run=run, view="none", device="replay")
 
 
@@ -115,7 +115,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             film.take(env)
 
     if chosen.film is not None:
-        Film(chosen.film, 1.0)  # Complains at once.
+        Film(chosen.film, 1.0)  # Raises at once if it cannot be written.
     told: list[EpisodeReplay] = []
     try:
         results = replay(
@@ -136,7 +136,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             f"stopped after {count_of(len(told), 'episode')} of {len(numbers)}, {same} of them as recorded"
         ) from None
     finally:
-        # Also of what was interrupted.
+        # The film is also written after an interruption.
         if film is not None and film.frames:
             note(f"wrote {film.write()}")
     differences = [each.difference for each in results if not math.isnan(each.difference)]
@@ -155,7 +155,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             }
         )
     else:
-        # Means of what the hand did lead elsewhere, and how far is what was asked.
+        # Mean actions give other results, and their difference is what the user wants to know.
         differs = "by means" if chosen.mean_actions else "DIFFERS"
         rows = [["episode", "steps", "difference [u]", "reward", "success", ""]]
         for each in results:

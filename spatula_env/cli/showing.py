@@ -27,7 +27,7 @@ Picture = NDArray[np.uint8]
 
 
 def has_window() -> bool:
-    """Whether a window can be expected to open: there is a display, and what draws on it is installed."""
+    """Whether a window can be expected to open: there is a display, and pyglet is installed."""
     display = sys.platform in ("darwin", "win32") or any(
         os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
     )
@@ -35,11 +35,11 @@ def has_window() -> bool:
 
 
 def check_ending(path: Path, endings: Sequence[str]) -> None:
-    """Check what kind of file is asked for, before anything runs for a minute.
+    """Check a file's ending before anything is computed.
 
     Raises:
-        CommandError: If it cannot be written.
-        ImportError: If what writes it is not installed.
+        CommandError: If a file with this ending cannot be written.
+        ImportError: If the package that writes it is not installed.
     """
     if path.suffix not in endings:
         raise CommandError(f"the file must end with {', '.join(endings)}, got {path}")
@@ -53,15 +53,15 @@ class Film:
     """Collects pictures of an environment and writes them.
 
     Attributes:
-        frames: What has been seen.
+        frames: The pictures so far.
     """
 
     def __init__(self, path: Path, frames_per_second: float) -> None:
-        """Describe it.
+        """Begin a film without pictures.
 
         Args:
-            path: Of the file, .gif or .mp4; or of a picture, which shows the last frame.
-            frames_per_second: How fast it runs.
+            path: Path of the film, .gif or .mp4; or of a picture, .png or .jpg, which shows the last frame.
+            frames_per_second: Pictures per second.
 
         Raises:
             CommandError: If it has another ending.
@@ -74,12 +74,12 @@ class Film:
         self._rate = frames_per_second
 
     def take(self, env: gymnasium.Env[Any, Any]) -> None:
-        """Take a picture of an environment with the mode of rendering "rgb_array"."""
+        """Add a picture of an environment with the render mode "rgb_array"."""
         picture: Any = env.render()
         self.add(picture)
 
     def add(self, picture: Picture) -> None:
-        """Add a picture (height, width, 3)."""
+        """Add a picture (height, width, 3); if the file is a picture, it replaces the last one."""
         if self._path.suffix in PICTURES:
             self.frames.clear()
         self.frames.append(np.array(picture))

@@ -50,7 +50,7 @@ def add_parser(commands: Parsers) -> None:
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Look."""
+    """Show the environment in a window, or write a picture or a film of it."""
     env_id = resolve_env(chosen.env)
     actor = find_actor(chosen.policy, env_id)
     output: Path | None = chosen.output

@@ -1,16 +1,16 @@
-"""Demonstrations: episodes, replay, and datasets in Minari's format. What records an operator is `teleop.recording`.
+"""Demonstrations: episodes, replay, and datasets in Minari's format. `teleop.recording` records an operator.
 
 Modules::
 
     episode     one episode in memory
-    layout      what the numbers of a dataset are called
+    layout      names of the numbers in a dataset
     dataset     a dataset on disk, written episode by episode
     replaying   `replay`: by actions, checked, or by states
-    catalog     what datasets there are and what is in them; copies without failures, several in one
-    statistics  what the episodes are like; plots draws it
+    catalog     listing and summarizing datasets, filtering and merging them
+    statistics  statistics of the episodes; plots draws them
     drawing     pictures of recorded states
-    lerobot_export    the same in the layout of LeRobot's datasets
-    d3rlpy_dataset    the same for d3rlpy
+    lerobot_export    export to the layout of LeRobot's datasets
+    d3rlpy_dataset    conversion for d3rlpy
 
 Importing this package loads neither Minari nor h5py; writing and reading datasets needs both.
 """
@@ -52,7 +52,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a module when something of it is first asked for."""
+    """Import a module when one of its names is first asked for."""
     for module, names in (
         ("catalog", ("DatasetSummary", "copy_episodes", "list_datasets", "summarize")),
         ("d3rlpy_dataset", ("load_d3rlpy",)),

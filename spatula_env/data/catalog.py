@@ -29,7 +29,7 @@ from spatula_env.data.replaying import data_folder, open_dataset, read_entries, 
 from spatula_env.data.specs import spec_from_json
 
 Keep = Callable[[Mapping[str, Any]], bool]
-"""Takes an episode's attributes, and says whether it is wanted."""
+"""Function of an episode's attributes that returns whether the episode is wanted."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class DatasetSummary:
         dataset_id: Its id.
         path: Its folder.
         env_id: The environment's id.
-        episodes: How many there are.
-        steps: How many steps they have.
+        episodes: Number of episodes.
+        steps: Number of steps in all episodes.
         megabytes: Size on the disk [MB].
-        successes: How many reached their goal.
-        operators: How many episodes each kind of operator did.
-        devices: How many were done with each device.
-        authors: How many episodes each author did.
+        successes: Number of episodes that reached their goal.
+        operators: Number of episodes by each kind of operator.
+        devices: Number of episodes with each device.
+        authors: Number of episodes by each author.
         mean_return: Mean sum of the rewards of an episode.
         mean_length: Mean length [steps].
         mean_peak_force: Mean of the greatest force on a tool in an episode [N]; NaN if that was not recorded.
@@ -75,12 +75,12 @@ def list_datasets(root: str | Path | None = None) -> list[str]:
     """
     top = dataset_folder("", root)
     found = [file.parents[1].relative_to(top) for file in top.glob(f"**/data/{METADATA_FILE}")]
-    # What is being made has a name with a dot.
+    # A dataset that is still being made has a name that begins with a dot.
     return sorted(path.as_posix() for path in found if not any(part.startswith(".") for part in path.parts))
 
 
 def summarize(dataset_id: str, root: str | Path | None = None) -> DatasetSummary:
-    """Tell what is in a dataset, from its index; no episode is opened.
+    """Summarize a dataset from its index; no episode is opened.
 
     Args:
         dataset_id: Its id.
@@ -88,7 +88,7 @@ def summarize(dataset_id: str, root: str | Path | None = None) -> DatasetSummary
 
     Raises:
         FileNotFoundError: If there is no such dataset.
-        DatasetDamaged: If something of it is missing, or cannot be read.
+        DatasetDamaged: If a part of it is missing or cannot be read.
     """
     data = data_folder(dataset_id, root)
     metadata = read_metadata(data)
@@ -118,27 +118,27 @@ def summarize(dataset_id: str, root: str | Path | None = None) -> DatasetSummary
 def copy_episodes(
     sources: Sequence[str], target: str, *, root: str | Path | None = None, keep: Keep | None = None
 ) -> DatasetSummary:
-    """Copy episodes of some datasets into another: merge them, or drop what is not wanted.
+    """Copy episodes of some datasets into a new one: to merge them, or to drop episodes.
 
-    The new dataset is there whole, or not at all. Episodes keep what is told of them, author and options of their
-    environment included; the options may differ as long as observations and actions mean the same.
+    The new dataset is complete, or not there at all. Episodes keep their attributes, including author and options of
+    their environment; the options may differ as long as observations and actions mean the same.
 
     Args:
-        sources: Ids, of the same environment.
+        sources: Ids of datasets of the same environment.
         target: Id of a dataset that does not exist yet.
         root: Folder of all datasets; Minari's own by default.
         keep: Which episodes are wanted, as ``lambda episode: episode["success"]``; all by default.
 
     Returns:
-        What is in it then.
+        Summary of the new dataset.
 
     Raises:
         ImportError: If Minari is missing.
         FileNotFoundError: If there is no such source.
         FileExistsError: If the target exists.
         ValueError: If there is no source, or they are of different environments; nothing is then written.
-        DatasetDamaged: If a source cannot be read, shows what is no part of it, or a link is where the target is to be.
-        DatasetBusy: If another program makes such a dataset.
+        DatasetDamaged: If a source cannot be read or refers to data outside of it, or a link is in the target's place.
+        DatasetBusy: If another program is making a dataset of that name.
         OSError: If it cannot be written.
     """
     if not sources:
@@ -148,14 +148,14 @@ def copy_episodes(
     if inside(folder, "data", METADATA_FILE).exists():
         raise FileExistsError(f"there is a dataset {target!r} already; take another name")
     opened = [open_dataset(source, root) for source in sources]
-    # Before anything is written.
+    # All checks come before anything is written.
     _check_sources(sources, opened, root)
     check_can_write(folder)
-    # Whoever has made the folders around it may have put a link there, and what is in it is removed below.
+    # There might be a link at this place, and the contents of the folder are removed below.
     new = inside(folder.parent, f".{folder.name}.new")
     inside(new, "data")
     with recording_lock(new, target):
-        # Of a program that was killed.
+        # Left by a program that was killed.
         shutil.rmtree(new / "data", ignore_errors=True)
         try:
             for source, dataset in zip(sources, opened, strict=True):
@@ -204,7 +204,7 @@ def _copy_into(
     layout = read_layout(source, root)
 
     def writer(spec: Any) -> DatasetWriter:
-        # What a writer wants to know of an environment, without the physics.
+        # Stands in for an environment: what a writer needs of it, without the physics.
         env: Any = SimpleNamespace(
             spec=spec, observation_space=dataset.observation_space, action_space=dataset.action_space
         )
@@ -244,7 +244,7 @@ def _as_episode(found: Any, attributes: Mapping[str, Any]) -> Episode:
 
 
 def _as_text(value: Any) -> Any:
-    """Text as it was before HDF5 made bytes of it."""
+    """Convert bytes from HDF5 back to text, also in nested mappings."""
     if isinstance(value, Mapping):
         return {name: _as_text(each) for name, each in value.items()}
     if isinstance(value, np.ndarray) and value.dtype.kind in "OS":

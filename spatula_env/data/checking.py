@@ -1,4 +1,4 @@
-"""Checks of a dataset's metadata and index, which may come from anywhere."""
+"""Checks of a dataset's metadata and index, which may come from an untrusted source."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from spatula_env.data.files import DatasetDamaged
 from spatula_env.data.layout import KEY
 
 Rules = Mapping[str, tuple[str, Callable[[Any], bool]]]
-"""Of entries by name: what is allowed in words, and whether a value is that."""
+"""Rules for entries, by name: the allowed values in words, and a function that checks a value."""
 LARGEST = 2**63 - 1
-"""The greatest integer that HDF5 keeps; of seeds, too."""
+"""The greatest integer that HDF5 can store, and so the greatest seed."""
 FORMATS = ("hdf5", "arrow")
-"""Of Minari."""
+"""Minari's data formats."""
 ONE_VALUE = ("operator", "device", "engine", "author", "success")
-"""Attributes of an episode that are counted and shown, and so are no lists and no mappings."""
+"""Attributes of an episode that are counted and shown, and so must not be lists or mappings."""
 
 
 def check_seed(seed: int | None) -> None:
-    """Check that a dataset can keep a seed.
+    """Check that a dataset can store a seed.
 
     Raises:
-        ValueError: If not.
+        ValueError: If it cannot.
     """
     if seed is not None and not 0 <= int(seed) <= LARGEST:
         raise ValueError(f"seed must be from 0 to {LARGEST}, which a dataset can keep, got {seed!r}")
 
 
 def read_json(content: str | bytes, what: str) -> Any:
-    """What a text in JSON says.
+    """Parse JSON.
 
     Args:
         content: The text.
         what: Where it is from, for the error.
 
     Raises:
-        DatasetDamaged: If it is none.
+        DatasetDamaged: If it is not JSON.
     """
     try:
         return json.loads(content)
@@ -49,14 +49,14 @@ def read_json(content: str | bytes, what: str) -> Any:
 
 
 def check_metadata(found: Any, file: Path) -> dict[str, Any]:
-    """Check what is told of a dataset; what is not told is not missed, except for the number of episodes.
+    """Check a dataset's metadata. All entries may be missing, except for the number of episodes.
 
     Args:
-        found: As JSON had it.
+        found: The parsed JSON.
         file: Where it is from, for the error.
 
     Raises:
-        DatasetDamaged: If it is something else.
+        DatasetDamaged: If it is not valid.
     """
     if not isinstance(found, dict) or "total_episodes" not in found:
         raise DatasetDamaged(f"{file} has no metadata of a dataset")
@@ -67,15 +67,15 @@ def check_metadata(found: Any, file: Path) -> dict[str, Any]:
 
 
 def check_line(found: Any, what: str, specs: int) -> dict[str, Any]:
-    """Check what the index tells of an episode.
+    """Check the index's record of an episode.
 
     Args:
-        found: As JSON had it.
+        found: The parsed JSON.
         what: Where it is from, for the error.
-        specs: How many specifications of environments the dataset has.
+        specs: Number of specifications of environments in the dataset.
 
     Raises:
-        DatasetDamaged: If it is something else.
+        DatasetDamaged: If it is not valid.
     """
     if not isinstance(found, dict) or set(found) != set(LINE):
         raise DatasetDamaged(f"{what} does not tell {', '.join(LINE)}, and nothing else, of an episode")
@@ -90,14 +90,14 @@ def check_line(found: Any, what: str, specs: int) -> dict[str, Any]:
 
 
 def check_spec(found: Any, what: str) -> dict[str, Any]:
-    """Check how an environment was made.
+    """Check the specification of an environment.
 
     Args:
-        found: As JSON had it.
+        found: The parsed JSON.
         what: Where it is from, for the error.
 
     Raises:
-        DatasetDamaged: If it is something else.
+        DatasetDamaged: If it is not valid.
     """
     if not isinstance(found, dict) or not {"id", "additional_wrappers"} <= found.keys():
         raise DatasetDamaged(f"{what} is no specification of an environment: {_shown(found)}")
@@ -129,7 +129,7 @@ def _is_count(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    # What has diverged is not finite.
+    # Values of an episode that has diverged are not finite.
     return isinstance(value, float) or (
         isinstance(value, int) and not isinstance(value, bool) and abs(value) <= LARGEST
     )

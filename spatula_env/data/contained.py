@@ -1,7 +1,7 @@
-"""Datasets that come from anywhere: that reading one reads nothing else.
+"""Checks that reading a dataset, which may come from an untrusted source, reads nothing outside its folder.
 
-HDF5 has several ways to show what is in another file as if it were its own: links, arrays that are stored elsewhere,
-arrays that are put together from others. A copy of such a dataset would hold the files of whoever made the copy.
+HDF5 has several ways to present the contents of another file as its own: links, external storage of arrays, and virtual
+arrays, which are assembled from others. A copy of such a dataset would contain files of the user who made the copy.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from spatula_env.data.files import DatasetDamaged, inside
 
 
 def check_contained(data: Path, main_file: str, count: int) -> None:
-    """Check that all that is read of a dataset is in its folder, by going through all of it.
+    """Check that everything that is read of a dataset is in its folder, by going through all of its files.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
         main_file: Name of the file with all episodes, or with links to them.
-        count: How many episodes it has.
+        count: Number of episodes.
 
     Raises:
-        DatasetDamaged: If not, or if it cannot be read.
+        DatasetDamaged: If something is outside, or if the dataset cannot be read.
     """
     for file in check_main_file(data, main_file, count).values():
         check_episode_file(data, file)
 
 
 def check_main_file(data: Path, main_file: str, count: int) -> dict[int, str]:
-    """Check that nothing leads out of the folder of a dataset, leaving aside what is in the files of its episodes.
+    """Check that nothing leads out of a dataset's folder. The contents of its episodes' files are not checked.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
         main_file: Name of the file with all episodes, or with links to them.
-        count: How many episodes it has.
+        count: Number of episodes.
 
     Returns:
-        The file of each episode, from `data`, by the episode's number; those in the main file itself are left out.
+        The file of each episode, relative to `data`, by the episode's number; without those in the main file itself.
 
     Raises:
         DatasetDamaged: If something does, if an episode is missing, or if the main file cannot be read.
@@ -54,7 +54,7 @@ def check_main_file(data: Path, main_file: str, count: int) -> dict[int, str]:
         name = f"episode_{number}"
         if name not in names:
             raise DatasetDamaged(f"episode {number} is missing: it is not in {file}")
-        # There are links to episodes that are yet to come; and HDF5 would look for files in the current folder, too.
+        # There are links to episodes that do not exist yet; and HDF5 would search the current folder, too.
         if name in links:
             if os.path.normpath(links[name]) not in there:
                 raise DatasetDamaged(f"episode {number} is missing: there is no {data / links[name]}")
@@ -63,11 +63,11 @@ def check_main_file(data: Path, main_file: str, count: int) -> dict[int, str]:
 
 
 def check_episode_file(data: Path, name: str) -> None:
-    """Check that a file of a dataset shows nothing of another one.
+    """Check that a file of a dataset does not refer to another file.
 
     Args:
-        data: The folder "data" in that of the dataset.
-        name: Of the file, from there.
+        data: The folder "data" in the dataset's folder.
+        name: Path of the file, relative to `data`.
 
     Raises:
         DatasetDamaged: If it does, or cannot be read.
@@ -76,16 +76,16 @@ def check_episode_file(data: Path, name: str) -> None:
 
 
 def check_no_links(data: Path) -> set[str]:
-    """Check that there are no links in the folder of a dataset, and that it is none.
+    """Check that there are no links in the folder of a dataset, and that it is not a link itself.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
 
     Returns:
-        The files that there are, from `data`.
+        The files that exist, relative to `data`.
 
     Raises:
-        DatasetDamaged: If there is one.
+        DatasetDamaged: If there is a link.
     """
     inside(data.parent, data.name)
     found: set[str] = set()
@@ -98,23 +98,23 @@ def check_no_links(data: Path) -> set[str]:
 
 
 def _is_below(name: str) -> bool:
-    """Whether a path leads from a folder to what is in it, whichever system reads it."""
+    """Whether a relative path stays below its folder, on any operating system."""
     paths = (PurePosixPath(name), PureWindowsPath(name))
     return not any(path.drive or path.root or ".." in path.parts for path in paths)
 
 
 def _check_file(path: Path, *, links_to_files: bool = False) -> tuple[set[str], Mapping[str, str]]:
-    """Check that an HDF5 file shows nothing of another one; what it has at the top may be links if that is allowed.
+    """Check that an HDF5 file does not refer to another; with `links_to_files`, top-level entries may be links.
 
     Returns:
-        The names at the top, and the files that those lead to which are links.
+        The names at the top level, and the target files of those that are links.
     """
     import h5py
 
     names: set[str] = set()
     external: list[bytes] = []
 
-    # These are called by HDF5, through which no error passes: what they return ends the visit.
+    # HDF5 calls these functions and does not propagate exceptions: a value that they return ends the visit.
     def linked(name: bytes, info: Any) -> str | None:
         if b"/" not in name:
             names.add(os.fsdecode(name))

@@ -1,8 +1,8 @@
-"""Datasets for d3rlpy, which learns from them without an environment.
+"""Conversion of datasets for d3rlpy, which learns from them without an environment.
 
-d3rlpy 2.8 has a loader for Minari's datasets, `d3rlpy.datasets.get_minari`, that joins the observations of all
-episodes, of which each has one more than actions, and then counts both alike: in episode k every observation is k
-steps away from its action. Here each episode is converted by itself. Needs `pip install d3rlpy`.
+d3rlpy 2.8 has a loader for Minari's datasets, `d3rlpy.datasets.get_minari`. It concatenates the observations of all
+episodes, of which each has one more than it has actions, and then indexes both alike: in episode k every observation is
+k steps away from its action. Here each episode is converted separately. Needs `pip install d3rlpy`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from spatula_env.data.replaying import open_dataset
 
 
 def load_d3rlpy(dataset_id: str, root: str | Path | None = None, *, successes_only: bool = False) -> Any:
-    """A recorded dataset as d3rlpy's replay buffer.
+    """Load a recorded dataset as d3rlpy's replay buffer.
 
-    Observation t of an episode is what action t answered to. The last observation of an episode, on which nobody
-    acted, has no place in d3rlpy: where an episode was cut, the last step is therefore not learnt from, and where it
-    terminated what follows is worth nothing. An episode that its operator broke off counts as cut.
+    Action t of an episode is the response to observation t. The last observation of an episode, which no action
+    followed, has no place in d3rlpy: the last step of a truncated episode is therefore not learnt from, and after
+    termination the value is zero. An episode that its operator ended counts as truncated.
 
     Args:
         dataset_id: Such as "spatula/press/human-v0".
@@ -30,12 +30,12 @@ def load_d3rlpy(dataset_id: str, root: str | Path | None = None, *, successes_on
 
     Returns:
         A `d3rlpy.dataset.ReplayBuffer` with (T, O) observations, (T, A) actions and (T, 1) rewards for each episode;
-        with the goal interface, observations are "observation" and "desired_goal" one after the other.
+        with the goal interface, observations are "observation" and "desired_goal", concatenated.
 
     Raises:
         FileNotFoundError: If there is no such dataset.
         ImportError: If d3rlpy or Minari is missing.
-        ValueError: If observations are no vector, or no episode is left.
+        ValueError: If observations are not vectors, or no episode is left.
     """
     try:
         from d3rlpy.dataset import Episode, create_infinite_replay_buffer

@@ -1,15 +1,15 @@
-"""A dataset on disk in Minari's format, written so that nothing that was written is ever lost.
+"""A dataset on disk in Minari's format, written so that no episode is ever lost once it has been written.
 
-Minari keeps all episodes in one HDF5 file, and a program that is killed while it writes to it can take all with it.
+Minari keeps all episodes in one HDF5 file, and a program that is killed while it writes to it can destroy all of them.
 Here every episode is a file of its own, and ``main_data.hdf5`` holds external links to them, which HDF5 follows by
-itself. Every file is written under another name, brought to the disk, and renamed: there is the old one or the new one
-and nothing in between. The order is episode, links, index, metadata; a reader takes the number of episodes from the
-metadata. There are links to more episodes than there are, so that they need not be written anew for each.
+itself. Every file is written under another name, flushed to the disk, and renamed: at any time, either the old or the
+new file is there. The order is episode, links, index, metadata; a reader takes the number of episodes from the
+metadata. There are more links than episodes, so that they need not be rewritten for each.
 
 Any number of programs may write to a dataset: an episode is added under a lock.
 
-Minari's own `DataCollector` needs JAX for no more than to append to lists, and stores pictures as JPEG by default; here
-they are lossless, see `pictures`.
+Minari's own `DataCollector` needs JAX only to append to lists, and stores pictures as JPEG by default; here they are
+lossless, see `pictures`.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     import gymnasium
 
 LINKS = "links"
-"""Under which they keep how many links there are."""
+"""Key of the number of links in the metadata."""
 FIRST_LINKS = 64
-"""How many there are at first; they double."""
+"""Number of links at first; it is doubled when they are used up."""
 AUTHOR = "unknown"
 NAME = re.compile(r"(?P<namespace>[-\w]+(/[-\w]+)*/)?[-\w]+-v\d+")
 
@@ -64,10 +64,10 @@ class DatasetWriter:
     Several programs may write to a dataset; each adds its episodes after those that are there.
 
     Attributes:
-        dataset_id: By which `minari.load_dataset` finds it, as "spatula/press/human-v0".
+        dataset_id: Id by which `minari.load_dataset` finds it, as "spatula/press/human-v0".
         path: Its folder.
-        total_episodes: How many episodes there are, as of the last `add`.
-        total_steps: How many steps they have.
+        total_episodes: Number of episodes, as of the last `add`.
+        total_steps: Number of steps in all episodes.
         last_seed: The greatest seed of an episode; None if none has one.
     """
 
@@ -86,26 +86,26 @@ class DatasetWriter:
         several_settings: bool = False,
         path: Path | None = None,
     ) -> None:
-        """Make the dataset, or go on with it.
+        """Create the dataset, or open an existing one to add to it.
 
         Args:
             dataset_id: "namespace/name-v0"; the namespace may have several parts.
-            env: What the episodes are of; its `spec` is stored, so that the environment can be made again.
+            env: Environment of the episodes; its `spec` is stored, so that the environment can be made again.
             root: Folder of all datasets; Minari's own by default, ``MINARI_DATASETS_PATH`` or ``~/.minari/datasets``.
-            author: Who makes the episodes; kept with each of them.
-            description: What it is.
-            algorithm_name: How it was made.
-            author_email: Where to reach the author.
+            author: Author of the episodes; stored with each of them.
+            description: Description of the dataset.
+            algorithm_name: How the episodes were made.
+            author_email: The author's address.
             code_permalink: Where the code is.
-            layout: What the numbers are called; None takes it from `env`.
-            several_settings: Whether `env` may have other options than the episodes that are there. Each episode
-                then keeps its own.
-            path: Its folder, if that is another one than its id says.
+            layout: Names of the numbers; None takes them from `env`.
+            several_settings: Whether `env` may have other options than the existing episodes. Each episode then keeps
+                its own.
+            path: The dataset's folder, if it is not the one that follows from the id.
 
         Raises:
             ImportError: If Minari, h5py or filelock is missing.
             ValueError: If the id is malformed, there is such a dataset of another environment or with other options,
-                or `env` has a specification, or pictures, that cannot be kept.
+                or `env` has a specification, or pictures, that cannot be stored.
             DatasetDamaged: If there is a link in its folder, or its metadata cannot be read.
             DatasetWriteError: If it cannot be written.
         """
@@ -126,7 +126,7 @@ class DatasetWriter:
             origin.check(read_metadata(self._data), dataset_id, self.path, several_settings=several_settings)
         encodes = check_pictures(env)
         try:
-            # Before anything is made.
+            # Checked before anything is created.
             check_can_write(self._data / EPISODES)
             (self._data / EPISODES).mkdir(parents=True, exist_ok=True)
             with write_lock(self.path):
@@ -166,20 +166,20 @@ class DatasetWriter:
         """Add an episode. When this returns, it is on the disk.
 
         Args:
-            episode: What to add.
+            episode: The episode.
 
         Returns:
             Its number.
 
         Raises:
-            DatasetDamaged: If there is a link in its folder.
-            DatasetWriteError: If it could not be written, because the disk is full, for example. The dataset is as
-                before, and can be added to later.
+            DatasetDamaged: If there is a link in the dataset's folder.
+            DatasetWriteError: If it could not be written, because the disk is full, for example. The dataset is
+                unchanged, and can be added to later.
         """
         _check_own(self.path)
         try:
             with write_lock(self.path):
-                # Somebody else may have added some.
+                # Another program may have added episodes.
                 self._take(self._with_index(read_metadata(self._data)))
                 return self._add(episode)
         except OSError as error:
@@ -190,7 +190,7 @@ class DatasetWriter:
         own = dict(metadata[KEY])
         own[SPECS], spec = _with(own[SPECS], self._spec)
         author = str(episode.attributes.get("author", self._author))
-        # The first author of a dataset without episodes is who has made it, and may not have done any.
+        # The author in an empty dataset is the one who created it, and need not be the author of an episode.
         metadata["author"], _ = _with(metadata.get("author", []) if number else [], author)
         known = replace(episode, attributes={**episode.attributes, "author": author, "spec": spec})
         content = episode_image(known, number, self._spaces if metadata.get(ENCODED) else {})
@@ -215,19 +215,19 @@ class DatasetWriter:
         return number
 
     def _store(self, metadata: dict[str, Any]) -> None:
-        """Write the metadata: from now on, all that was written before counts."""
+        """Write the metadata, which makes everything that was written before a valid part of the dataset."""
         write_file(self._metadata_file, json.dumps(metadata).encode())
         self._take(metadata)
 
     def _take(self, metadata: dict[str, Any]) -> None:
-        """Know what there is."""
+        """Update the attributes from metadata."""
         self._metadata = metadata
         self.total_episodes = int(metadata["total_episodes"])
         self.total_steps = int(metadata.get("total_steps", 0))
         self.last_seed = metadata.get("last_seed")
 
     def _with_index(self, metadata: dict[str, Any]) -> dict[str, Any]:
-        """The metadata of a dataset, and its index if an older version wrote it without one."""
+        """Build the index of a dataset if an older version wrote it without one; returns the updated metadata."""
         own = dict(metadata.get(KEY) or {})
         if LENGTH in own:
             return metadata
@@ -237,7 +237,7 @@ class DatasetWriter:
         return {**metadata, KEY: own}
 
     def _link(self, count: int) -> None:
-        """Write the main file with links to so many episodes."""
+        """Write the main file with links to `count` episodes."""
         _, h5py = require_minari()
         with h5py.File("links", "w", driver="core", backing_store=False, track_order=True) as main:
             for number in range(count):
@@ -254,7 +254,7 @@ class DatasetWriter:
 
 
 def register_namespaces(dataset_id: str, root: str | Path | None = None) -> None:
-    """Let Minari list a dataset: folders on the way to it are namespaces.
+    """Let Minari list a dataset, by marking the folders on the way to it as namespaces.
 
     Args:
         dataset_id: Its id.
@@ -270,16 +270,16 @@ def register_namespaces(dataset_id: str, root: str | Path | None = None) -> None
 
 
 def check_target(dataset_id: str, env: gymnasium.Env[Any, Any], root: str | Path | None = None) -> None:
-    """Check that episodes of an environment can be added to a dataset, whether it is there or not. Nothing is made.
+    """Check that episodes of an environment can be added to a dataset, existing or not. Nothing is created.
 
     Args:
         dataset_id: Its id.
-        env: What the episodes are to be of.
+        env: The environment of the episodes.
         root: Folder of all datasets; Minari's own by default.
 
     Raises:
         ImportError: As by `DatasetWriter`.
-        ValueError: Likewise.
+        ValueError: As by `DatasetWriter`.
         OSError: If it cannot be written.
     """
     require_minari()
@@ -294,10 +294,10 @@ def check_target(dataset_id: str, env: gymnasium.Env[Any, Any], root: str | Path
 
 
 def check_pictures(env: gymnasium.Env[Any, Any]) -> bool:
-    """Whether the pictures of an environment are kept encoded.
+    """Whether the pictures of an environment are stored encoded.
 
     Raises:
-        ValueError: If they cannot be, and the Minari that is installed reads no others.
+        ValueError: If they cannot be encoded, and the installed Minari reads no others.
     """
     if can_be_encoded(env.observation_space, env.action_space):
         return True
@@ -310,13 +310,13 @@ def check_pictures(env: gymnasium.Env[Any, Any]) -> bool:
 
 
 def check_dataset_id(dataset_id: str) -> None:
-    """Check that Minari takes a name for a dataset.
+    """Check that Minari accepts a dataset's name.
 
     Raises:
-        ValueError: If not; says one that it takes.
+        ValueError: If it does not; suggests a name that it accepts.
     """
     found = NAME.fullmatch(dataset_id)
-    # Minari takes no namespace of one letter.
+    # Minari does not accept a namespace of one letter.
     if found is not None and len(found["namespace"] or "...") > 2:
         return
     words, version = re.fullmatch(r"(.*?)(-v\d+)?", dataset_id.strip("/ "), re.DOTALL).groups()  # type: ignore[union-attr]
@@ -340,7 +340,7 @@ def dataset_folder(dataset_id: str, root: str | Path | None = None) -> Path:
         root: Folder of all datasets; Minari's own by default.
 
     Raises:
-        ValueError: If Minari takes no such name, or the folder is a link to a place outside `root`.
+        ValueError: If Minari does not accept the name, or the folder is a link to a place outside `root`.
     """
     if root is None:
         root = os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets"
@@ -357,7 +357,7 @@ def dataset_folder(dataset_id: str, root: str | Path | None = None) -> Path:
 
 
 def read_layout(dataset_id: str, root: str | Path | None = None) -> Layout:
-    """What a dataset's numbers are called; empty if it does not say.
+    """The layout of a dataset's numbers; empty if the dataset has none.
 
     Args:
         dataset_id: Its id.
@@ -384,13 +384,13 @@ def require_minari() -> tuple[ModuleType, ModuleType]:
 
 
 def _check_own(folder: Path) -> None:
-    """Check that what is written into a dataset comes into its folder, and nowhere else."""
+    """Check that no link in a dataset's folder would lead what is written to a place outside."""
     inside(folder, "data", EPISODES)
     for name in (METADATA_FILE, MAIN_FILE, INDEX_FILE):
         inside(folder, "data", name)
 
 
 def _with(values: list[str], value: str) -> tuple[list[str], int]:
-    """A list that has a value, and where."""
+    """The list with the value in it, appended if it was missing, and the value's index."""
     found = values if value in values else [*values, value]
     return found, found.index(value)

@@ -1,4 +1,4 @@
-"""Pictures of recorded states: no physics takes part."""
+"""Pictures of recorded states, drawn without physics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def recorded_scene(layout: Layout) -> Scene:
     """
     from spatula_env import scenes
 
-    # Only what this package has: a file must not name code that is then run.
+    # Only scenes of this package: a file must not be able to name code that is then run.
     maker = getattr(scenes, layout.scene, None) if layout.scene in scenes.__all__ else None
     if not callable(maker):
         raise ValueError(f"the dataset must name a scene of spatula_env.scenes, got {layout.scene!r}")
@@ -33,17 +33,17 @@ def recorded_scene(layout: Layout) -> Scene:
 
 
 def scene_triangles(scene: Scene) -> NDArray[np.int32]:
-    """(T, 3) of all organs, as their nodes are recorded."""
+    """(T, 3) triangles of all organs, with nodes in the recorded order."""
     starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
     rows = [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
     return np.concatenate(rows).astype(np.int32)
 
 
 def recorded_moments(episode: Any) -> Iterator[Moment]:
-    """What there is to see at the reset and after every step of an episode: organ and tools.
+    """Iterate over the visible state, organ and tools, at the reset and after every step of an episode.
 
     Args:
-        episode: As Minari gives it.
+        episode: An episode from Minari.
 
     Raises:
         ValueError: If it was recorded without states.
@@ -65,12 +65,12 @@ class StatePainter:
     """
 
     def __init__(self, layout: Layout, height: int, width: int) -> None:
-        """Prepare.
+        """Make the recorded scene ready to be drawn.
 
         Args:
-            layout: Of the dataset.
-            height: Of the pictures [pixels].
-            width: Of the pictures [pixels].
+            layout: Layout of the dataset.
+            height: Height of the pictures [pixels].
+            width: Width of the pictures [pixels].
 
         Raises:
             ValueError: If the dataset does not say in which scene it was recorded.

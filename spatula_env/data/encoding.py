@@ -15,32 +15,32 @@ from spatula_env.data.episode import Episode
 from spatula_env.data.pictures import encode_pictures, is_picture
 
 COMPRESSION = 4
-"""Of arrays of numbers, lossless."""
+"""Deflate level for arrays of numbers, lossless."""
 SMALL = 4096
-"""Arrays up to this size are kept with their description, unless they can be compressed [bytes]."""
+"""Arrays up to this size are stored in their header, unless they can be compressed [bytes]."""
 ONE_CHUNK = 1 << 20
 """Arrays up to this size are one chunk, longer ones several of about this size [bytes]."""
 FORMAT = "v110"
-"""The oldest HDF5 that reads the files. Older formats need half as much again for short episodes."""
+"""The oldest HDF5 format that reads the files. In older formats, files of short episodes are half as large again."""
 LEAF = "value"
-"""What a value is called that has the name of a group: an `info` with both "reward" and "reward/term"."""
+"""Name of a value whose own name is that of a group, as in an `info` with both "reward" and "reward/term"."""
 
 
 def episode_image(
     episode: Episode, number: int, encoded: Mapping[str, spaces.Space[Any]] = MappingProxyType({})
 ) -> bytes:
-    """The bytes of an episode's file.
+    """Encode an episode as the bytes of its file.
 
-    Made in memory first: then only plain writes can fail, and those say why.
+    The file is made in memory first, so that only plain writes can fail, whose errors say why.
 
     Args:
-        episode: What to encode.
-        number: Of the episode in its dataset.
-        encoded: Spaces of "observations" and "actions" whose pictures are kept as PNG.
+        episode: The episode.
+        number: Number of the episode in its dataset.
+        encoded: Spaces of "observations" and "actions" whose pictures are stored as PNG.
     """
     import h5py
 
-    # Nothing is ever taken out of the file: space between what is in it need not be managed.
+    # Nothing is ever removed from the file, so its free space need not be managed.
     with h5py.File(
         "episode", "w", driver="core", backing_store=False, libver=(FORMAT, FORMAT), fs_strategy="none"
     ) as file:
@@ -84,7 +84,7 @@ def _put_array(group: Any, name: str, array: Any, *, text: bool = False) -> None
     created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     created.set_obj_track_times(False)
     if array.nbytes > SMALL or _is_compressible(array):
-        # Whole steps: what is read is episodes, or steps of them.
+        # Chunks of whole steps, because readers read episodes or steps of them.
         steps = max(1, ONE_CHUNK * len(array) // array.nbytes)
         created.set_chunk((min(steps, len(array)), *array.shape[1:]))
         created.set_shuffle()
@@ -107,7 +107,7 @@ def _is_compressible(array: Any) -> bool:
 
 
 def _flat(value: Mapping[str, Any], parent: str) -> dict[str, Any]:
-    """Mappings in mappings as one, with paths for names, as Minari reads them."""
+    """Flatten nested mappings into one with paths as names, as Minari reads them."""
     flat: dict[str, Any] = {}
     for name, each in value.items():
         path = f"{parent}/{name}"
@@ -116,7 +116,7 @@ def _flat(value: Mapping[str, Any], parent: str) -> dict[str, Any]:
 
 
 def _as_attribute(value: Any) -> Any:
-    """A value as an attribute has it; what HDF5 does not know, as text in JSON."""
+    """Convert a value for an HDF5 attribute; types that HDF5 does not support become text in JSON."""
     array = (
         np.asarray(value) if isinstance(value, bool | int | float | np.generic | np.ndarray | list | tuple) else None
     )

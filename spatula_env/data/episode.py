@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     import gymnasium
 
 STATE = "state"
-"""Where `info` of a recorded step keeps the physics' state."""
+"""Key of the physics' state in the `info` of a recorded step."""
 StateType: TypeAlias = Literal["float32", "float64"]
 STATE_TYPES = ("float32", "float64")
-"""How precisely states can be recorded. Single precision is 5e-7 of a scene unit on an organ of the presets."""
+"""Types in which states can be recorded. Single precision is 5e-7 of a scene unit on an organ of the presets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +30,14 @@ class Episode:
 
     Attributes:
         observations: (T + 1, …) each, in the structure of the observation space.
-        actions: (T, A) what was done.
+        actions: (T, A).
         rewards: (T,).
         terminations: (T,).
         truncations: (T,); the last is set if the operator ended the episode.
         infos: (T + 1, …) each, in the structure of `info`; the first is that of the reset.
-        seed: Of the reset.
-        options: Of the reset.
-        attributes: What else there is to tell: ``operator``, ``device``, ``success`` …; numbers and text.
+        seed: Seed of the reset.
+        options: Options of the reset.
+        attributes: Further information: ``operator``, ``device``, ``success`` …; numbers and text.
     """
 
     observations: Any
@@ -51,27 +51,27 @@ class Episode:
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        """T."""
+        """Number of steps T."""
         return len(self.rewards)
 
 
 class EpisodeRecorder:
-    """Collects what happens in an episode.
+    """Collects the steps of an episode.
 
-    `info` may have keys that come late or vanish: where a number is missing there is NaN, 0 or False, where a text is
-    missing "", and a key ``_name`` tells where ``name`` was there, as in Gymnasium's vector environments. Values that
-    make no array, because their shapes or types vary, are kept as text in JSON.
+    Keys of `info` may appear late or vanish: a missing number is recorded as NaN, 0 or False, a missing text as "", and
+    a key ``_name`` records where ``name`` was there, as in Gymnasium's vector environments. Values that cannot be
+    stacked into an array, because their shapes or types vary, are stored as text in JSON.
     """
 
     def __init__(
         self, env: gymnasium.Env[Any, Any], *, states: bool = True, state_dtype: StateType = "float32"
     ) -> None:
-        """Prepare.
+        """Create a recorder for an environment.
 
         Args:
             env: A Spatula environment for one agent, wrapped or not.
             states: Whether to record the state of the physics too: nodes of the organ, poses of the tools.
-            state_dtype: How precisely: "float32" or "float64". A replay is checked as precisely as that.
+            state_dtype: Type of recorded states, "float32" or "float64"; a replay is checked with that precision.
 
         Raises:
             ValueError: If `state_dtype` is another one.
@@ -89,7 +89,7 @@ class EpisodeRecorder:
         self._options: Mapping[str, Any] | None = None
 
     def __len__(self) -> int:
-        """How many steps have been recorded."""
+        """Number of recorded steps."""
         return len(self._actions)
 
     def begin(
@@ -99,16 +99,16 @@ class EpisodeRecorder:
         seed: int | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        """Begin another episode; what has been recorded before is forgotten.
+        """Begin another episode and discard what has been recorded before.
 
         Args:
-            observation: Of the reset.
-            info: Of the reset.
-            seed: Given to it.
-            options: Given to it.
+            observation: Observation of the reset.
+            info: Info of the reset.
+            seed: Seed given to the reset.
+            options: Options given to the reset.
 
         Raises:
-            ValueError: If no dataset can keep the seed.
+            ValueError: If no dataset can store the seed.
         """
         check_seed(seed)
         self._observations, self._infos = [_copy(observation)], [self._kept(info)]
@@ -121,12 +121,12 @@ class EpisodeRecorder:
         """Add a step.
 
         Args:
-            action: What was done.
-            observation: Of the step.
-            reward: Of the step.
-            terminated: Of the step.
-            truncated: Of the step.
-            info: Of the step.
+            action: The action.
+            observation: Observation after the step.
+            reward: Reward of the step.
+            terminated: Whether the step terminated the episode.
+            truncated: Whether the step truncated the episode.
+            info: Info of the step.
         """
         kept = self._kept(info)
         self._actions.append(np.array(action, dtype=self._action_type))
@@ -135,7 +135,7 @@ class EpisodeRecorder:
         self._outcomes.append((float(reward), bool(terminated), bool(truncated)))
 
     def finish(self, **attributes: Any) -> Episode:
-        """What has been recorded.
+        """The recorded episode. Unless it terminated, its last step counts as truncated.
 
         Args:
             **attributes: See `Episode.attributes`.
@@ -161,7 +161,7 @@ class EpisodeRecorder:
         )
 
     def _kept(self, info: Mapping[str, Any]) -> dict[str, Any]:
-        # The action is recorded on its own.
+        # The action is recorded separately.
         kept = {name: _copy(value) for name, value in info.items() if name != "action"}
         if self._simulation is not None:
             state = physics_state(self._simulation)
@@ -170,7 +170,7 @@ class EpisodeRecorder:
 
 
 def physics_state(simulation: Any) -> dict[str, NDArray[np.float64]]:
-    """What can be compared when an episode is replayed: "nodes" (V, 3), "tools" (N, 7) places and quaternions [u]."""
+    """The state to compare in a replay: "nodes" (V, 3), and "tools" (N, 7), positions and quaternions [u]."""
     tools = np.concatenate([simulation.tool_positions, simulation.tool_orientations], axis=1)
     return {"nodes": np.array(simulation.nodes), "tools": tools}
 
@@ -181,21 +181,21 @@ def _copy(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return np.array(value)
     if isinstance(value, list | tuple | set):
-        # What cannot be copied is told as it is in the end.
+        # A value that cannot be copied is recorded as it is at the end of the episode.
         with suppress(Exception):
             return copy.deepcopy(value)
     return value
 
 
 class _Absent:
-    """In place of a value that was not there in a step."""
+    """Placeholder for a value that is missing in a step."""
 
 
 ABSENT = _Absent()
 
 
 def _stack(values: list[Any]) -> Any:
-    """What came step by step as arrays of T + 1 rows; text as a list."""
+    """Stack the values of steps into arrays of T + 1 rows; text into a list."""
     there = [value for value in values if value is not ABSENT]
     if all(isinstance(value, Mapping) for value in there):
         return _stack_mappings(values)
@@ -221,14 +221,14 @@ def _stack_mappings(values: list[Any]) -> dict[str, Any]:
     for name in names:
         column = [ABSENT if value is ABSENT else value.get(name, ABSENT) for value in values]
         stacked[name] = _stack(column)
-        # Where a whole mapping is missing, its own mask tells.
+        # Where the whole mapping is missing, the mapping's own mask says so.
         if any(each is ABSENT and value is not ABSENT for each, value in zip(column, values, strict=True)):
             stacked.setdefault(f"_{name}", np.array([each is not ABSENT for each in column]))
     return stacked
 
 
 def _in_json(value: Any) -> Any:
-    """What JSON does not know, as well as it can be told."""
+    """Represent a value of a type that JSON does not support as well as possible."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     return sorted(map(str, value)) if isinstance(value, set | frozenset) else repr(value)

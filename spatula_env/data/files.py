@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and locks that end with the program that holds them."""
+"""Atomic writing of a dataset's files, and locks that are released when the program that holds them ends."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from typing import Any
 from spatula_env.installing import install_hint
 
 WRITE_LOCK = ".lock"
-"""Held while something is added to a dataset; the name of a file in its folder."""
+"""Name of the lock file in a dataset's folder that is held while something is added to the dataset."""
 RECORDING_LOCK = ".recording.lock"
-"""Held as long as somebody records into a dataset; likewise."""
+"""Name of the lock file in a dataset's folder that is held as long as a program records into the dataset."""
 NEW = ".new"
-"""How files that are being written end; their names begin with a dot."""
+"""Ending of files that are being written; their names begin with a dot."""
 PATIENCE = 60.0
 """How long a writer waits for another one [s]."""
 
 
 JUNCTION = 0xA0000003
-"""By which Windows marks a link of its own to a folder."""
+"""Reparse tag of a junction, which is a link to a folder on Windows."""
 
 
 class DatasetDamaged(ValueError):
-    """Something of a dataset is missing or cannot be read; the message says what."""
+    """A part of a dataset is missing or cannot be read; the message says which."""
 
 
 class DatasetBusy(OSError):
@@ -35,11 +35,11 @@ class DatasetBusy(OSError):
 
 
 def inside(folder: Path, *names: str) -> Path:
-    """The path of something in the folder of a dataset, which may come from anywhere: no links are followed there.
+    """The path of something in a dataset's folder, checked to have no links, as datasets may come from anywhere.
 
     Args:
-        folder: Of the dataset; itself not looked at.
-        *names: Of the folders below it, and at last of what is meant, whether it is there or not.
+        folder: Folder of the dataset; it is not checked itself.
+        *names: Names of the folders below it and, last, of the file or folder itself, which need not exist.
 
     Raises:
         DatasetDamaged: If one of them is a link, or neither a file nor a folder.
@@ -59,9 +59,9 @@ def inside(folder: Path, *names: str) -> Path:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file: it has its old content or the new one, whatever happens. A link of that name is replaced."""
+    """Write a file atomically: whatever happens, it has the old or the new content. A link of that name is replaced."""
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
-    # Whatever somebody has put there, a link for instance, is not written through.
+    # If there is a link of this name, it must not be written through.
     new.unlink(missing_ok=True)
     try:
         with new.open("xb") as file:
@@ -76,19 +76,19 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove what programs have left in a folder that were killed while they wrote files; nobody else may be at it."""
+    """Remove files that killed programs have left unfinished in a folder; the write lock must be held."""
     for path in folder.glob(f".*{NEW}"):
-        # It does no harm if it stays.
+        # A file that cannot be removed does no harm.
         with suppress(OSError):
             path.unlink()
 
 
 def append_to_file(path: Path, start: int, content: bytes) -> None:
-    """Write at a place in a file, of which nothing is left beyond what is written; what is before stays as it is.
+    """Write at an offset in a file and cut off the rest; what is before the offset is unchanged.
 
     Args:
-        path: Of the file; made if it is not there.
-        start: Where [bytes].
+        path: Path of the file; it is created if it does not exist.
+        start: The offset [bytes].
         content: What to write.
 
     Raises:
@@ -106,10 +106,10 @@ def append_to_file(path: Path, start: int, content: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring a renaming in a folder to the disk, where the system can. Windows has no such call, and needs none."""
+    """Flush a renaming in a folder to the disk, where the system can. Windows has no such call, and needs none."""
     if os.name == "nt":
         return
-    # The renaming itself is done, and programs see it: it must not seem to have failed.
+    # The renaming itself is done and visible to programs, so an error here must not look as if it had failed.
     with suppress(OSError):
         opened = os.open(folder, os.O_RDONLY)
         try:
@@ -119,10 +119,12 @@ def sync_folder(folder: Path) -> None:
 
 
 def check_can_write(folder: Path) -> None:
-    """Check that files can be made in a folder, or in the one in which it would have to be made. Nothing is left.
+    """Check that files can be created in a folder or, if it does not exist, in the one above that does.
+
+    Nothing is left behind.
 
     Raises:
-        OSError: If not; says which folder it is.
+        OSError: If they cannot; says in which folder.
     """
     there = folder.absolute()
     while not there.exists():
@@ -135,22 +137,22 @@ def check_can_write(folder: Path) -> None:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         told = type(error)(f"{folder} cannot be written to: {reason} in {there}")
-        # Not given above, where it would come before the sentence, as "[Errno 13]".
+        # Set afterwards: as an argument it would be printed before the sentence, as "[Errno 13]".
         told.errno = error.errno
         raise told from error
 
 
 @contextmanager
 def write_lock(folder: Path) -> Iterator[None]:
-    """Be the only one that writes to a dataset, for as long as a ``with`` block lasts.
+    """Hold the exclusive right to write to a dataset during a ``with`` block.
 
-    The system takes the lock from a program that ends, however it ends.
+    The system releases the lock of a program that ends, however it ends.
 
     Args:
-        folder: Of the dataset.
+        folder: Folder of the dataset.
 
     Raises:
-        TimeoutError: If somebody else writes for a minute.
+        TimeoutError: If another program writes for a minute.
     """
     filelock = require_filelock()
     try:
@@ -162,14 +164,14 @@ def write_lock(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def recording_lock(folder: Path, dataset_id: str) -> Iterator[None]:
-    """Be the only one that records into a dataset: two at a time would do the same seeds.
+    """Hold the exclusive right to record into a dataset: two programs at a time would use the same seeds.
 
     Args:
-        folder: Of the dataset; made if it is not there, and then removed if nothing has come into it.
+        folder: Folder of the dataset; it is created if it does not exist, and then removed if it stays empty.
         dataset_id: Its id, for the error.
 
     Raises:
-        DatasetBusy: If somebody else records into it.
+        DatasetBusy: If another program records into it.
     """
     filelock = require_filelock()
     top = folder
@@ -194,7 +196,7 @@ def recording_lock(folder: Path, dataset_id: str) -> Iterator[None]:
 
 
 def _remove_empty(folder: Path, top: Path) -> None:
-    """Remove a folder in which there is no more than locks, and those above it that were made for it."""
+    """Remove a folder that contains only locks, and the folders above it, up to `top`, that were made for it."""
     try:
         for name in (RECORDING_LOCK, WRITE_LOCK):
             (folder / name).unlink(missing_ok=True)
@@ -204,7 +206,7 @@ def _remove_empty(folder: Path, top: Path) -> None:
                 break
             folder = folder.parent
     except OSError:
-        # Somebody has put something there, or the system does not remove what is open. It does no harm.
+        # The folder is not empty, or the system does not remove files that are open. A folder that stays does no harm.
         pass
 
 

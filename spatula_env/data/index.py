@@ -1,7 +1,7 @@
-"""The index of a dataset: a record of each episode, so that listing opens none.
+"""The index of a dataset: a record of each episode, so that listing them opens no episode.
 
-A line of JSON for each episode. The dataset's metadata say how long the file is: what a program that was killed has
-written beyond that does not count, and the next line takes its place.
+The file has a line of JSON for each episode. The dataset's metadata say how long it is: anything beyond that was
+written by a program that was killed; it is ignored, and overwritten by the next line.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ MAIN_FILE = "main_data.hdf5"
 EPISODES = "episodes"
 """Folder with the episodes' files, beside the main file."""
 SPECS = "env_specs"
-"""Under which the metadata keep the specifications of the episodes' environments."""
+"""Key of the specifications of the episodes' environments in the metadata."""
 LENGTH = "index_bytes"
-"""Under which the metadata keep how long the index is."""
+"""Key of the length of the index in the metadata."""
 OWN_ATTRIBUTES = ("id", "seed", "total_steps", "options", "spec")
-"""Of an episode's attributes, those that follow from where it is."""
+"""Attributes in an episode's file that are not part of `Episode.attributes`: they follow from where the episode is."""
 PEAK_FORCE = "episode_peak_force"
 
 
 @dataclass(frozen=True)
 class EpisodeEntry:
-    """What the index tells of an episode.
+    """The index's record of an episode.
 
     Attributes:
-        steps: How many it has.
+        steps: Number of steps.
         total_reward: Sum of its rewards.
         peak_force: Greatest force on a tool [N]; None if that was not recorded.
-        seed: Of its reset; None if that is not known.
-        spec: Which of the dataset's specifications its environment has.
-        size: Of its file [bytes].
+        seed: Seed of its reset; None if that is not known.
+        spec: Index of its environment's specification in the dataset.
+        size: Size of its file [bytes].
         attributes: ``operator``, ``device``, ``success``, ``author`` …
     """
 
@@ -59,7 +59,7 @@ class EpisodeEntry:
 
     @classmethod
     def of(cls, episode: Episode, spec: int, size: int) -> EpisodeEntry:
-        """That of an episode that is about to be added."""
+        """Make the record of an episode that is about to be added."""
         peaks = episode.infos.get(PEAK_FORCE)
         return cls(
             steps=len(episode),
@@ -72,15 +72,15 @@ class EpisodeEntry:
         )
 
     def as_line(self) -> bytes:
-        """A line of the index."""
+        """The record as a line of the index."""
         return json.dumps(vars(self), default=repr).encode() + b"\n"
 
 
 def read_metadata(data: Path) -> dict[str, Any]:
-    """The metadata of a dataset.
+    """Read and check the metadata of a dataset.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
 
     Raises:
         FileNotFoundError: If there is no dataset.
@@ -97,28 +97,28 @@ def read_metadata(data: Path) -> dict[str, Any]:
 
 
 def check_harmless(data: Path) -> dict[int, str]:
-    """Check that a dataset can be opened by Minari without making what it names, or reading what is no part of it.
+    """Check that Minari can open a dataset without making an environment that it names or reading files outside it.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
 
     Returns:
-        Files of episodes that have not been looked into, by the episodes' numbers; see `check_main_file`.
+        Files of episodes that have not been checked inside, by the episodes' numbers; see `check_main_file`.
 
     Raises:
         FileNotFoundError: If there is no dataset.
-        DatasetDamaged: If not.
+        DatasetDamaged: If it cannot.
     """
     from minari.serialization import deserialize_space
 
     metadata = read_metadata(data)
     for name in ("observation_space", "action_space"):
-        # Else Minari makes the environment to ask it, and imports what the dataset says that it is made by.
+        # Otherwise Minari makes the environment to get its spaces, and so imports whatever the dataset names.
         if not isinstance(metadata.get(name), str):
             raise DatasetDamaged(f"{data / METADATA_FILE} has no {name}")
         try:
             deserialize_space(metadata[name])
-        # Gymnasium and Minari raise whatever they meet.
+        # Gymnasium and Minari may raise any exception.
         except Exception as error:
             raise DatasetDamaged(f"{data / METADATA_FILE} has an {name} that is none: {error}") from error
     for text in {metadata.get("env_spec"), *(metadata.get(KEY) or {}).get(SPECS, [])} - {None}:
@@ -130,15 +130,15 @@ def check_harmless(data: Path) -> dict[int, str]:
 
 
 def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[EpisodeEntry]:
-    """What there is to know of each episode. Datasets without an index are gone through.
+    """Read the records of all episodes. For a dataset without an index, they are made from the episodes.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
         metadata: Its metadata; None reads them.
 
     Raises:
         FileNotFoundError: If there is no dataset.
-        DatasetDamaged: If an episode is missing or cannot be read, or the index is not whole.
+        DatasetDamaged: If an episode is missing or cannot be read, or the index is not complete.
     """
     told = read_metadata(data) if metadata is None else metadata
     length = (told.get(KEY) or {}).get(LENGTH)
@@ -160,23 +160,23 @@ def read_index(data: Path, metadata: Mapping[str, Any] | None = None) -> list[Ep
 
 
 def count_specs(metadata: Mapping[str, Any]) -> int:
-    """How many specifications of environments a dataset has.
+    """Number of specifications of environments in a dataset.
 
     Args:
-        metadata: Of the dataset.
+        metadata: Metadata of the dataset.
     """
     return len((metadata.get(KEY) or {}).get(SPECS, [None]))
 
 
 def check_files(data: Path, entries: Sequence[EpisodeEntry]) -> None:
-    """Check that all files of a dataset are there, and as long as they were written.
+    """Check that all files of a dataset exist, with the sizes with which they were written.
 
     Args:
-        data: The folder "data" in that of the dataset.
+        data: The folder "data" in the dataset's folder.
         entries: Its index.
 
     Raises:
-        DatasetDamaged: If one is missing or shorter.
+        DatasetDamaged: If one is missing or has another size.
     """
     if not inside(data.parent, data.name, MAIN_FILE).is_file():
         raise DatasetDamaged(f"{data / MAIN_FILE} is missing")
@@ -198,9 +198,9 @@ def build_index(data: Path, count: int, specs: int = 1) -> list[EpisodeEntry]:
     """Make the index of a dataset that has none, by going through its episodes.
 
     Args:
-        data: The folder "data" in that of the dataset.
-        count: How many episodes it has.
-        specs: How many specifications of environments.
+        data: The folder "data" in the dataset's folder.
+        count: Number of episodes.
+        specs: Number of specifications of environments.
 
     Raises:
         DatasetDamaged: If an episode cannot be read.
@@ -246,7 +246,7 @@ def episode_file(data: Path, number: int) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """A value of NumPy's as Python has it."""
+    """Convert a NumPy value to plain Python, and bytes to text."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     return value.decode() if isinstance(value, bytes) else value

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import gymnasium
 
 KEY = "spatula_env"
-"""Under which a dataset's metadata keep a `Layout`."""
+"""Key of a `Layout` in a dataset's metadata."""
 VECTOR = "observation"
-"""What an observation is called that is one vector and no dictionary."""
+"""Name of an observation that is a single vector and not a dictionary."""
 
 
 @dataclass(frozen=True)
@@ -23,16 +23,16 @@ class Layout:
     """The layout of a dataset's numbers.
 
     Attributes:
-        observation_names: Of the last axis of each entry of an observation; `VECTOR` is that of a vector alone. Entries
-            without names, such as pictures, are not there.
-        action_names: Of the numbers of an action.
-        control_frequency: Control steps in a second; None if that is not known.
-        task: What is asked, in a sentence.
+        observation_names: Names along the last axis of each entry of an observation; the entry of a single vector is
+            `VECTOR`. Entries without names, such as pictures, are left out.
+        action_names: Names of the numbers of an action.
+        control_frequency: Control steps per second; None if that is not known.
+        task: What the task asks for, in a sentence.
         scene: Name of the scene in `spatula_env.scenes`.
-        lerobot_names: What LeRobot calls the entries of an observation.
+        lerobot_names: LeRobot's names of the entries of an observation.
         workspace_low: (3,) the corner of the tool's workspace, in which positions are given [m]; empty if not known.
         workspace_high: (3,) the opposite corner [m].
-        definition: Number of the definition of the task; None in the layout of what was not recorded by this package.
+        definition: Number of the definition of the task; None if the data were not recorded by this package.
     """
 
     observation_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -47,12 +47,12 @@ class Layout:
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> Layout:
-        """That of an environment; empty if it is not one of this package."""
+        """The layout of an environment; empty if it is not one of this package."""
         made: Any = getattr(env, "unwrapped", env)
         builder, control = getattr(made, "observation_builder", None), getattr(made, "control", None)
         if builder is None or control is None:
             return cls()
-        # Not above: it brings the physics, which an environment of this package has brought already.
+        # Imported here because it loads the physics, which an environment of this package has loaded already.
         from spatula_env.envs.observations import lerobot_keys
 
         goals = tuple(made.task.goal_names)
@@ -73,7 +73,7 @@ class Layout:
                 names = tuple(f"{entry}_{name}" for name in goals)
             else:
                 names = named.get(entry, ())
-            # A wrapper may have made something else of it.
+            # A wrapper may have changed the entry.
             if names and inner.shape[-1:] == (len(names),):
                 entries[entry] = names
         return cls(
@@ -90,7 +90,7 @@ class Layout:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any] | None) -> Layout:
-        """From what `as_record` made; None gives an empty one."""
+        """Make a layout from what `as_record` returned; from None, an empty one."""
         if record is None:
             return cls()
         frequency, number = record.get("control_frequency"), record.get("definition", FIRST)
@@ -107,11 +107,11 @@ class Layout:
         )
 
     def definition_of(self, env_id: str) -> int:
-        """The number of the definition of an environment's task; the present one where nobody says which it was."""
+        """The number of the definition of an environment's task; the present one if the layout has none."""
         return definition_number(env_id) if self.definition is None else self.definition
 
     def as_record(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """The layout as values that JSON can store."""
         return {
             "observation_names": {name: list(names) for name, names in self.observation_names.items()},
             "action_names": list(self.action_names),
@@ -125,7 +125,7 @@ class Layout:
         }
 
     def find(self, part: str) -> tuple[str, slice] | None:
-        """Where a part of three numbers is, as "tool_position": the entry, and which of its numbers."""
+        """Find a part of three numbers, such as "tool_position": its entry, and the slice of it; None if not there."""
         wanted = _component_names(part, 3, ())
         for entry, names in self.observation_names.items():
             for start in range(len(names) - 2):

@@ -1,10 +1,10 @@
-"""A dataset in the layout of LeRobot's datasets, version 3, written by LeRobot itself.
+"""Export of a dataset to the layout of LeRobot's datasets, version 3, written by LeRobot itself.
 
-LeRobot needs Python 3.12 or later and a torch of its own choice, so it wants an environment of its own; what is
-exported needs no physics there.
+LeRobot needs Python 3.12 or later and a version of torch of its own choice, so it should have a virtual environment of
+its own; the export needs no physics there.
 
 Frame t of an episode has observation t, action t, and the results of that action: reward, whether the episode is over,
-whether the goal has been reached. The last observation of an episode, on which nobody acted, is not in there.
+whether the goal has been reached. The last observation of an episode, which no action followed, is left out.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from spatula_env.data.replaying import open_dataset
 from spatula_env.installing import install_hint
 
 CAMERA = "observation.images.front"
-"""What a camera's pictures are called."""
+"""Name of a camera's pictures."""
 ROBOT = "spatula"
 NOTES = "spatula_env.json"
-"""What LeRobot has no place for: seeds, operators, devices, versions. In the folder "meta"."""
+"""File in the folder "meta" with what LeRobot has no place for: seeds, operators, devices, versions."""
 FEATURES = {
     "next.reward": {"dtype": "float32", "shape": (1,), "names": None},
     "next.done": {"dtype": "bool", "shape": (1,), "names": None},
@@ -42,14 +42,14 @@ FEATURES = {
 
 @dataclass(frozen=True)
 class LeRobotExport:
-    """What was written.
+    """The result of an export.
 
     Attributes:
         path: The folder.
-        repo_id: By which LeRobot knows it.
-        episodes: How many.
-        frames: How many.
-        features: Names of what each frame has.
+        repo_id: Id by which LeRobot knows the dataset.
+        episodes: Number of episodes.
+        frames: Number of frames.
+        features: Names of the features of each frame.
     """
 
     path: Path
@@ -87,24 +87,24 @@ def export_lerobot(
     videos: bool = True,
     camera: tuple[int, int] | None = None,
 ) -> LeRobotExport:
-    """Write a dataset as LeRobot's.
+    """Export a dataset to LeRobot's format.
 
     Args:
         dataset_id: Its id.
-        target: The folder, which must not exist yet. It is there in the end, or not at all.
+        target: The folder, which must not exist yet. It is created completely or not at all.
         root: Folder of all datasets; Minari's own by default.
-        repo_id: By which LeRobot is to know it; the id with its first slash only by default.
-        episodes: Which; all by default.
+        repo_id: Id by which LeRobot will know it; by default the dataset's id, with no slash but the first.
+        episodes: Numbers of the episodes; all by default.
         successes_only: Whether failures are left out.
         videos: Whether pictures are stored as videos, which is lossy; else as PNG.
-        camera: (height, width) of pictures that are drawn from the recorded states, for datasets without any [pixels].
+        camera: (height, width) of pictures to draw from the recorded states, for datasets without pictures [pixels].
 
     Raises:
         ImportError: If LeRobot or Minari is missing.
         FileNotFoundError: If there is no such dataset.
         FileExistsError: If the folder exists.
-        ValueError: If there is nothing to write, the dataset has no whole number of steps in a second, or pictures are
-            to be drawn and no states were recorded.
+        ValueError: If there is nothing to write, the number of steps per second is not whole, or pictures are to be
+            drawn and no states were recorded.
     """
     create = require_lerobot().create
     folder = Path(target)
@@ -121,7 +121,7 @@ def export_lerobot(
             raise ValueError(f"dataset {dataset_id!r} has pictures already; leave the camera out")
         columns.features[CAMERA] = _picture_feature((*painter.size, 3), videos)
     name = repo_id if repo_id is not None else _repository(dataset_id)
-    # Made beside its place: LeRobot writes file after file, and half of them are no dataset.
+    # Written beside its final place, because LeRobot writes file after file, and some of them are not a dataset.
     unfinished = inside(folder.parent, f".{folder.name}.new")
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.parent.mkdir(parents=True, exist_ok=True)
@@ -156,10 +156,10 @@ def export_lerobot(
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What each frame has.
+    """The features of each frame.
 
     Attributes:
-        features: As LeRobot wants them told.
+        features: Descriptions of the features, as LeRobot takes them.
         entries: Names of an observation's entries, by LeRobot's names.
     """
 
@@ -167,7 +167,7 @@ class Columns:
     entries: Mapping[str, str]
 
     def frames(self, episode: Any) -> Iterator[dict[str, NDArray[Any]]]:
-        """The frames of an episode of T steps: T of them, ready for LeRobot."""
+        """Iterate over the T frames of an episode of T steps, in LeRobot's form."""
         steps = len(episode.rewards)
         success = _flags(episode.infos, "is_success", steps)
         done = np.asarray(episode.terminations) | np.asarray(episode.truncations)
@@ -189,16 +189,16 @@ class Columns:
 def make_columns(
     observations: spaces.Space[Any], actions: spaces.Space[Any], layout: Layout, videos: bool = True
 ) -> Columns:
-    """What each frame of a dataset has.
+    """Derive the features of each frame of a dataset.
 
     Args:
         observations: The space of the dataset's observations.
-        actions: That of its actions.
-        layout: What the numbers are called.
+        actions: The space of its actions.
+        layout: Names of the numbers.
         videos: Whether pictures are stored as videos.
 
     Raises:
-        ValueError: If an entry is nothing that LeRobot can store, or has no name there.
+        ValueError: If LeRobot cannot store an entry, or has no name for it.
     """
     features: dict[str, dict[str, Any]] = {}
     entries: dict[str, str] = {}
@@ -236,7 +236,7 @@ def _type_of(feature: Mapping[str, Any]) -> Any:
 
 
 def _flags(infos: Any, name: str, steps: int) -> NDArray[np.bool_]:
-    """(T,) what the steps, and not the reset, say."""
+    """(T,) flags in the infos of the steps, without that of the reset; false where they are missing."""
     if not infos or name not in infos:
         return np.zeros(steps, dtype=np.bool_)
     return np.asarray(infos[name], dtype=np.bool_)[-steps:]
@@ -267,7 +267,7 @@ def _frames_per_second(layout: Layout, dataset_id: str) -> int:
 
 
 def _repository(dataset_id: str) -> str:
-    """LeRobot's ids have one slash."""
+    """LeRobot's id of a dataset, which has one slash."""
     first, slash, rest = dataset_id.partition("/")
     return first + slash + rest.replace("/", "-")
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import gymnasium
 
 MEANING = ("observation_names", "action_names", "control_frequency", "workspace_low", "workspace_high", "definition")
-"""What of a layout the numbers of an episode depend on."""
+"""Fields of a `Layout` on which the meaning of an episode's numbers depends."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Origin:
     """Where episodes come from.
 
     Attributes:
-        spec: How the environment was made.
-        layout: What the numbers are called.
+        spec: Specification with which the environment was made.
+        layout: Names of the numbers.
         spaces: "observation_space" and "action_space", as Minari writes them.
     """
 
@@ -36,15 +36,15 @@ class Origin:
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any], layout: Layout | None = None) -> Origin:
-        """That of the episodes of an environment.
+        """The origin of the episodes of an environment.
 
         Args:
-            env: From `gymnasium.make`.
-            layout: What the numbers are called; None takes it from `env`.
+            env: An environment from `gymnasium.make`.
+            layout: Names of the numbers; None takes them from `env`.
 
         Raises:
             ImportError: If Minari is missing.
-            ValueError: If `env` has a specification that cannot be kept.
+            ValueError: If `env` has a specification that cannot be stored.
         """
         from minari.serialization import serialize_space
 
@@ -60,16 +60,16 @@ class Origin:
     def check(
         self, metadata: Mapping[str, Any], dataset_id: str, folder: Path, *, several_settings: bool = False
     ) -> None:
-        """Check that the episodes of a dataset come from the same.
+        """Check that the episodes of a dataset have the same origin.
 
         Args:
-            metadata: Of the dataset.
+            metadata: Metadata of the dataset.
             dataset_id: Its id, for errors.
-            folder: Where it is.
+            folder: Its folder.
             several_settings: Whether options of the environment may differ, as long as the numbers mean the same.
 
         Raises:
-            ValueError: If not; names what differs.
+            ValueError: If they do not; names what differs.
         """
         elsewhere = f"take another name or delete {folder}"
         stored = spec_from_json(metadata.get("env_spec"))

@@ -1,8 +1,8 @@
-"""How a dataset keeps pictures: each as a PNG, which loses nothing.
+"""Storage of pictures in a dataset: each as a PNG, which is lossless.
 
-Minari reads pictures of an `info` or of a small space as plain arrays, and those of a space that it takes for one of
-pictures through Pillow, which knows a PNG as well as the JPEG that Minari itself would have written. Minari 0.5.3, the
-last for Python 3.10, reads no others; so they are what any version reads.
+Minari reads pictures in an `info` or of a small space as plain arrays. Pictures of a space that it recognises as an
+image space it reads through Pillow, which decodes a PNG as well as the JPEG that Minari itself would have written.
+Minari 0.5.3, the last for Python 3.10, can read only encoded ones, so encoded pictures can be read by any version.
 """
 
 from __future__ import annotations
@@ -18,45 +18,45 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 ENCODED = "jpeg_encoding"
-"""Under which Minari's metadata tell whether pictures are encoded."""
+"""Key in Minari's metadata that says whether pictures are encoded."""
 CHANNELS = (2, 3, 4)
-"""That a PNG can have in a picture with three axes."""
+"""Numbers of channels that a PNG can have for a picture with three axes."""
 COMPRESSION = 4
-"""Of pictures, lossless."""
+"""Compression level of pictures, lossless."""
 
 
 def is_picture(space: spaces.Space[Any]) -> bool:
-    """Whether Minari takes a space for one of pictures."""
+    """Whether Minari treats a space as one of pictures."""
     from minari.dataset.minari_storage import is_image_space
 
     return bool(is_image_space(space))
 
 
 def can_be_encoded(*of: spaces.Space[Any]) -> bool:
-    """Whether all pictures of some spaces fit a PNG."""
+    """Whether all pictures of some spaces can be stored as PNG."""
     return all(len(shape) == 2 or shape[2] in CHANNELS for space in of for shape in _picture_shapes(space))
 
 
 def reads_plain_pictures() -> bool:
-    """Whether the Minari that is installed reads pictures that are not encoded."""
+    """Whether the installed Minari reads pictures that are not encoded."""
     from minari.dataset.minari_storage import MinariStorage
 
     return hasattr(MinariStorage, "jpeg_encoding")
 
 
 def has_pictures(*of: spaces.Space[Any]) -> bool:
-    """Whether Minari takes a part of some spaces for pictures."""
+    """Whether Minari treats a part of some spaces as pictures."""
     return any(True for space in of for _ in _picture_shapes(space))
 
 
 def encode_pictures(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Pictures as PNG.
+    """Encode pictures as PNG.
 
     Args:
         pictures: (n, H, W) or (n, H, W, C).
 
     Returns:
-        (n, length) bytes of each; short ones are filled up with zeros, which readers of PNG ignore.
+        (n, length) bytes of each; shorter ones are padded with zeros, which PNG readers ignore.
     """
     from PIL import Image
 
@@ -72,7 +72,7 @@ def encode_pictures(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _picture_shapes(space: spaces.Space[Any]) -> Iterator[tuple[int, ...]]:
-    """Shapes of what Minari takes for pictures."""
+    """Shapes of all parts of a space that Minari treats as pictures."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
         inner = space.spaces
         for each in inner.values() if isinstance(inner, Mapping) else inner:

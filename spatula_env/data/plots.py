@@ -1,4 +1,4 @@
-"""Statistics of a dataset as a picture, with Matplotlib."""
+"""Plots of a dataset's statistics, with Matplotlib."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ COURSE = "#9a3f4d"
 LIMITS = ((2.67, "dose"), (4.0, "violation"))
 """Pressures from which dose and violations are counted [kPa]; see `SpatulaEnv`."""
 BINS = 16
-"""Of a histogram, at most."""
+"""Greatest number of bins of a histogram."""
 CELLS = 40
-"""Into so many parts a map divides the edges of the workspace."""
+"""Number of cells along each edge of the workspace in a map."""
 NOTHING = "not recorded"
 
 
 def check_plot(path: Path) -> None:
-    """Check that a picture can be drawn into a file, before anything is done for it.
+    """Check that a plot can be written to a file, before it is computed.
 
     Args:
-        path: Of the picture; it must end with .png, .svg or .pdf.
+        path: Path of the file; it must end with .png, .svg or .pdf.
 
     Raises:
         ImportError: If Matplotlib is missing.
@@ -55,8 +55,8 @@ def plot_statistics(found: DatasetStatistics, path: str | Path) -> None:
     """Draw the statistics of a dataset on one page.
 
     Args:
-        found: From `statistics`.
-        path: Of the picture; its ending, .png, .svg or .pdf, says of which kind.
+        found: Result of `statistics`.
+        path: Path of the file; its ending, .png, .svg or .pdf, gives the format.
 
     Raises:
         ImportError: If Matplotlib is missing.
@@ -101,7 +101,7 @@ def plot_statistics(found: DatasetStatistics, path: str | Path) -> None:
 
 
 def _tell(axes: Axes, found: DatasetStatistics) -> None:
-    """The figures in words, and the share of successes as a bar with its interval."""
+    """Write the summary as text, and draw the success rate as a bar with its interval."""
     axes.axis("off")
     axes.set(xlim=(0, 1), ylim=(0, 1))
     summary, share = found.summary, float(found.successes.mean())
@@ -131,7 +131,7 @@ def _tell(axes: Axes, found: DatasetStatistics) -> None:
 
 
 def _write(axes: Axes, height: float, text: str, **style: Any) -> None:
-    # Long lines go on into the margin, and do not make the panels beside them smaller.
+    # Long lines may extend into the margin, but must not make the panels beside them smaller.
     axes.text(0.0, height, text, **style).set_in_layout(False)
 
 
@@ -157,7 +157,7 @@ def _histogram(axes: Axes, found: DatasetStatistics, values: Any, label: str) ->
 
     low, high = float(values.min()), float(values.max())
     if high - low < 1e-9 * max(1.0, abs(high)):
-        # All alike, as with episodes that are cut at their limit: one narrow bar, not one as wide as the page.
+        # All values are equal, as with episodes truncated at their limit: draw a narrow bar, not one of full width.
         margin = max(0.5, 0.05 * abs(high))
         low, high = low - margin, high + margin
     groups = [values[found.successes], values[~found.successes]]
@@ -198,7 +198,7 @@ def _course(
     axes.plot(curve.times, factor * curve.median, color=COURSE, lw=1.6, label="median")
     axes.set(xlabel="time [s]", ylabel=label)
     axes.set_xlim(0.0, max(float(curve.times[-1]), 1e-3))
-    # A single spike must not make all the rest flat.
+    # A single spike must not flatten everything else.
     usual = 2.5 * factor * float(curve.high.max())
     axes.set_ylim(0.0, 1.1 * max([min(highest, usual), 1e-3, *(value for value, _ in limits)]))
     few = curve.episodes < 0.5 * curve.episodes[0]
@@ -229,7 +229,7 @@ def _course(
 
 
 def _limits(axes: Axes, limits: tuple[tuple[float, str], ...]) -> None:
-    """Lines across, the lower with its name below it and the upper above: they may be close together."""
+    """Draw horizontal lines, the lower labelled below and the upper above, as they may be close together."""
     for number, (value, label) in enumerate(limits):
         below = number == 0
         axes.axhline(value, color=INK, lw=0.7, ls="--")
@@ -247,7 +247,7 @@ def _limits(axes: Axes, limits: tuple[tuple[float, str], ...]) -> None:
 
 
 def _places(axes: Axes, found: DatasetStatistics, axis: int, label: str) -> None:
-    """How long the tool was where, seen along an axis."""
+    """Draw a map of how long the tool was at each place, seen along an axis."""
     axes.set_title(f"Where the tool was, {label}")
     if found.positions is None or found.workspace is None:
         _nothing(axes)
@@ -260,7 +260,7 @@ def _places(axes: Axes, found: DatasetStatistics, axis: int, label: str) -> None
     from matplotlib.colors import ListedColormap, LogNorm
     from matplotlib.ticker import FormatStrFormatter
 
-    # Without its lightest colours, which cannot be told from an empty cell.
+    # The colour map without its lightest colours, which look like an empty cell.
     colors = ListedColormap(colormaps["YlGnBu"](np.linspace(0.25, 1.0, 128)))
     picture = axes.pcolormesh(
         bins[0], bins[1], np.ma.masked_equal(counts.T, 0), cmap=colors, norm=LogNorm(1, max(float(counts.max()), 2.0))

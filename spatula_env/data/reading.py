@@ -1,4 +1,4 @@
-"""Reading episodes for Minari, each file checked before. Importing it loads Minari."""
+"""A storage for Minari that checks each episode's file before it is read. Importing this module loads Minari."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from spatula_env.data.contained import check_episode_file
 
 
 class CheckedStorage(MinariStorage):  # type: ignore[misc]
-    """Passes everything on to a storage of Minari's, and lets it read no episode that shows what is in other files.
+    """Wraps one of Minari's storages, and refuses to read an episode that refers to other files.
 
     An episode is checked when it is first read, and not again.
     """
@@ -21,8 +21,8 @@ class CheckedStorage(MinariStorage):  # type: ignore[misc]
         """Wrap a storage.
 
         Args:
-            storage: What reads.
-            unchecked: File of each episode that is to be checked, by the episode's number; from the storage's folder.
+            storage: The storage that reads.
+            unchecked: File of each episode to check, relative to the storage's folder, by the episode's number.
         """
         super().__init__(storage.data_path, storage.observation_space, storage.action_space)
         self.FORMAT = storage.FORMAT
@@ -32,7 +32,7 @@ class CheckedStorage(MinariStorage):  # type: ignore[misc]
     @property
     def jpeg_encoding(self) -> bool:
         """Whether pictures are kept as JPEG."""
-        # Minari 0.5.3 does not say, and always does so with pictures of its own.
+        # Minari 0.5.3 has no such attribute, and always encodes pictures.
         return bool(getattr(self._storage, "jpeg_encoding", True))
 
     @classmethod
@@ -40,12 +40,12 @@ class CheckedStorage(MinariStorage):  # type: ignore[misc]
         raise NotImplementedError("datasets are made by DatasetWriter")
 
     def get_episodes(self, episode_indices: Iterable[int]) -> Iterable[dict[str, Any]]:
-        """See Minari; raises `DatasetDamaged` if an episode shows what is no part of the dataset."""
+        """See Minari; raises `DatasetDamaged` if an episode refers to data outside the dataset."""
         found: Iterable[dict[str, Any]] = self._storage.get_episodes(self._checked(episode_indices))
         return found
 
     def get_episode_metadata(self, episode_indices: Iterable[int]) -> Iterable[dict[str, Any]]:
-        """See Minari; raises `DatasetDamaged` if an episode shows what is no part of the dataset."""
+        """See Minari; raises `DatasetDamaged` if an episode refers to data outside the dataset."""
         found: Iterable[dict[str, Any]] = self._storage.get_episode_metadata(self._checked(episode_indices))
         return found
 
@@ -61,7 +61,7 @@ class CheckedStorage(MinariStorage):  # type: ignore[misc]
         self._storage.update_episodes(episodes)
 
     def _checked(self, numbers: Iterable[int]) -> Iterator[int]:
-        """The numbers, each as soon as its episode is known to be harmless."""
+        """Yield the numbers of episodes, each after a check of its file."""
         for number in numbers:
             file = self._unchecked.get(int(number))
             if file is not None:

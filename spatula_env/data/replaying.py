@@ -1,4 +1,4 @@
-"""Recorded episodes once more: by their actions, which checks them, or by their states, which needs no physics."""
+"""Replay of recorded episodes: by their actions, which checks them, or by their states, which needs no physics."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class EpisodeReplay:
-    """How a replay by actions compares.
+    """How a replay by actions compares with the recording.
 
     Attributes:
-        episode: Its number.
-        steps: How many there were.
-        difference: Greatest difference of a recorded position or quaternion, beyond the precision in which it was
+        episode: Number of the episode.
+        steps: Number of steps.
+        difference: Greatest difference from a recorded position or quaternion, beyond the precision in which it was
             recorded [u]; NaN if no states were recorded.
-        reward_difference: Greatest difference of a reward.
+        reward_difference: Greatest difference from a recorded reward.
         matches: Whether both are within the tolerance; without states, the rewards.
-        success: Whether the goal was reached, this time.
+        success: Whether the goal was reached in the replay.
     """
 
     episode: int
@@ -55,13 +55,13 @@ class EpisodeReplay:
 
 
 def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
-    """A recorded dataset, as ``minari.load_dataset`` gives it.
+    """Open a recorded dataset, as ``minari.load_dataset`` does.
 
-    Nothing is read of it that is no part of it: what is in the file of an episode is checked when it is first read, so
-    that opening a large dataset takes no longer than going through the list of its episodes.
+    Nothing outside the dataset is read: the file of an episode is checked when it is first read, so that opening a
+    large dataset takes no longer than going through the list of its episodes.
 
-    Its ``recover_environment`` makes whatever environment the dataset names, and so runs code if the dataset wants it
-    to; `make_recorded` does not.
+    The dataset's ``recover_environment`` makes whatever environment the dataset names, and so may run code that the
+    dataset chooses; `make_recorded` does not.
 
     Args:
         dataset_id: Its id.
@@ -70,16 +70,16 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
     Raises:
         ImportError: If Minari is missing.
         FileNotFoundError: If there is no such dataset.
-        ValueError: If it has pictures that the Minari that is installed does not read.
-        DatasetDamaged: If it cannot be read without more than reading it. So do reading an episode of it, and asking
-            for its metadata, if that is so of the episode.
+        ValueError: If it has pictures that the installed Minari does not read.
+        DatasetDamaged: If it cannot be read, or not without running code or reading files outside it. Reading an
+            episode or its metadata also raises this, if it applies to the episode.
     """
     minari, _ = require_minari()
     data = data_folder(dataset_id, root)
     unchecked = check_harmless(data)
     try:
         found = minari.MinariDataset(data)
-    # It raises whatever it meets.
+    # Minari may raise any exception.
     except Exception as error:
         raise DatasetDamaged(f"{data} cannot be read: {error}") from error
     if not found.storage.metadata.get(ENCODED, True) and not reads_plain_pictures():
@@ -93,7 +93,7 @@ def open_dataset(dataset_id: str, root: str | Path | None = None) -> Any:
 
 
 def read_entries(dataset_id: str, root: str | Path | None = None) -> list[EpisodeEntry]:
-    """What there is to know of each episode of a dataset, without opening any.
+    """Read the index's records of a dataset's episodes, without opening any.
 
     Args:
         dataset_id: Its id.
@@ -101,13 +101,13 @@ def read_entries(dataset_id: str, root: str | Path | None = None) -> list[Episod
 
     Raises:
         FileNotFoundError: If there is no such dataset.
-        DatasetDamaged: If something of it is missing.
+        DatasetDamaged: If a part of it is missing.
     """
     return read_index(data_folder(dataset_id, root))
 
 
 def recorded_specs(dataset_id: str, root: str | Path | None = None) -> list[EnvSpec]:
-    """The specifications of the environments of a dataset's episodes; `EpisodeEntry.spec` says which.
+    """The specifications of the environments of a dataset's episodes; `EpisodeEntry.spec` is an index into them.
 
     Args:
         dataset_id: Its id.
@@ -134,32 +134,32 @@ def replay(
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None = None,
     progress: Callable[[EpisodeReplay], None] | None = None,
 ) -> list[EpisodeReplay]:
-    """Do the recorded actions again, from the recorded seeds, and compare what comes of them.
+    """Repeat the recorded actions from the recorded seeds, and compare the results with the recording.
 
-    With the same engine and the same version all is the same; Bullet is deterministic. Each episode is repeated in the
-    environment in which it was recorded, with the options it had.
+    With the same engine and the same version the results are the same; Bullet is deterministic. Each episode is
+    repeated in the environment in which it was recorded, with the options it had.
 
     Args:
         dataset_id: Its id.
         root: Folder of all datasets; Minari's own by default.
-        episodes: Which; all by default.
+        episodes: Numbers of the episodes; all by default.
         tolerance: Greatest difference that counts as the same [u].
-        render_mode: Of the environment; None: as it was recorded, if its wrappers need pictures.
+        render_mode: Render mode of the environment; None: the recorded one, if its wrappers need pictures.
         env_id: The environment as "module:id", if it is one of your own that is not registered yet.
-        wrappers: Wrappers in which it may be put with whatever arguments the dataset gives, beside those of Gymnasium
+        wrappers: Wrappers that are allowed with whatever arguments the dataset gives, in addition to those of Gymnasium
             and of this package that write nothing.
-        steering: Whether to do what was done in each physics step, where that was recorded. False: only the actions
-            that learners see, the means of it in each control step, which leads a little elsewhere.
+        steering: Whether to repeat the motion of each physics step, where that was recorded. False: only the actions
+            that learners see, its mean in each control step, with which the results differ a little.
         after_step: Called with the environment and the step's number after the reset (0) and every step.
-        progress: Called after each episode with how it compares.
+        progress: Called after each episode with its comparison.
 
     Returns:
-        How each compares.
+        The comparison of each episode.
 
     Raises:
         ImportError: If Minari is missing, or PyBullet is and the episodes were recorded with it.
         FileNotFoundError: If there is no such dataset.
-        DatasetDamaged: If the dataset cannot be read, or shows what is no part of it.
+        DatasetDamaged: If the dataset cannot be read, or refers to data outside of it.
         ValueError: If an episode has no seed, its environment is not known here, or a wrapper is not allowed.
     """
     dataset = open_dataset(dataset_id, root)
@@ -199,11 +199,11 @@ def replay(
 def recorded_states(
     dataset_id: str, episode: int = 0, *, root: str | Path | None = None
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The states of a recorded episode, one after the other, to look at without physics.
+    """Iterate over the states of a recorded episode, for viewing without physics.
 
     Args:
         dataset_id: Its id.
-        episode: Which.
+        episode: Number of the episode.
         root: Folder of all datasets; Minari's own by default.
 
     Yields:
@@ -221,18 +221,18 @@ def recorded_states(
 
 
 def _spec_of(entry: EpisodeEntry, specs: Sequence[EnvSpec]) -> EnvSpec:
-    """How the environment of an episode was made."""
+    """The specification with which the environment of an episode was made."""
     spec, engine = specs[entry.spec], entry.attributes.get("engine")
     if spec.kwargs.get("engine") is not None or engine is None:
         return spec
-    # Datasets did not always name the engine in what they were recorded with. The default here may be another one.
+    # Older datasets do not name the engine in the specification, and the default here may be another one.
     named = copy.copy(spec)
     named.kwargs = {**spec.kwargs, "engine": engine}
     return named
 
 
 def _check_states(recorded: Any, number: int) -> None:
-    """Check that there are states of all steps of an episode, if of any."""
+    """Check that there are states of all steps of an episode, if there are any."""
     states = (recorded.infos or {}).get(STATE)
     if states is None:
         return
@@ -281,7 +281,7 @@ def _repeat(
 
 
 def _tracks(recorded: Any, env: gymnasium.Env[Any, Any]) -> NDArray[np.float32] | None:
-    """(T + 1, S, A) what was done in each physics step, if that was recorded."""
+    """(T + 1, S, A) motion in each physics step, if that was recorded."""
     tracks = (recorded.infos or {}).get(STEERING)
     if tracks is None or not hasattr(env.unwrapped, "steer"):
         return None
@@ -293,7 +293,7 @@ def _tracks(recorded: Any, env: gymnasium.Env[Any, Any]) -> NDArray[np.float32] 
 
 
 def _steered(env: gymnasium.Env[Any, Any], action: Any, track: NDArray[np.float32]) -> tuple[Any, ...]:
-    """A control step in which the tools do in each physics step what was recorded."""
+    """Make a control step in which the tools repeat the recorded motion of each physics step."""
     rows = iter(track)
     made: Any = env.unwrapped
     stop = made.steer(lambda _: next(rows))
@@ -311,10 +311,10 @@ def _difference(simulation: Any, states: Any, step: int) -> float:
 
 
 def _beyond_rounding(now: FloatArray, recorded: NDArray[Any]) -> float:
-    """The greatest difference of two arrays, less what comes of the precision of what was recorded."""
+    """The greatest difference of two arrays, less the rounding error of the recorded one."""
     rounding = 0.5 * np.spacing(np.abs(recorded)).astype(np.float64)
     apart = np.abs(now - recorded) - rounding
-    # What has diverged in both is the same.
+    # NaN in both counts as equal: both have diverged.
     apart[np.isnan(now) & np.isnan(recorded)] = 0.0
     return max(0.0, float(np.nan_to_num(apart, nan=np.inf).max()))
 

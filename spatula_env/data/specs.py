@@ -1,4 +1,4 @@
-"""Specifications of environments: kept in a dataset, compared, and made again."""
+"""Specifications of environments: storing them in a dataset, comparing them, and making the environments again."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from spatula_env.definitions import present_options
 from spatula_env.naming import bare_id, registered_id
 
 UNSEEN = ("render_mode",)
-"""Options of an environment that change nothing of an episode."""
+"""Options of an environment that do not affect an episode."""
 UNSEEN_WITHOUT_PICTURES = ("width", "height")
-"""Likewise, unless the observations or a wrapper have what `render` gives."""
+"""Options that do not affect an episode unless observations or a wrapper use the pictures from `render`."""
 ONLOOKERS = ("HumanRendering", "RecordVideo")
-"""Gymnasium's wrappers that show or film what happens and change nothing of it. They are not kept: whoever makes the
-environment again wants neither windows nor films."""
+"""Gymnasium's wrappers that only show or film an episode. They are not stored, as neither windows nor films are wanted
+when the environment is made again."""
 MAKERS = ("GymV21Environment-v0", "GymV26Environment-v0")
-"""Gymnasium's environments that make another one, of Gym, by an id that is an option of theirs."""
+"""Gymnasium's environments that make another one, from Gym, whose id is one of their options."""
 UNTOLD = "unspecified"
 
 
 def storable_spec(env: gymnasium.Env[Any, Any]) -> EnvSpec:
-    """The specification of an environment as a dataset keeps it.
+    """The specification of an environment in the form in which a dataset stores it.
 
-    The mode of rendering is kept unless it is "human": wrappers may need pictures, and nobody needs windows. The engine
-    is kept by name, as the default may be another one elsewhere.
+    The render mode is stored unless it is "human": wrappers may need pictures, but windows are not needed. The engine
+    is stored by name, as the default may be another one elsewhere.
 
     Args:
-        env: From `gymnasium.make`, wrapped or not.
+        env: An environment from `gymnasium.make`, wrapped or not.
 
     Raises:
-        ValueError: If it has none, or one that JSON cannot keep; says which argument of which wrapper.
+        ValueError: If it has none, or one that JSON cannot store; says which argument of which wrapper.
     """
     if env.spec is None:
         raise ValueError("env must have a spec: make it with gymnasium.make")
@@ -56,7 +56,7 @@ def storable_spec(env: gymnasium.Env[Any, Any]) -> EnvSpec:
                 "could make the environment again: derive it from gymnasium.utils.RecordConstructorArgs too"
             )
         wrappers.append(WrapperSpec(each.name, each.entry_point, _plain(each.kwargs, f"the wrapper {each.name}")))
-    # One by one: a copy of the whole would copy what cannot be kept.
+    # Shallow, because a deep copy would copy arguments that cannot be stored.
     kept = copy.copy(found)
     kwargs = {name: value for name, value in found.kwargs.items() if (name, value) != ("render_mode", "human")}
     made = getattr(env, "unwrapped", None)
@@ -73,10 +73,10 @@ def storable_spec(env: gymnasium.Env[Any, Any]) -> EnvSpec:
 
 
 def spec_from_json(text: Any) -> EnvSpec:
-    """A specification as a dataset keeps it; nothing is imported or made. Nobody needs its windows.
+    """Parse a specification that a dataset stores; nothing is imported or made. The render mode "human" is dropped.
 
     Raises:
-        DatasetDamaged: If it is none.
+        DatasetDamaged: If it is not valid.
     """
     what = "the specification of the environment"
     if not isinstance(text, str):
@@ -92,21 +92,21 @@ def spec_from_json(text: Any) -> EnvSpec:
 
 
 def differences(first: EnvSpec, second: EnvSpec, names: tuple[str, str] = ("here", "there")) -> list[str]:
-    """What two specifications differ in, as far as it changes an episode.
+    """Describe the differences of two specifications that affect an episode.
 
     Args:
         first: One of them.
         second: The other.
-        names: What to call them.
+        names: Names for the two.
 
     Returns:
-        Each a few words, as "control_frequency (10.0 here, 20.0 there)"; empty if they mean the same.
+        A few words for each difference, as "control_frequency (10.0 here, 20.0 there)"; empty if there is none.
     """
     values = [_options(spec) for spec in (first, second)]
     found = []
     for name in sorted({*values[0], *values[1]}):
         pair = [each.get(name, UNTOLD) for each in values]
-        # Datasets did not always name the engine.
+        # Older datasets do not name the engine.
         if pair[0] != pair[1] and not (name == "engine" and None in pair):
             told = ", ".join(f"{_told(value)} {where}" for value, where in zip(pair, names, strict=True))
             found.append(f"{name} ({told})")
@@ -122,20 +122,22 @@ def make_recorded(
 ) -> gymnasium.Env[Any, Any]:
     """Make the environment of a dataset again.
 
-    A dataset may come from anywhere, so nothing is imported for its sake: the environment is the one that is registered
-    here under its id. Wrappers get the arguments that the dataset gives, and with those some write files; so they are
-    those of Gymnasium and of this package that do not, and those that the caller names.
+    A dataset may come from an untrusted source, so no module is imported because it names one: the environment is the
+    one that is registered here under its id. Wrappers get the arguments that the dataset gives, with which some would
+    write files; so only those of Gymnasium and of this package that do not, and those that the caller names, are
+    allowed.
 
     Args:
-        spec: As the dataset keeps it.
-        render_mode: How to look at it; None: as it was recorded, if that was needed.
-        env_id: The same environment as "module:id", if nobody has registered it yet.
-        wrappers: More wrappers that are allowed, whatever their arguments.
-        definition: Number of the definition of the task with which it was recorded; None: of the present one.
+        spec: The specification from the dataset.
+        render_mode: Render mode; None: the recorded one, if that was needed.
+        env_id: The same environment as "module:id", if it is not registered yet.
+        wrappers: Further wrappers that are allowed, whatever their arguments.
+        definition: Number of the task's definition with which it was recorded; None: the present one.
 
     Raises:
         ImportError: If the module of `env_id` cannot be imported, or the engine is missing.
-        ValueError: If there is no such environment here, a wrapper is not allowed, or it cannot be made so.
+        ValueError: If there is no such environment here, a wrapper is not allowed, or the environment cannot be made
+            with these options.
     """
     found = copy.copy(spec)
     found.id = bare_id(registered_id(spec.id, env_id))
@@ -154,19 +156,19 @@ def make_recorded(
         return gymnasium.make(found) if render_mode is None else gymnasium.make(found, render_mode=render_mode)
     except ImportError:
         raise
-    # What a wrapper or an environment does with arguments that make no sense.
+    # Exceptions that a wrapper or an environment may raise for arguments that make no sense.
     except (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         reason = str(error).partition(" was raised from the environment creator")[0]
         raise ValueError(f"{found.id} cannot be made as the dataset says: {reason}") from error
 
 
 def _only_looks_on(wrapper: WrapperSpec) -> bool:
-    # By what it is made by: its name is only said.
+    # Identified by the entry point, because the name may be anything.
     return wrapper.entry_point.partition(":")[2] in ONLOOKERS and is_of_gymnasium(wrapper.entry_point)
 
 
 def _options(spec: EnvSpec) -> dict[str, Any]:
-    """What decides about an episode, by name; defaults included."""
+    """The options that affect an episode, by name, including defaults."""
     kwargs = {**_defaults(spec), **spec.kwargs}
     unseen = UNSEEN if spec.additional_wrappers else (*UNSEEN, *UNSEEN_WITHOUT_PICTURES)
     for name in unseen:
@@ -209,10 +211,10 @@ def _is_plain(value: Any) -> bool:
 
 
 def _plain(value: Any, owner: str, name: str = "") -> Any:
-    """A value as JSON gives it back; NumPy's numbers and arrays become plain ones.
+    """Convert a value to what JSON would read back; NumPy's numbers and arrays become plain ones.
 
     Raises:
-        ValueError: If JSON has no such thing.
+        ValueError: If JSON cannot store it.
     """
     if isinstance(value, Mapping):
         return {str(key): _plain(each, owner, f"{name}.{key}" if name else str(key)) for key, each in value.items()}

@@ -1,6 +1,6 @@
-"""Statistics of a dataset: returns, lengths, success, force and pressure over time, places of the tool.
+"""Statistics of a dataset: returns, lengths, success, force and pressure over time, positions of the tool.
 
-`spatula_env.data.plots` draws it.
+`spatula_env.data.plots` draws them.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from spatula_env.data.layout import VECTOR, Layout
 from spatula_env.data.replaying import open_dataset, read_entries
 
 CELLS = 10
-"""Into so many parts each edge of the workspace is divided, to see how much of it was visited."""
+"""Number of cells along each edge of the workspace, to measure how much of it was visited."""
 QUARTILES = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A quantity over the time of many episodes, as long as any lasts.
+    """Distribution of a quantity over many episodes as a function of time, up to the end of the longest episode.
 
     Attributes:
-        times: (T,) since the reset [s].
-        low: (T,) of a quarter of the episodes it is not greater.
-        median: (T,).
-        high: (T,) of three quarters it is not greater.
-        greatest: (T,) of all episodes.
-        episodes: (T,) how many last so long.
+        times: (T,) time since the reset [s].
+        low: (T,) lower quartile of the episodes.
+        median: (T,) median.
+        high: (T,) upper quartile.
+        greatest: (T,) maximum.
+        episodes: (T,) number of episodes that last that long.
     """
 
     times: FloatArray
@@ -47,7 +47,7 @@ class Curve:
 
     @classmethod
     def of(cls, times: Sequence[FloatArray], values: Sequence[FloatArray]) -> Curve:
-        """From the courses of episodes, (T_k,) each; their control steps are equally long."""
+        """Compute a curve from the times and values of episodes, (T_k,) each; control steps are equally long."""
         longest = max(times, key=len)
         table = np.full((len(values), len(longest)), np.nan)
         for row, course in zip(table, values, strict=True):
@@ -59,23 +59,23 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class DatasetStatistics:
-    """What E episodes are like. What was not recorded is None.
+    """Statistics of E episodes. Quantities that were not recorded are None.
 
     Attributes:
-        summary: What is in the dataset.
+        summary: Summary of the dataset.
         returns: (E,) sums of the rewards.
         lengths: (E,) control steps.
         durations: (E,) [s]; None if the dataset does not say how long a step is.
         successes: (E,) whether the goal was reached.
-        operators: (E) who did it, "human" or "scripted".
+        operators: (E) kind of operator, "human" or "scripted".
         success_interval: Wilson's 95 % interval of the success rate; (0, 1) without episodes.
         force: Magnitude of the contact force, averaged over a control step [N].
         pressure: Greatest contact pressure in a control step [Pa].
         peak_forces: (E,) the greatest force on a tool [N].
         peak_pressures: (E,) the greatest contact pressure [Pa].
-        doses: (E,) of pressure [Pa s].
-        violations: (E,) whether there was one.
-        positions: (S, 3) where the tool was in each step, as it was observed [m].
+        doses: (E,) doses of pressure [Pa s].
+        violations: (E,) whether there was a violation.
+        positions: (S, 3) observed positions of the tool in all steps [m].
         workspace: (2, 3) the corners of the workspace [m].
         coverage: Share of the workspace's `CELLS`³ cells in which the tool has been.
     """
@@ -98,7 +98,7 @@ class DatasetStatistics:
     coverage: float | None
 
     def as_record(self) -> dict[str, Any]:
-        """The figures without the courses over time, as JSON has them."""
+        """The statistics without the curves over time, as values that JSON can store."""
         count = len(self.returns)
         record: dict[str, Any] = {
             "dataset": self.summary.dataset_id,
@@ -121,7 +121,7 @@ class DatasetStatistics:
 
 
 def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatistics:
-    """Go through all episodes of a dataset.
+    """Compute the statistics of a dataset from all its episodes.
 
     Args:
         dataset_id: Its id.
@@ -147,7 +147,7 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
             if name in infos:
                 values.append(np.asarray(infos[name], dtype=np.float64))
         for name, found in ends.items():
-            # With the first definition of tasks the dose was called cost.
+            # In the first definition of tasks, the dose was called cost.
             told = "episode_cost" if name == "episode_dose" and name not in infos else name
             if told in infos:
                 found.append(float(infos[told][-1]))
@@ -191,19 +191,19 @@ def statistics(dataset_id: str, root: str | Path | None = None) -> DatasetStatis
 
 
 def tool_positions(observations: Any, layout: Layout) -> FloatArray | None:
-    """Where the tool was observed (T + 1, 3) in an episode, workspace frame [m]; None if that is not in there."""
+    """(T + 1, 3) observed positions of the tool in an episode, workspace frame [m]; None if they are not observed."""
     found = layout.find("tool_position")
     if found is None:
         return None
     entry, columns = found
     values = observations if entry == VECTOR and not isinstance(observations, Mapping) else observations[entry]
     array = np.asarray(values, dtype=np.float64)
-    # Of several frames the last is the newest.
+    # If observations have several frames, the last is the newest.
     return array[..., columns].reshape(len(array), -1, 3)[:, -1]
 
 
 def coverage(positions: FloatArray, box: FloatArray) -> float:
-    """The share of a box's cells in which there is a position.
+    """The share of a box's cells that contain a position.
 
     Args:
         positions: (S, 3) [m].
@@ -217,15 +217,15 @@ def wilson_interval(successes: int, count: int, z: float = 1.959963984540054) ->
     """The score interval of a proportion (E. B. Wilson, J Am Stat Assoc 22:209, 1927).
 
     Args:
-        successes: How many succeeded.
-        count: Of how many.
+        successes: Number of successes.
+        count: Number of trials.
         z: Quantile of the normal distribution; the default is that of 95 %, on both sides.
 
     Returns:
-        Its ends, in [0, 1].
+        The interval's ends, in [0, 1].
 
     Raises:
-        ValueError: If there were none, or more successes than trials.
+        ValueError: If there were no trials, or more successes than trials.
     """
     if count < 1 or not 0 <= successes <= count:
         raise ValueError(f"successes must be 0 to count, and count 1 or more, got {successes} of {count}")

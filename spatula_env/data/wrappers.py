@@ -1,4 +1,4 @@
-"""Wrappers that a dataset may name: a dataset may come from anywhere, and gives them their arguments."""
+"""Wrappers that a dataset may name: a dataset may come from an untrusted source, and gives them their arguments."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ HARMLESS = (
     "TimeAwareObservation",
     "TimeLimit",
 )
-"""Gymnasium's that write nothing and call nothing that they are told to."""
+"""Gymnasium's wrappers that write nothing, and call nothing that their arguments name."""
 OWN = (
     "spatula_env.envs.adapters.masa:LabelsWrapper",
     "spatula_env.envs.adapters.safety_gymnasium:SafetyGymnasiumWrapper",
 )
-"""This package's."""
+"""This package's wrappers that a dataset may name."""
 NEUTRAL = (
     "Autoreset",
     "ClipReward",
@@ -60,22 +60,22 @@ NEUTRAL = (
     "TimeLimit",
     "TransformReward",
 )
-"""Gymnasium's that change neither observations nor actions, nor their spaces."""
+"""Gymnasium's wrappers that change neither observations nor actions, nor their spaces."""
 NEUTRAL_OWN = (*OWN, "spatula_env.teleop.wrapper:FalconTeleop")
-"""This package's likewise. In teleoperation actions are the operator's, but of the same kind."""
+"""This package's wrappers of that kind. In teleoperation the actions are the operator's, but of the same kind."""
 
 Wrapper = type[gymnasium.Wrapper[Any, Any, Any, Any]]
 
 
 def allowed_wrapper(entry_point: str, named: Sequence[Wrapper] = ()) -> str:
-    """What makes a wrapper that a dataset names.
+    """The entry point of a wrapper that a dataset names, if it is allowed.
 
     Args:
-        entry_point: As the dataset has it, "module:class".
-        named: Those that the caller allows.
+        entry_point: Entry point in the dataset, "module:class".
+        named: Wrappers that the caller allows.
 
     Returns:
-        The same, as the module itself calls it. It is a module of Gymnasium, of this package, or of `named`.
+        The entry point with the class's own module, which is of Gymnasium, of this package, or of `named`.
 
     Raises:
         ValueError: If it is not allowed; says how to allow it.
@@ -101,18 +101,18 @@ def is_of_gymnasium(entry_point: str) -> bool:
 
 
 def is_neutral(entry_point: str) -> bool:
-    """Whether a wrapper that a dataset names is known to leave observations, actions and their spaces as they are.
+    """Whether a wrapper that a dataset names is known to leave observations, actions and their spaces unchanged.
 
     Args:
-        entry_point: As the dataset has it, "module:class"; nothing is imported.
+        entry_point: Entry point in the dataset, "module:class"; nothing is imported.
     """
-    # By what it is made by: its name is only said.
+    # Identified by the entry point, because the name may be anything.
     name = entry_point.partition(":")[2]
     return (is_of_gymnasium(entry_point) and name in NEUTRAL) or entry_point in NEUTRAL_OWN
 
 
 def import_wrapper(name: str) -> Wrapper:
-    """The wrapper that the user names.
+    """Import a wrapper that the user names.
 
     Args:
         name: "module:class".
@@ -131,7 +131,7 @@ def import_wrapper(name: str) -> Wrapper:
 
 
 def _gymnasium_wrappers() -> list[Wrapper]:
-    # Older versions do not have all.
+    # Older versions of Gymnasium do not have all of them.
     return [getattr(wrappers, name) for name in HARMLESS if hasattr(wrappers, name)]
 
 

@@ -1,4 +1,4 @@
-"""The background, and the ground on it."""
+"""The background, and the ground plane in front of it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _encode(value: float, tones: Bytes) -> int:
 
 @inlined
 def _stripes(position: float, footprint: float, tile: float, line: float) -> float:
-    """Part of the interval of length `footprint` around `position` that lines at the multiples of `tile` cover."""
+    """Share of the interval of length `footprint` around `position` that lines at multiples of `tile` cover."""
     low = (position - 0.5 * footprint + 0.5 * line) / tile
     high = (position + 0.5 * footprint + 0.5 * line) / tile
     part = line / tile
@@ -48,7 +48,7 @@ def draw_background(
     weight: Singles,
     encoded: Bytes,
 ) -> None:
-    """The background with the ground on it, which stays while camera, background and ground do.
+    """Draw the background with the ground; the result stays valid as long as camera, background and ground do.
 
     Args:
         view: the view array.

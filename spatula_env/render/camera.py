@@ -160,7 +160,7 @@ class Camera:
         return np.array([[focal, 0.0, 0.5 * width], [0.0, focal, 0.5 * height], [0.0, 0.0, 1.0]])
 
     def project(self, points: ArrayLike, width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where points appear.
+        """Project points into the picture.
 
         Args:
             points: world points, u (..., 3).

@@ -33,16 +33,16 @@ from spatula_env.render.rasterizer import draw_cap, draw_opaque
 from spatula_env.render.shading import shade
 from spatula_env.render.translucent import draw_translucent
 
-# Shadows on the ground take this much of each channel: a little blue is left, as from a sky.
+# Fraction of each channel that a full shadow on the ground removes: a little blue is left, as from a sky.
 _SHADOW_TINT = (1.0, 0.985, 0.955)
 
-# What lies on the ground is seen: the ground counts as this little further away.
+# Factor on the ground's 1 / W, which puts it slightly further away, so that things lying on it are seen.
 _GROUND_BEHIND = 1.0 - 1e-4
 
 
 @inlined
 def _touched_pixels(rows: Indices, row: int, supersample: int, stride: int) -> tuple[int, int]:
-    """Pixels of a band's row, the end excluded, of which a sample was touched; `rows` and `stride` count samples."""
+    """Range of pixels, the end excluded, in a band's row with touched samples; `rows` and `stride` count samples."""
     first, last = stride, 0
     for j in range(row * supersample, (row + 1) * supersample):
         first, last = min(first, rows[j, 0]), max(last, rows[j, 1])
@@ -51,7 +51,7 @@ def _touched_pixels(rows: Indices, row: int, supersample: int, stride: int) -> t
 
 @inlined
 def _is_one(shown: Indices, corner: int, supersample: int, stride: int) -> bool:
-    """Whether all samples of the pixel whose first sample is `corner` show the same triangle, or all none."""
+    """Whether all samples of the pixel whose first sample is `corner` show the same triangle, or all show none."""
     whole = shown[corner]
     if supersample == 2:
         return bool(
@@ -90,18 +90,19 @@ def _split_pixel(
         corner: its first sample.
         supersample: samples along a pixel's side.
         stride: samples in a row.
-        share: of a pixel that a sample has.
-        translucent: whether anything is.
+        share: fraction of a pixel that a sample covers.
+        translucent: whether there are translucent triangles.
         shown: see `layout.Band`.
-        left: the same.
+        left: see `layout.Band`.
         group: scratch for each sample of a pixel.
-        group_left: the same.
-        waiting: jobs so far.
+        group_left: scratch for each sample of a pixel.
+        waiting: number of jobs so far.
         jobs: written to.
-        places: the same.
+        places: written to.
 
     Returns:
-        Jobs now, and how many samples show none; of what is translucent, the part that comes through.
+        The number of jobs, and the number of samples that show no triangle, each weighted by the light that comes
+        through what is translucent.
     """
     samples = len(group)
     bare = 0.0
@@ -138,14 +139,14 @@ def _split_pixel(
 def _add_background(
     total: Singles, pixel: int, share: float, blocked: float, background: Singles, py: int, px: int
 ) -> None:
-    """Add a share of the background in row py and column px, of whose light a shadow on the ground blocks a part."""
+    """Add a share of the background in row py and column px, darkened by the blocked part of a shadow on the ground."""
     for k in range(3):
         total[pixel, k] += share * (1.0 - _SHADOW_TINT[k] * blocked) * background[py, px, k]
 
 
 @inlined
 def _encode_row(total: Singles, row: int, first: int, last: int, tones: Bytes, picture: Bytes, py: int) -> None:
-    """Encode pixels of the band's row, which is row py of the picture, and set their light to zero again."""
+    """Encode pixels of a row of the band, which is row py of the picture, and reset their light to zero."""
     for px in range(first, last):
         pixel = row * picture.shape[1] + px
         for k in range(3):
@@ -179,18 +180,18 @@ def resolve(
     band: Band,
     scene: Scene,
 ) -> None:
-    """Shade, mix the samples of each pixel of a band, and encode, where the picture is not the bare background.
+    """Shade and mix the samples of a band's pixels and encode them, where the picture is not the bare background.
 
     Args:
         first_row: first row of pixels.
         last_row: end of the rows.
         width: pixels.
         supersample: samples along a pixel's side.
-        corners: around the ground that may be in shadow, see `ground_shadow.shadow_corners`; without rows if none may.
+        corners: around the ground that may be in shadow, see `ground_shadow.shadow_corners`; all -1 if there is none.
         step: the ground's shadow is found at every `step`th pixel of a row.
         blocks: scratch (width + 2 step).
         tones: the encoding table.
-        translucent: whether anything is.
+        translucent: whether there are translucent triangles.
         background: linear colours (H, W, 3).
         ground_weight: how much of the ground each pixel shows (H, W).
         dark: see `shadows.cast_shadows`.
@@ -219,7 +220,7 @@ def resolve(
             pixel = row * width + px
             corner = row * supersample * stride + px * supersample
             bare = 0.0
-            # One triangle in all samples of a pixel is by far the most frequent.
+            # By far the most frequent case is one triangle in all samples of a pixel.
             if translucent or not _is_one(shown, corner, supersample, stride):
                 waiting, bare = _split_pixel(
                     px, py, pixel, corner, supersample, stride, share, translucent, shown, left, group, group_left,
@@ -257,10 +258,10 @@ def resolve_depth(
     view: Floats,
     out: Singles,
 ) -> None:
-    """Depth of each pixel of a band: of the mesh that is nearest in it, averaged over that mesh's samples.
+    """Find the depth of each pixel of a band: of the mesh that is nearest in it, averaged over that mesh's samples.
 
     1 / W is linear over the picture, so its mean over a pixel that one plane fills is exact at the pixel's centre; and
-    no depth between two objects comes out at a border, where nothing is.
+    at a border between two objects, the result is never a depth between them, where there is nothing.
 
     Args:
         first_row: first row of pixels.
@@ -315,7 +316,7 @@ def _find_ground_shadow(
     if light[HAS_SHADOWS] == 0.0 or view[GROUND_SEEN] == 0.0 or not light[GROUND_SHADOW] > 0.0:
         corners[:] = -1.0
     elif not shadow_corners(view, light, matrix, supersample, corners):
-        # Part of it is behind the eye: look everywhere.
+        # A part of it is behind the eye: take the whole picture.
         for corner in range(8):
             corners[corner, 0] = width if corner & 3 == 1 or corner & 3 == 2 else 0.0
             corners[corner, 1] = height if corner & 2 else 0.0
@@ -325,10 +326,10 @@ def _find_ground_shadow(
 def _clear_band(
     top: int, bottom: int, stride: int, count: int, extents: Indices, slope: Floats, view: Floats, band: Band
 ) -> None:
-    """Begin the rows of samples top..bottom: nothing is shown but the ground, see `resolve_depth` for its `slope`."""
+    """Reset the rows of samples top..bottom to show only the ground; for its `slope`, see `resolve_depth`."""
     depth, shown, rows = band[0], band[1], band[4]
     nearest, farthest = 1.0 / view[NEAR], 1.0 / view[FAR]
-    # Depth is needed where triangles may be.
+    # Depth is needed only where triangles may be.
     first, last = stride, 0
     for t in range(count):
         if extents[t, 0] > 0 and extents[t, 3] < bottom and extents[t, 4] > top:
@@ -339,7 +340,7 @@ def _clear_band(
         row = (y - top) * stride
         for x in range(first, last):
             value = _GROUND_BEHIND * (start + slope[0] * x)
-            # Ground nearer than the near plane is not there.
+            # Ground nearer than the near plane is not drawn.
             value = 0.0 if value > nearest else value
             depth[row + x] = max(value, farthest)
         rows[y - top, 0] = stride
@@ -379,8 +380,8 @@ def draw_picture(
         count: triangles in use.
         matrix: world to homogeneous sample coordinates (3, 4).
         order: translucent triangles, nearest first.
-        caps: (C, 5) of each section: mesh, first triangle, end of the triangles, the triangle that stands for it,
-            and the one it is drawn on or -1.
+        caps: (C, 5) for each section: mesh, first triangle, end of the triangles, the triangle that represents it, and
+            the one that it is drawn on or -1.
         extents: see `rasterizer.prepare`.
         limits: see `rasterizer.prepare`.
         tones: the encoding table.
@@ -399,7 +400,7 @@ def draw_picture(
     band_height = len(rows) // supersample
     corners = np.empty((8, 2))
     _find_ground_shadow(view, light, matrix, supersample, width, height, corners)
-    # Shadows on the ground are soft: in a large picture they are smooth over a few pixels.
+    # Shadows on the ground are soft: in a large picture they vary smoothly over a few pixels.
     step = 4 if height >= 300 else (2 if height >= 150 else 1)
     blocks = np.empty(width + 2 * step)
     # 1 / W of the ground, which is linear over the picture.

@@ -1,4 +1,4 @@
-"""The organ's surface as it is drawn: finer than the physics has it, smooth where it is smooth, and sharp at edges."""
+"""The organ's surface for display: finer than in the physics, with smooth curved parts and sharp edges."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from spatula_env.arrays import FloatArray, Int32Array
 from spatula_env.render import vertices as kernels
 
 CREASE_ANGLE = 62.0
-"""Where two triangles meet at a greater angle, the surface has an edge; else it is a curved surface [degrees]."""
+"""Two triangles that meet at a greater angle form a sharp edge; otherwise the surface is curved there [degrees]."""
 
 FINE_ENOUGH = 0.3
 """Triangles whose edges are shorter than this on average are not split [u]."""
 
 MOST_LEVELS = 2
-"""How many times triangles are split in four at most."""
+"""Greatest number of times that triangles are split in four."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +39,13 @@ class _Level:
 
 
 class DisplaySurface:
-    """Makes the vertices that are drawn from the nodes that physics moves.
+    """Computes the vertices to draw from the nodes of the physics.
 
-    Vertices are the nodes, repeated along creases, and after them the middles of split edges. All is decided on the
-    surface at rest, so that nothing flickers as it deforms.
+    Vertices are the nodes, repeated along creases, followed by the middles of split edges. Creases and splitting are
+    determined on the surface at rest, so that nothing flickers as it deforms.
 
     Attributes:
-        triangles: (T', 3) of what is drawn, counter-clockwise from outside.
+        triangles: (T', 3) that are drawn, counter-clockwise from outside.
         rest: (V', 3) vertices at rest [u].
     """
 
@@ -75,7 +75,7 @@ class DisplaySurface:
         self.rest = self.place(nodes)
 
     def place(self, nodes: FloatArray) -> FloatArray:
-        """Where the vertices (V', 3) are when the nodes are at (V, 3) [u].
+        """(V', 3) positions of the vertices, for nodes at (V, 3) [u].
 
         The middle of an edge lies halfway from the edge to the mean of its projections onto the tangent planes of the
         edge's ends (after T. Boubekeur and M. Alexa, "Phong tessellation", 2008); on a crease, on the edge itself.
@@ -93,7 +93,7 @@ class DisplaySurface:
         return points
 
     def interpolate(self, values: FloatArray) -> FloatArray:
-        """Values (V, ...) at the nodes as values (V', ...) at the vertices, linear along edges."""
+        """Interpolate values (V, ...) at the nodes to values (V', ...) at the vertices, linearly along edges."""
         result: FloatArray = np.asarray(values, dtype=np.float64)[self._source]
         for level in self._levels:
             result = np.concatenate([result, 0.5 * (result[level.first] + result[level.second])])
@@ -112,7 +112,7 @@ def vertex_normals(points: FloatArray, triangles: Int32Array) -> FloatArray:
 
 
 def _edges(triangles: Int32Array) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.intp]]:
-    """Edges (E, 2), lower index first; which one begins at each corner (3 T,); how many triangles each has (E,)."""
+    """Edges (E, 2), lower index first; the edge that begins at each corner (3 T,); triangles of each edge (E,)."""
     pairs = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
     edges, of_corner, uses = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
     return edges.astype(np.int64), of_corner.reshape(-1), uses
@@ -144,8 +144,8 @@ def _split_at_creases(nodes: FloatArray, triangles: Int32Array) -> tuple[NDArray
     cosine = (normals[one // 3] * normals[other // 3]).sum(axis=1)
     smooth = cosine >= math.cos(math.radians(CREASE_ANGLE))
     one, other = one[smooth], other[smooth]
-    # Corner i begins an edge, and the next corner of the same triangle ends it. Two triangles on an edge that are
-    # wound alike name it in opposite directions.
+    # Corner i begins an edge, and the next corner of the same triangle ends it. Two triangles of the same orientation
+    # name their common edge in opposite directions.
     flat = triangles.reshape(-1)
     ends = [(one, other // 3 * 3 + (other + 1) % 3), (one // 3 * 3 + (one + 1) % 3, other)]
     left, right = (np.concatenate(part) for part in zip(*ends, strict=True))

@@ -1,4 +1,4 @@
-"""Films: pictures one after the other, as GIF by Pillow and as MP4 by MoviePy."""
+"""Films: sequences of pictures, written as GIF by Pillow and as MP4 by MoviePy."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ if TYPE_CHECKING:
     from PIL import Image
 
 FILMS = (".gif", ".mp4")
-"""Endings of files."""
+"""Endings of the files that can be written."""
 
 RARE_COLORS = tuple(
     tuple(round(255 * shade * part) for part in color)
     for color in (palette.FORCE, palette.GOAL, palette.FEASIBLE, palette.UNFEASIBLE)
     for shade in (0.4, 0.6, 0.8, 1.0)
 )
-"""Arrows and marks are small, and a palette made from all of a picture would have no place for their colours."""
+"""Colours that are always in a GIF's palette: arrows and marks are small, and a palette made from the whole picture
+would not include their colours."""
 
 
 def check_film(path: Path) -> None:
-    """Check that a film can be encoded, before anything is done for it.
+    """Check that a film can be encoded, before it is made.
 
     Args:
-        path: Of its file.
+        path: Path of its file.
 
     Raises:
-        ImportError: If what encodes it is not installed.
+        ImportError: If the package that encodes it is not installed.
         ValueError: If it has another ending.
     """
     if path.suffix not in FILMS:
@@ -48,12 +49,12 @@ def check_film(path: Path) -> None:
 
 
 def write_film(path: Path, frames: Sequence[NDArray[np.uint8]], rate: float, last_seconds: float = 0.0) -> None:
-    """Write a film; the file is there when it is whole.
+    """Write a film; the file appears only when it is complete.
 
     Args:
-        path: Ends with .gif or .mp4; folders are made.
-        frames: (height, width, 3) each, one at least.
-        rate: Frames in a second.
+        path: Path that ends with .gif or .mp4; folders are created.
+        frames: (height, width, 3) each, at least one.
+        rate: Frames per second.
         last_seconds: How long a GIF shows its last frame, if longer than the others [s].
 
     Raises:
@@ -67,7 +68,7 @@ def write_film(path: Path, frames: Sequence[NDArray[np.uint8]], rate: float, las
         if path.suffix == ".mp4":
             from moviepy import ImageSequenceClip
 
-            # The encoder wants even numbers of pixels.
+            # The encoder requires even numbers of pixels.
             even = [frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2] for frame in frames]
             clip = ImageSequenceClip(even, fps=rate)
             clip.write_videofile(str(unfinished), codec="libx264", audio=False, logger=None)
@@ -77,12 +78,12 @@ def write_film(path: Path, frames: Sequence[NDArray[np.uint8]], rate: float, las
 
 
 def encode_gif(frames: Sequence[Image.Image | NDArray[np.uint8]], duration: int, last_duration: int = 0) -> bytes:
-    """An endless GIF.
+    """Encode a GIF that repeats endlessly.
 
     Args:
         frames: At least one.
-        duration: Of a frame [ms].
-        last_duration: Of the last frame, if longer [ms].
+        duration: Duration of a frame [ms].
+        last_duration: Duration of the last frame, if longer [ms].
 
     Returns:
         The file's content.
@@ -90,8 +91,8 @@ def encode_gif(frames: Sequence[Image.Image | NDArray[np.uint8]], duration: int,
     from PIL import Image
 
     pages = [frame if isinstance(frame, Image.Image) else Image.fromarray(frame) for frame in frames]
-    # One palette for all, and no dithering: what does not move then has the same bytes in every frame, which GIF
-    # stores as nothing.
+    # One palette for all frames, and no dithering: parts that do not move then have the same bytes in every frame,
+    # which take no space in a GIF.
     samples = pages[:: max(1, len(pages) // 6)]
     sheet = Image.new("RGB", (pages[0].width, sum(page.height for page in samples)))
     top = 0

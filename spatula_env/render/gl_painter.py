@@ -1,4 +1,4 @@
-"""Draws a composition with OpenGL 3.3, in the context that is current."""
+"""Drawing of a composition with OpenGL 3.3, in the current context."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ MAP_SIZE = 1024
 """Texels along a side of the shadow map."""
 
 HIDDEN_OPACITY = 0.35
-"""With which the part of a mark that something hides shines through."""
+"""Opacity with which hidden parts of marks shine through."""
 
 INPUTS = ("place", "normal", "color", "mark")
-"""What the vertex shader reads, three numbers each."""
+"""Inputs of the vertex shader, three numbers each."""
 
 
 class GLPainter:
@@ -49,7 +49,7 @@ class GLPainter:
             gl.glGenVertexArrays(1, ctypes.byref(array))
             gl.glBindVertexArray(array)
             for row, name in enumerate(INPUTS):
-                # The shadow's program has no use for all of them.
+                # The shadow program does not use all of them.
                 if name in program.attributes:
                     location = program.attributes[name]["location"]
                     gl.glEnableVertexAttribArray(location)
@@ -88,10 +88,10 @@ class GLPainter:
         """Draw into the window.
 
         Args:
-            composition: What there is to draw.
+            composition: What to draw.
             camera: The view.
-            width: Of the window [pixels].
-            height: Of the window [pixels].
+            width: Width of the window [pixels].
+            height: Height of the window [pixels].
         """
         drawn = composition.meshes + composition.marks
         ground = composition.ground
@@ -149,7 +149,7 @@ class GLPainter:
         program["kind"] = 0
         for i, mesh in enumerate(drawn):
             self._draw_mesh(mesh, int(starts[i]), len(blocks[i]))
-        # What something hides of the marks shines through.
+        # Hidden parts of the marks shine through.
         gl.glEnable(gl.GL_BLEND)
         gl.glBlendFunc(gl.GL_SRC_ALPHA, gl.GL_ONE_MINUS_SRC_ALPHA)
         gl.glDepthMask(gl.GL_FALSE)
@@ -175,7 +175,7 @@ class GLPainter:
         gl.glDrawArrays(gl.GL_TRIANGLES, start, count)
 
     def _draw_shadows(self, casters: list[int], starts: NDArray[np.int64], blocks: list[Singles]) -> FloatArray:
-        """Draw the map of what blocks the key light; returns the matrix from the world to the map's clip space."""
+        """Draw the shadow map of the key light; returns the matrix from the world to the map's clip space."""
         matrix = np.diag([0.0, 0.0, 0.0, 1.0])
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._target)
         gl.glViewport(0, 0, MAP_SIZE, MAP_SIZE)
@@ -186,7 +186,7 @@ class GLPainter:
             low, high = points.min(axis=0), points.max(axis=0)
             half = 0.5 * float((high - low).max()) * 1.1 + 0.2
             middle = 0.5 * (low + high)
-            # What is behind all casters is in the map too: the ground.
+            # The depth range extends behind all casters, so that it includes the ground.
             matrix[:2, :3] = frame[:2] / half
             matrix[:2, 3] = -middle[:2] / half
             near, far = high[2] + 0.5, low[2] - 4.0 * half
@@ -208,7 +208,7 @@ class GLPainter:
 
 
 def read_picture(width: int, height: int) -> NDArray[np.uint8]:
-    """What is in the window's back buffer: (height, width, 3), the first row at the top."""
+    """Read the window's back buffer: (height, width, 3), the first row at the top."""
     data = np.empty((height, width, 3), dtype=np.uint8)
     gl.glPixelStorei(gl.GL_PACK_ALIGNMENT, 1)
     gl.glReadPixels(0, 0, width, height, gl.GL_RGB, gl.GL_UNSIGNED_BYTE, data.ctypes.data_as(ctypes.c_void_p))
@@ -216,7 +216,7 @@ def read_picture(width: int, height: int) -> NDArray[np.uint8]:
 
 
 def _corners(mesh: Mesh) -> Singles:
-    """(3 T, 12): place, normal, colour and texture coordinates of the corners of all triangles."""
+    """(3 T, 12) position, normal, colour and texture coordinates of the corners of all triangles."""
     flat = mesh.triangles.reshape(-1)
     data = np.zeros((len(flat), 3 * len(INPUTS)), dtype=np.float32)
     if not len(flat):
@@ -234,7 +234,7 @@ def _corners(mesh: Mesh) -> Singles:
 
 
 def _ground_corners(ground: GroundPlane) -> Singles:
-    """A square as large as the ground is seen."""
+    """(6, 12) corners of a square that covers the visible ground."""
     x, y = ground.center
     far = ground.fade_end * math.sqrt(2.0)
     around = [(x - far, y - far), (x + far, y - far), (x + far, y + far), (x - far, y + far)]
@@ -251,9 +251,9 @@ def _backdrop() -> Singles:
 
 
 _BACKDROP = _backdrop()
-"""One triangle that covers the picture."""
+"""Corners of one triangle that covers the picture."""
 
 
 def _columns(matrix: FloatArray) -> tuple[float, ...]:
-    """A matrix (4, 4) as OpenGL takes it."""
+    """The entries of a matrix (4, 4), column by column, as OpenGL takes them."""
     return tuple(np.asarray(matrix, dtype=np.float64).T.ravel().tolist())

@@ -1,4 +1,4 @@
-"""Shadows on the ground: where they may lie in a picture, and how dark they are."""
+"""Shadows on the ground: where in a picture they may be, and how dark they are."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from spatula_env.render.layout import (
 
 @inlined
 def shadow_corners(view: Floats, light: Floats, matrix: Floats, supersample: int, corners: Floats) -> bool:
-    """Pixels (8, 2) around the ground that may be in shadow; False if a corner is behind the near plane.
+    """Find corners (8, 2) in pixels around ground that may be in shadow; False if one is behind the near plane.
 
-    The first four go around what the key light's shadow can reach, the others around what lies under things.
+    The first four are around the reach of the key light's shadow, the others around the area under things.
     """
     ahead = True
     for corner in range(8):
@@ -57,7 +57,7 @@ def shadow_corners(view: Floats, light: Floats, matrix: Floats, supersample: int
 
 @inlined
 def shadow_row(corners: Floats, py: int, width: int) -> tuple[int, int]:
-    """Pixels of row py, the end excluded, that the two quadrilaterals touch."""
+    """Range of pixels of row py, the end excluded, that the two quadrilaterals touch."""
     low, high = math.inf, -math.inf
     for corner in range(8):
         after = (corner & 4) | ((corner + 1) & 3)
@@ -91,9 +91,9 @@ def shadow_part(
     step: int,
     blocks: Floats,
 ) -> None:
-    """How much light the ground lacks in pixels first..last of row py, written to `blocks`, from 0 to 1.
+    """Write the share of light, from 0 to 1, that the ground lacks in pixels first..last of row py to `blocks`.
 
-    It is found at every `step`th pixel, and in a straight line between. `dark` and `under_size` are those of
+    It is computed at every `step`th pixel and interpolated linearly in between. `dark` and `under_size` are those of
     `shadows.cast_shadows`.
     """
     gz = view[GROUND_HEIGHT]

@@ -1,6 +1,6 @@
-"""Where things are in the arrays that the renderer hands to its kernels.
+"""Layout of the arrays that the renderer passes to its kernels.
 
-The kernels are compiled with these numbers inside them.
+The kernels are compiled with these numbers as constants.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Singles = NDArray[np.float32]
 Indices = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 Scene = tuple[Floats, Indices, Indices, Floats, Floats, Floats, Singles, Indices, Floats]
-"""What shading reads, which all kernels after `rasterizer.prepare` pass on:
+"""The arrays that shading reads and that all kernels after `rasterizer.prepare` pass on:
 
 - shading functions of the triangles (T, FUNCTIONS);
 - mesh of each triangle (T,);
@@ -120,5 +120,5 @@ TONES = 8192
 
 
 def inlined(function: Function) -> Function:
-    """Compile a helper into its callers, always: a call with this many arrays costs more than the work behind it."""
+    """Inline a helper into its callers, always: a call with this many arrays costs more than the work it does."""
     return cast("Function", njit(error_model="numpy", inline="always")(function))

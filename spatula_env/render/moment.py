@@ -1,4 +1,4 @@
-"""A moment of a scene, from which a picture is made."""
+"""The state of a scene at one moment, from which a picture is made."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is known of a scene with V nodes and N tools at one moment, in its frame.
+    """The visible state of a scene with V nodes and N tools at one moment, in the scene's frame.
 
     Attributes:
         nodes: (V, 3) of the organs [u].
         tool_positions: (N, 3), or (3,) of the only tool [u].
         tool_orientations: (N, 4), or (4,) of the only tool: quaternions xyzw.
-        forces: (N, 3), or (3,), on the tools [N]; each is drawn as an arrow that its tool is pushed by.
-        pressures: (n,) for each tool, on its contact nodes [Pa]; organs are coloured where they touch it, as
-            `palette.PRESSURE` says.
-        marks: What shows the goal [u].
+        forces: (N, 3), or (3,), on the tools [N]; each is drawn as an arrow from its tool.
+        pressures: (n,) for each tool, on its contact nodes [Pa]; organs are coloured where they touch the tool, with
+            the colours of `palette.PRESSURE`.
+        marks: Marks that show the goal [u].
         tool_scale: Factor on the lengths of the scene's tools.
-        ground_height: Where the ground is, if not where the scene has it [u].
+        ground_height: Height of the ground, if it differs from the scene's [u].
     """
 
     nodes: ArrayLike

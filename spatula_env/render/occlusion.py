@@ -1,4 +1,4 @@
-"""Ambient occlusion: the bottom of a fissure is dark."""
+"""Ambient occlusion, which makes, for example, the bottom of a fissure dark."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from spatula_env.render.primitives import perpendicular_axes
 from spatula_env.render.shadows import draw_flat
 
 DIRECTIONS = 48
-"""From which the surface is looked at."""
+"""Number of directions from which visibility is tested."""
 
 TEXELS = 160
-"""Along a side of the map for each direction."""
+"""Texels along a side of the depth map for each direction."""
 
 LIFT = 0.6
-"""How far points are lifted off the surface before they are looked at, in texels: coarse triangles hide themselves."""
+"""Distance by which points are lifted off the surface before the test, in texels, so that triangles do not hide their
+own points."""
 
 
 def openness(points: FloatArray, normals: FloatArray, triangles: NDArray[np.int32]) -> FloatArray:
-    """How much of what is before it each point of a closed surface sees, weighted by the cosine to its normal.
+    """Share of the half-space before it that each point of a closed surface sees, weighted by the cosine to its normal.
 
     The surface is drawn in parallel projection from directions spread evenly over the sphere (a Fibonacci lattice).
 
@@ -31,14 +32,14 @@ def openness(points: FloatArray, normals: FloatArray, triangles: NDArray[np.int3
         triangles: (T, 3), counter-clockwise from outside.
 
     Returns:
-        (V,) from 0, hidden, to 1, all of the half-space.
+        (V,) from 0 (nothing visible) to 1 (all of the half-space).
     """
     index = np.arange(DIRECTIONS) + 0.5
     height = 1.0 - 2.0 * index / DIRECTIONS
     turn = np.pi * (1.0 + 5.0**0.5) * index
     flat = np.sqrt(1.0 - height**2)
     directions = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
-    # Copies: the kernel takes only what it could write to.
+    # Copies, because the kernel accepts only writable arrays.
     points, triangles = np.array(points, dtype=np.float64), np.array(triangles, dtype=np.int32)
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = max(float(np.sqrt(((points - middle) ** 2).sum(axis=1)).max()), 1e-9)

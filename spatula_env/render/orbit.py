@@ -1,4 +1,4 @@
-"""A camera that a hand turns around what it looks at."""
+"""A camera that orbits its target, controlled by hand."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from spatula_env.render.camera import Camera
 
 LEAST_ELEVATION, GREATEST_ELEVATION = -5.0, 89.0
-"""How low and how high the eye gets [degrees]: from far below there is no ground."""
+"""Limits of the eye's elevation [degrees]: from below, the ground is not drawn."""
 
 CLOSEST, FARTHEST = 0.25, 4.0
-"""How close and how far the eye gets, in distances at the start."""
+"""Limits of the eye's distance from the target, by that at the start."""
 
 
 class Orbit:
-    """Turns, shifts and moves a camera, and finds back to where it began.
+    """Turns, shifts and moves a camera, and can return to its first pose.
 
     Attributes:
-        camera: The camera as it is now.
+        camera: The present camera.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -29,24 +29,24 @@ class Orbit:
         self.camera = camera
 
     def reset(self) -> None:
-        """Go back to where the camera began."""
+        """Return to the first camera."""
         self.camera = self._home
 
     def turn(self, right: float, up: float) -> None:
-        """Turn what is seen, as a hand would that moves to the right and up by so many degrees."""
+        """Turn the scene as if dragged to the right and up, by angles in degrees."""
         target, distance, azimuth, elevation = self._pose()
         elevation = min(max(elevation - up, LEAST_ELEVATION), GREATEST_ELEVATION)
         self._set(target, distance, azimuth - right, elevation)
 
     def shift(self, right: float, up: float) -> None:
-        """Shift what is seen, by parts of the picture's height."""
+        """Shift the scene to the right and up, by fractions of the picture's height."""
         target, distance, azimuth, elevation = self._pose()
         height = 2.0 * distance * math.tan(math.radians(0.5 * self.camera.vertical_field_of_view))
         axes = self.camera.axes()
         self._set(target - height * (right * axes[0] + up * axes[1]), distance, azimuth, elevation)
 
     def move(self, steps: float) -> None:
-        """Go closer by so many steps, of which each takes a tenth of the way; with fewer than none, go back."""
+        """Move closer by a number of steps, each a tenth of the remaining distance; if negative, move away."""
         target, distance, azimuth, elevation = self._pose()
         start = math.dist(self._home.position, self._home.target)
         distance = min(max(distance * 0.9**steps, CLOSEST * start), FARTHEST * start)

@@ -1,7 +1,7 @@
-"""Colours: the scene's palette, colour maps, and the step between display and linear light.
+"""Colours: the scene's palette, colour maps, and the conversion between sRGB and linear light.
 
 Colours in this package are triples in 0..1 with the sRGB transfer curve, as colour pickers show them; the renderer
-adds light in linear light and encodes once, at the end.
+computes in linear light and encodes once, at the end.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ GOAL: Color = (0.10, 0.62, 0.47)
 MARKER: Color = (0.34, 0.20, 0.62)
 """Gentian violet, with which surgeons mark tissue: parts of the organ that a task is about."""
 CAUTION: Color = (0.62, 0.07, 0.10)
-"""What must be spared."""
+"""Parts of the organ that must be spared."""
 FEASIBLE: Color = (0.16, 0.65, 0.35)
 """Contact nodes whose contact counts."""
 UNFEASIBLE: Color = (0.84, 0.20, 0.22)
@@ -107,16 +107,17 @@ def oklab_to_srgb(color: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class ColorMap:
-    """A sequence of colours that equal steps of the value cross in equal perceived steps.
+    """A colour map in which equal steps of the value are equal perceived steps.
 
     The stops are joined by straight lines in Oklab and the path is walked at constant speed, so no part of the range
     looks flatter than another and none shows an edge that the data does not have. If the lightness of the stops is
-    monotonic, so is the map's, and it can be read in grey as well. Where values are named at which stops are to be
-    reached, the speed is constant between two stops.
+    monotonic, so is the map's, and it can be read in grey as well. If positions of the stops are given, the speed is
+    constant between two stops.
 
     Attributes:
         stops: two or more colours, from the lowest value to the highest.
-        positions: where in the range each stop is reached, from 0 to 1, ascending; None: where constant speed gets.
+        positions: position of each stop in the range, from 0 to 1, ascending; None: those that follow from constant
+            speed.
     """
 
     stops: tuple[Color, ...]
@@ -174,17 +175,18 @@ class ColorMap:
 
 
 PRESSURE_LIMITS = (2670.0, 4000.0)
-"""Contact pressures that colours warn of: 20 and 30 mmHg [Pa]."""
+"""Contact pressures at which the colours change as a warning: 20 and 30 mmHg [Pa]."""
 
 HIGHEST_PRESSURE = 8000.0
-"""Where the colours of pressure end [Pa]."""
+"""Pressure at the upper end of the colour map [Pa]."""
 
 PRESSURE = ColorMap(
     (TISSUE, (0.89, 0.48, 0.02), (0.70, 0.07, 0.13), (0.27, 0.0, 0.16)),
     positions=(0.0, PRESSURE_LIMITS[0] / HIGHEST_PRESSURE, PRESSURE_LIMITS[1] / HIGHEST_PRESSURE, 1.0),
 )
 """Contact pressure on the organ from zero to `HIGHEST_PRESSURE`: bare tissue, amber at the lower limit, crimson at the
-upper one, nearly black. Lightness only falls, so it reads in grey too; between the limits it falls fastest."""
+upper one, nearly black at the end. Lightness only falls, so the map can be read in grey too; between the limits it
+falls fastest."""
 
 SPEED = ColorMap(((0.80, 0.86, 0.95), (0.30, 0.55, 0.85), (0.08, 0.20, 0.50)))
 """Motion, for trails and speeds: pale to deep blue."""

@@ -19,7 +19,7 @@ def _points(value: ArrayLike, name: str) -> NDArray[np.float64]:
     array = np.ascontiguousarray(value, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have the shape (N, 3), got {array.shape}")
-    # One number that is not finite makes the sum so.
+    # A single number that is not finite makes the sum not finite.
     if not math.isfinite(float(array.sum())):
         raise ValueError(f"{name} must be finite")
     return array
@@ -41,7 +41,7 @@ def _check_unit(value: float, name: str) -> None:
 
 @dataclass(frozen=True)
 class Material:
-    """How a surface answers light.
+    """How a surface reflects light.
 
     Attributes:
         specular: strength of the mirror-like highlight, 0..1.
@@ -74,13 +74,13 @@ class Material:
 
 
 MATTE = Material()
-"""Plastic without much of a highlight: arrows and markers."""
+"""Plastic with a weak highlight: arrows and markers."""
 WET_TISSUE = Material(specular=0.55, shininess=256.0, subsurface=0.5, rim=0.22, mottle=0.6)
 """The organ's surface under a film of liquid."""
 BRUSHED_STEEL = Material(specular=0.35, shininess=64.0, metallic=0.85, rim=0.10, grain=0.5)
 """A surgical instrument."""
 UNLIT = Material(specular=0.0, rim=0.0, unlit=True)
-"""Signs: the colour as it is."""
+"""The plain colour without light, for signs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +94,20 @@ class Mesh:
         triangles: vertex indices (T, 3).
         color: of the whole surface.
         vertex_colors: (V, 3) in 0..1, instead of `color`.
-        opacity: 1 opaque, 0 invisible. Below 1 the triangles are blended from back to front over what is opaque.
+        opacity: 1 opaque, 0 invisible. Below 1 the triangles are blended from back to front over opaque meshes.
         smooth: shade with vertex normals, area-weighted over the triangles around a vertex; else with one normal per
             triangle.
-        two_sided: draw the backs of triangles too. Backs are also drawn where `back_color` is given or with a
-            `clip_plane` (unless `capped`), which lets one see inside.
+        two_sided: draw the backs of triangles too. Backs are also drawn if `back_color` is given, or with a
+            `clip_plane` (unless `capped`), which exposes the inside.
         back_color: colour of the backs and of the cap; the front's colour if None.
-        clip_plane: (point, normal): what lies on the side of the normal is cut away, per pixel.
+        clip_plane: (point, normal): the part on the side of the normal is cut away, per pixel.
         capped: close the cut of a closed mesh with a flat section in `back_color`.
         rind: thickness of a paler layer along the border of the section, u; 0 shows none. Only with `capped`.
         material: of the surface.
-        texture: (V, 3) where each vertex is in the body's own frame, u: the marks of a material stay on the body as
-            it moves and deforms. Without it they are not drawn.
+        texture: (V, 3) position of each vertex in the body's own frame, u, so that the marks of a material stay on the
+            body as it moves and deforms. Without it they are not drawn.
         refine: 0..2, how many times to split each triangle in four on a curved surface, for pictures only: outlines
-            get round, and the surface moves off the flat triangles by a small part of their size. Needs `smooth`.
+            become round, and the surface leaves the flat triangles by a small fraction of their size. Needs `smooth`.
         casts_shadow: onto the ground and onto other meshes.
         receives_shadow: of other meshes.
 
@@ -172,13 +172,13 @@ class Mesh:
             raise ValueError(f"refine must be 0, 1 or 2, and 0 on a mesh that is not smooth, got {self.refine}")
 
     def moved(self, vertices: ArrayLike) -> Mesh:
-        """The same mesh with its vertices elsewhere, u (V, 3)."""
+        """A copy of the mesh with its vertices at new positions, u (V, 3)."""
         return replace(self, vertices=_points(vertices, "vertices"))
 
 
 @dataclass(frozen=True)
 class GroundPlane:
-    """The plane z = `height`, drawn without geometry; seen from below it is not there.
+    """The plane z = `height`, drawn without geometry; from below it is invisible.
 
     Attributes:
         height: u.
@@ -233,7 +233,7 @@ class GroundPlane:
 
 @dataclass(frozen=True)
 class Background:
-    """What is behind everything: one colour at the top of the picture, blended to another at its bottom.
+    """The background: one colour at the top of the picture, blended to another at its bottom.
 
     Attributes:
         top: colour of the upper edge.
@@ -297,7 +297,7 @@ def perpendicular_axes(
     if length < 1e-12:
         raise ValueError("direction must not be zero")
     third = third / length
-    # The world axis that is furthest from the direction.
+    # The world axis with the greatest angle to the direction.
     helper = np.zeros(3)
     helper[int(np.argmin(np.abs(third)))] = 1.0
     first = np.cross(helper, third)

@@ -1,4 +1,4 @@
-"""The rasteriser: which triangle each sample of a picture shows.
+"""The rasteriser, which finds the triangle that each sample of a picture shows.
 
 A picture is made in these steps, at `supersample` x `supersample` samples per pixel:
 
@@ -6,14 +6,14 @@ A picture is made in these steps, at `supersample` x `supersample` samples per p
    the depth along the optical axis. Triangles are rasterised in these coordinates, without dividing first (M. Olano
    and T. Greer, "Triangle scan conversion using 2D homogeneous coordinates", 1997): the edge functions and 1 / W are
    linear over the picture even for a triangle that reaches behind the eye, so the near plane and a cut are two more
-   half-planes of each row, not new polygons. So is everything that varies linearly over the triangle, once divided
-   by W: normals, colours and texture coordinates become linear functions of the sample coordinate too.
-2. `prepare` writes these functions for every triangle that may show.
+   half-planes of each row, not new polygons. Everything that varies linearly over the triangle also becomes linear in
+   the sample coordinate once it is divided by W: normals, colours and texture coordinates.
+2. `prepare` writes these functions for every triangle that may be visible.
 3. `compose.draw_picture` then goes down the picture in bands of a few rows, so that the samples stay in the cache.
-   `draw_opaque` leaves, for every sample of a band, the nearest triangle and its 1 / W. A sample on an edge shared by
+   `draw_opaque` finds, for every sample of a band, the nearest triangle and its 1 / W. A sample on an edge shared by
    two triangles belongs to exactly one of them. `draw_cap` closes cut meshes.
-4. `translucent.draw_translucent` goes through the translucent triangles from front to back and keeps for every sample
-   what is left of the light behind; that sums to the same as blending from back to front.
+4. `translucent.draw_translucent` goes through the translucent triangles from front to back and keeps, for every sample,
+   the share of the light from behind that still comes through; the sum is the same as blending from back to front.
 5. `compose.resolve` shades each triangle once in each pixel where samples show it, weights by samples, and encodes.
 
 Nothing here is compiled with fast-math, and no loop runs in parallel: equal input gives equal bytes.
@@ -58,7 +58,7 @@ from spatula_env.render.vertices import triangle_normal
 def edges(p: Floats, a: int, b: int, c: int, edge: Floats) -> float:
     """Edge functions (3, 3) of a triangle, edge[i] . (x, y, 1), each opposite to its vertex; returns det.
 
-    An edge named the other way round gets exactly the negative numbers: that closes seams.
+    The same edge in the reverse direction gets exactly the negative numbers, so that no seams open.
     """
     for k in range(3):
         i = b if k == 0 else (c if k == 1 else a)
@@ -77,7 +77,7 @@ def is_thin(p: Floats, a: int, b: int, c: int, det: float) -> bool:
 
 @inlined
 def bounds(p: Floats, a: int, b: int, c: int, near: float, width: int, height: int) -> tuple[int, int, int, int]:
-    """Samples that the part of a triangle beyond the near plane can touch: x0, x1, y0, y1, ends excluded."""
+    """Range of samples that the part of a triangle beyond the near plane can touch: x0, x1, y0, y1, ends excluded."""
     low_x = low_y = math.inf
     high_x = high_y = -math.inf
     for k in range(3):
@@ -120,7 +120,7 @@ def _add_limit(a: float, b: float, c: float, limits: Floats, t: int, k: int) -> 
 
 @inlined
 def span(y: int, x0: int, x1: int, limits: Floats, t: int, count: int) -> tuple[int, int]:
-    """Samples of row y inside all limits. A sample right on a limit is inside on the left and the upper side only."""
+    """Range of samples of row y inside all limits. A sample exactly on a left or an upper limit counts as inside."""
     middle = y + 0.5
     low, high = float(x0), float(x1)
     for k in range(count):
@@ -178,7 +178,7 @@ def collect_limits(
 
 @inlined
 def _plane_distance(points: Floats, i: int, parameters: Floats, m: int) -> float:
-    """How far vertex i is on the side of mesh m's plane that is cut away."""
+    """Signed distance of vertex i from mesh m's plane, positive on the side that is cut away."""
     return float(
         parameters[m, PLANE] * points[i, 0]
         + parameters[m, PLANE + 1] * points[i, 1]
@@ -191,7 +191,7 @@ def _plane_distance(points: Floats, i: int, parameters: Floats, m: int) -> float
 def plane_distances(
     points: Floats, a: int, b: int, c: int, parameters: Floats, m: int, cut: bool
 ) -> tuple[float, float, float]:
-    """The same for three vertices, or zeros if the mesh is not cut."""
+    """Distances of three vertices as `_plane_distance` gives them, or zeros if the mesh is not cut."""
     if not cut:
         return 0.0, 0.0, 0.0
     return (
@@ -306,7 +306,7 @@ def prepare(
     limits: Floats,
     functions: Floats,
 ) -> None:
-    """Find out where triangles may show, and write their functions.
+    """Find where triangles may be visible, and write their functions.
 
     Args:
         points: world positions (N, 3).
@@ -322,15 +322,15 @@ def prepare(
         view: the view array.
         width: samples in a row.
         height: rows of samples.
-        extents: (T, 6) to write: number of limits (0: it does not show), x0, x1, y0, y1 of the samples it may touch,
-            the ends excluded, and 1 for a back, -1 for a front.
+        extents: (T, 6) to write: number of limits (0: not visible), x0, x1, y0, y1 of the samples it may touch, the
+            ends excluded, and 1 for a back, -1 for a front.
         limits: (T, 5, 3) to write: half-planes of each row's samples (see `span`).
         functions: (T, FUNCTIONS) to write (see `layout`).
     """
     edge = np.empty((3, 3))
     for t in range(count):
         m = owner[t]
-        # The backs of a capped mesh are not shown but counted.
+        # The backs of a capped mesh are not drawn, but counted for its cap.
         back = flags[m] & (DRAW_BACK | CAPPED) != 0
         n, x0, x1, y0, y1, det = _begin(
             t,
@@ -342,7 +342,7 @@ def prepare(
             back,
             parameters,
             view[NEAR],
-            # Every crossing of a capped mesh counts, however far.
+            # Every crossing of a capped mesh counts, however far away.
             math.inf if flags[m] & CAPPED else view[FAR],
             width,
             height,
@@ -440,8 +440,8 @@ def draw_cap(
     """Close the cut of a mesh in a band.
 
     A ray that enters the kept half-space at the plane is inside a closed mesh there if, beyond the plane, it crosses
-    one more back than fronts. What shows is recorded as triangle `cap`, whose shading functions are written; its
-    texture coordinates are world coordinates, since the inside has none.
+    one more back than fronts. Visible samples of the section are recorded as triangle `cap`, whose shading functions
+    are written; its texture coordinates are world coordinates, since the inside has none.
 
     Args:
         top: first row of samples.
@@ -450,8 +450,8 @@ def draw_cap(
         m: the mesh.
         first: its first triangle.
         last: end of its triangles.
-        cap: the triangle that stands for the cap.
-        over: -1, or the cap that this one is to be drawn on.
+        cap: index of the triangle that represents the cap.
+        over: -1, or the cap that this one is drawn on.
         extents: see `prepare`.
         limits: see `prepare`.
         functions: see `prepare`.

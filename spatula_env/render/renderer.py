@@ -22,11 +22,11 @@ _BAND = 16384
 """Samples in a band."""
 
 _ASIDE = (1.4142e-7, 1.7321e-7)
-"""How far the middle of the picture is from its place, across and down, in samples. A vertex at a round position would
-fall right on a sample, and where many edges end in a sample, rounding would count it to two triangles or to none."""
+"""Offset of the middle of the picture, across and down, in samples. Without it a vertex at a round position would fall
+exactly on a sample, and where many edges end in a sample, rounding would assign it to two triangles or to none."""
 
 WRAPS = (0.50, 0.22, 0.16)
-"""How far red, green and blue light bleeds around in flesh, as a cosine: red is absorbed least."""
+"""How far red, green and blue light bleeds into the shaded side in flesh, as a cosine: red is absorbed least."""
 
 
 class Renderer:
@@ -38,7 +38,7 @@ class Renderer:
     Args:
         width: of the picture, pixels, 1..8192.
         height: of the picture, pixels, 1..8192.
-        supersample: samples along a pixel's side, 1..4. Visibility is found for every sample, light for every
+        supersample: samples along a pixel's side, 1..4. Visibility is computed for every sample, light once for every
             triangle in a pixel: 2 gives smooth edges at little cost.
         lighting: the lights.
 
@@ -62,7 +62,7 @@ class Renderer:
         self._background_light = np.zeros((self.height, self.width, 3), dtype=np.float32)
         self._background_bytes = np.zeros((self.height, self.width, 3), dtype=np.uint8)
         self._ground_weight = np.zeros((self.height, self.width), dtype=np.float32)
-        # What the view array and the background stand for now.
+        # What the view array and the background were computed for.
         self._drawn: tuple[Camera, Background, GroundPlane | None, Lighting] | None = None
 
         # Samples exist for a band of rows at a time, few enough to stay in the processor's cache.
@@ -81,7 +81,7 @@ class Renderer:
             np.zeros((columns * self.supersample, 3)),
         )
 
-        # Shadows are soft: a map much finer than the picture would be wasted.
+        # Shadows are soft, so a map much finer than the picture would be a waste.
         size = min(max(int(0.32 * max(self.width, self.height)), 40), 160)
         under_size = min(max(size // 2, 24), 72)
         self._map_depth = np.zeros((size, size), dtype=np.float32)
@@ -146,8 +146,8 @@ class Renderer:
 
         Returns:
             The picture (H, W, 3), uint8, and the depth (H, W), float32: distance along the optical axis in u, at the
-            pixel's centre, of the nearest opaque thing in the pixel; the ground counts however far it has faded, and
-            `camera.far` stands where there is nothing. What is translucent does not count.
+            pixel's centre, of the nearest opaque thing in the pixel; the ground counts even where it has faded, and
+            the depth is `camera.far` where there is nothing. Translucent meshes do not count.
 
         Raises:
             ValueError: as in `render`.
@@ -170,7 +170,7 @@ class Renderer:
         return out
 
     def _grow(self, points: int, triangles: int, meshes: int) -> None:
-        """Make room for a scene; what the buffers held is not kept."""
+        """Enlarge the buffers for a scene if needed; their contents are lost."""
         if points > self._vertex_room:
             self._vertex_room = room = max(points, 2 * self._vertex_room)
             self._points = np.zeros((room, 3))
@@ -266,7 +266,7 @@ class Renderer:
             flags |= k.DRAW_BACK
         if material.unlit:
             flags |= k.UNLIT
-        # What cannot be seen shadows nothing, and what shows no triangle has no extent.
+        # An invisible mesh casts no shadow, and a mesh without triangles has no extent.
         if mesh.casts_shadow and mesh.opacity > 0.0 and len(mesh.triangles):
             flags |= k.CASTS
         if mesh.receives_shadow:
@@ -365,7 +365,7 @@ class Renderer:
         )  # fmt: skip
 
     def _see(self, camera: Camera, ground: GroundPlane | None, background: Background | Color | None) -> None:
-        """Draw the background, unless it is that of the picture before."""
+        """Set up the view and draw the background, unless they are those of the previous picture."""
         if background is None:
             background = Background()
         elif not isinstance(background, Background):
@@ -378,16 +378,16 @@ class Renderer:
             self._drawn = wanted
 
     def _pack(self, meshes: Sequence[Mesh], floor: float) -> _Packed:
-        """Copy all meshes into the buffers; no vertex that refining makes is below the floor [u]."""
+        """Copy all meshes into the buffers; refinement puts no new vertex below the floor [u]."""
         rinds = [m for m, mesh in enumerate(meshes) if mesh.rind > 0.0]
         corners = triangles = 0
         for mesh in meshes:
-            # Splitting adds 3 vertices a triangle, then 12; its input and its output need room at once.
+            # Splitting adds 3 vertices per triangle, then 12 more; its input and its output need room at the same time.
             copies = 2 if mesh.rind > 0.0 else 1
             corners += copies * (len(mesh.vertices) + (0, 3, 15)[mesh.refine] * len(mesh.triangles))
             triangles += copies * (1, 5, 20)[mesh.refine] * len(mesh.triangles)
         count = len(meshes) + len(rinds)
-        # Behind the triangles, one place for the section of each mesh.
+        # After the triangles, there is one place for the section of each mesh.
         self._grow(corners, triangles + count, count)
         vertex = triangle = 0
         starts = []
@@ -433,12 +433,12 @@ class Renderer:
 
 @dataclass(frozen=True)
 class _Packed:
-    """Which meshes are in the buffers, and behind them what a section's rind leaves of some.
+    """The meshes in the buffers, followed by the cores: meshes with a rind, shrunk by its thickness.
 
     Attributes:
-        triangles: How many in all.
+        triangles: Number of triangles in all.
         starts: First triangle of each mesh, and the end of the last.
-        shells: For what a rind leaves, the triangle that stands for the section it is drawn on; -1 for meshes.
+        shells: For a core, the triangle that represents the section it is drawn on; -1 for other meshes.
     """
 
     triangles: int
@@ -447,7 +447,7 @@ class _Packed:
 
     @property
     def meshes(self) -> int:
-        """How many there are."""
+        """Number of meshes, cores included."""
         return len(self.shells)
 
     def sections(self, flags: k.Indices) -> NDArray[np.int64]:

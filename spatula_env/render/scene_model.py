@@ -1,6 +1,6 @@
 """The drawable model of a scene: organs with their contact pressure, tools, forces, and marks of the goal.
 
-It makes meshes and lines and draws nothing: `SceneView` makes pictures of them, `Window` shows them.
+The model makes meshes and curves but draws nothing: `SceneView` makes pictures of them, and `Window` shows them.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ ARROW_LENGTH = 4.0
 """Length of a force's arrow [u/N]."""
 
 LONGEST_ARROW = 2.5
-"""Arrows of greater forces end there [u]."""
+"""Greatest length of an arrow; greater forces have the same [u]."""
 
 LEAST_FORCE = 0.01
-"""A smaller force is not drawn [N]."""
+"""Smallest force that is drawn [N]."""
 
 LINE_WIDTH = 0.05
-"""Of rings and paths [u]."""
+"""Width of the lines of rings and paths [u]."""
 
 PRESSURE_REACH = 0.32
-"""How far around a contact node the organ is coloured [u]: tools hide what lies under them."""
+"""Distance around a contact node within which the organ is coloured [u]; tools hide what lies directly under them."""
 
 PALE_PRESSURE = 400.0
-"""At this pressure the colour of pressure has taken the place of what is under it [Pa]."""
+"""Pressure from which the colour of pressure replaces the colour of the tissue [Pa]; below, they are mixed."""
 
 DARKEST = 0.22
-"""How bright a point of the organ is that sees nothing of the room."""
+"""Brightness of a point of the organ from which nothing of the room is visible."""
 
 ROLE_COLORS = MappingProxyType({"goal": GOAL, "target": MARKER, "caution": CAUTION})
 """Colours of patches."""
@@ -65,13 +65,13 @@ ROLE_COLORS = MappingProxyType({"goal": GOAL, "target": MARKER, "caution": CAUTI
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """What there is to draw at one moment.
+    """Everything to draw at one moment.
 
     Attributes:
         meshes: Organs first, then tools and arrows.
-        marks: What shows a goal.
+        marks: Meshes that show a goal.
         ground: The plane under everything, or None.
-        curves: (K, 3) each: points along marks that are to shine through what hides them [u].
+        curves: (K, 3) each: points along marks whose hidden parts should shine through [u].
     """
 
     meshes: list[Mesh]
@@ -81,21 +81,21 @@ class Composition:
 
 
 class SceneModel:
-    """Makes what there is to draw of one scene, moment after moment."""
+    """Makes the `Composition` of a scene, moment after moment."""
 
     def __init__(self, scene: Scene, triangles: NDArray[np.int32], levels: int | None = None) -> None:
         """Prepare the meshes.
 
         Args:
-            scene: With organs and tools.
-            triangles: (T, 3) of all organs, indices of all their nodes.
+            scene: The scene with organs and tools.
+            triangles: (T, 3) of all organs, indices into all their nodes.
             levels: How many times to split the organs' triangles in four; None: until they are small.
         """
         nodes = np.concatenate([placed.vertices for placed in scene.organs])
         self._surface = surface = DisplaySurface(nodes, triangles, levels)
         normals = vertex_normals(surface.rest, surface.triangles)
         light = DARKEST + (1.0 - DARKEST) * openness(surface.rest, normals, surface.triangles)
-        # Colours are display values: the root of light, about.
+        # Colours are display values, which are approximately a root of light.
         self._gain = np.minimum(light, 1.0)[:, None] ** (1.0 / 2.2)
         self._tissue = np.ascontiguousarray(self._gain * TISSUE)
         self._organ = Mesh(
@@ -125,11 +125,11 @@ class SceneModel:
             self._ground = GroundPlane(scene.ground.height, center=(float(middle[0]), float(middle[1])))
 
     def compose(self, moment: Moment, cut: tuple[Vector, Vector] | None = None) -> Composition:
-        """What there is to draw at one moment.
+        """Compose everything to draw at one moment.
 
         Args:
             moment: The moment.
-            cut: (point, normal): organs are cut open, and their part on the side of the normal is taken away.
+            cut: (point, normal): organs are cut open, and their part on the side of the normal is removed.
 
         Raises:
             ValueError: If the number of tools, of forces or of pressures is not that of the scene.
@@ -186,9 +186,9 @@ class SceneModel:
         for patch in patches:
             inside = np.zeros((count, 1))
             inside[patch.nodes] = 1.0
-            # Up to the middle of the edges that leave the patch, where it is split that far.
+            # The colour extends to the middle of the edges that leave the patch, if the surface is split that far.
             share = np.clip(2.0 * self._surface.interpolate(inside) - 1.0, 0.0, 1.0)
-            # Dye darkens less than shadow does: a patch at the bottom of a fissure must be seen.
+            # The dye is darkened less than the tissue, so that a patch at the bottom of a fissure is visible.
             dye = np.sqrt(self._gain) * ROLE_COLORS[patch.role]
             colors += 0.8 * share * (dye - colors)
         return colors
@@ -196,9 +196,9 @@ class SceneModel:
     def _pressed(
         self, colors: FloatArray, points: FloatArray, places: FloatArray, out: FloatArray, pressure: FloatArray
     ) -> FloatArray:
-        """Colours (V', 3) of vertices at (V', 3) with the pressure (n,) on contact nodes of a tool.
+        """Colours (V', 3) of vertices at `points` (V', 3), with the pressure (n,) on contact nodes of a tool.
 
-        The nodes are at (n, 3), and their faces look along (n, 3).
+        The nodes are at `places` (n, 3), and `out` (n, 3) are the outward normals of their faces.
         """
         pressure = np.asarray(pressure, dtype=np.float64)
         if pressure.shape != (len(places),):
@@ -213,7 +213,7 @@ class SceneModel:
             return colors
         normals = vertex_normals(points, self._surface.triangles)[near]
         away = ((points[near, None] - places) ** 2).sum(axis=2) / PRESSURE_REACH**2
-        # The wall that a face presses looks towards it; another wall close by does not.
+        # The surface that a face presses faces it; another surface close by does not.
         facing = np.clip(0.3 - 2.0 * (normals @ out.T), 0.0, 1.0)
         falloff = np.maximum(1.0 - away, 0.0)
         felt = (falloff * facing * pressure).max(axis=1)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 HIDDEN_OPACITY = 0.6
-"""With which the part of a mark that something hides shines through."""
+"""Opacity with which hidden parts of marks shine through."""
 
 DASH = 0.2
 """Length of the dashes that hidden parts of marks are drawn with, and of the gaps between them [u]."""
@@ -47,16 +47,16 @@ class SceneView:
         """Prepare the meshes.
 
         Args:
-            scene: With organs and tools.
+            scene: The scene with organs and tools.
             triangles: (T, 3) of all organs.
-            width: Of the picture [pixels].
-            height: Of the picture [pixels].
+            width: Width of the picture [pixels].
+            height: Height of the picture [pixels].
             camera: The view; by default one that suits the kind of scene (see `default_camera`).
             supersample: Samples along a pixel's side; see `Renderer`.
-            levels: How fine the organs are drawn; see `SceneModel`.
+            levels: How finely the organs are drawn; see `SceneModel`.
 
         Raises:
-            ValueError: If the size is not that of a picture.
+            ValueError: If the width, the height or the number of samples is not allowed.
         """
         self._renderer = Renderer(width, height, supersample)
         self._model = SceneModel(scene, triangles, levels)
@@ -65,11 +65,11 @@ class SceneView:
     def draw(
         self, moment: Moment, cut: tuple[Vector, Vector] | None = None, out: NDArray[np.uint8] | None = None
     ) -> NDArray[np.uint8]:
-        """Draw one picture. What is hidden of marks shines through.
+        """Draw one picture. Hidden parts of marks shine through.
 
         Args:
-            moment: What there is to see.
-            cut: (point, normal): organs are cut open, and their part on the side of the normal is taken away.
+            moment: The state to draw.
+            cut: (point, normal): organs are cut open, and their part on the side of the normal is removed.
             out: (height, width, 3) bytes to draw into; a new array if None.
 
         Returns:
@@ -93,7 +93,7 @@ class SceneView:
         """Draw one picture and its depth.
 
         Args:
-            moment: What there is to see. Arrows and marks, but for patches, have a depth of their own.
+            moment: The state to draw. Arrows and marks, except for patches, have a depth of their own.
             out: As in `draw`.
 
         Returns:
@@ -112,7 +112,7 @@ class SceneView:
         return self._renderer.render_rgbd(self.camera, meshes, ground=composition.ground, out=out)
 
     def _show_hidden(self, picture: NDArray[np.uint8], depth: NDArray[np.float32], curve: FloatArray) -> None:
-        """Draw what is hidden of a curve (K, 3) over the picture, faintly and dashed."""
+        """Draw the hidden parts of a curve (K, 3) over the picture, faintly and dashed."""
         height, width = depth.shape
         steps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
         along = np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,4 +1,4 @@
-"""What the graphics card computes for the window: the light of `shading`, in GLSL."""
+"""GLSL shaders of the window: the light of `shading`, computed on the graphics card."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Light: what a point of a surface sends to the eye."""
+"""Shading: the light that a point of a surface sends to the eye."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ _FILL_COLOR = (0.86, 0.94, 1.0)
 
 @inlined
 def _lattice(x: int, y: int, z: int) -> float:
-    """A number in -1..1 without order for each point with whole coordinates: a multiplicative hash."""
+    """A pseudo-random number in -1..1 for each point with integer coordinates, by a multiplicative hash."""
     code = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791)
     code = ((code ^ (code >> 13)) & 0xFFFFFFFF) * 1274126177
     return ((code >> 16) & 0xFFFF) * (2.0 / 65535.0) - 1.0
@@ -66,7 +66,7 @@ def _lattice(x: int, y: int, z: int) -> float:
 
 @inlined
 def _streaks(coordinate: float, footprint: float) -> float:
-    """Brush marks, in -1..1: three octaves of value noise, each left out where a pixel is wider than its waves."""
+    """Brush marks, in -1..1: three octaves of value noise, each faded out where a pixel is wider than its waves."""
     total = 0.0
     for octave in range(3):
         frequency = 14.0 if octave == 0 else (43.0 if octave == 1 else 131.0)
@@ -99,14 +99,14 @@ def _value_noise(x: float, y: float, z: float) -> float:
 
 @inlined
 def _mottle(x: float, y: float, z: float, footprint: float) -> tuple[float, float]:
-    """Patches of paler and redder tissue (-1..1), and vessels (0..1), along which a noise crosses zero."""
+    """Patches of paler and redder tissue (-1..1), and vessels (0..1), which follow the zeros of a noise."""
     broad = _value_noise(0.55 * x + 7.3, 0.55 * y + 1.7, 0.55 * z + 4.1)
     fine = _value_noise(2.1 * x + 0.5 * broad, 2.1 * y + 9.2, 2.1 * z)
     ridge = abs(broad + 0.16 * fine)
     width = 0.030 + 0.9 * footprint
     vessel = max(1.0 - ridge / width, 0.0) * min(0.04 / width, 1.0)
     if vessel > 0.0:
-        # A zero of a noise is a closed line; a second noise breaks it into branches that taper.
+        # The zeros of a noise form closed lines; a second noise breaks them into branches that taper.
         gate = _value_noise(0.9 * x + 3.9, 0.9 * y + 5.3, 0.9 * z + 8.8)
         vessel *= min(max(2.5 * gate + 0.1, 0.0), 1.0)
     return 0.6 * broad + 0.4 * fine, vessel
@@ -149,7 +149,7 @@ def _ambient_light(light: Floats, view: Floats, up: float, pz: float) -> float:
     """The ambient light at the height pz, where `up` is how much the surface faces up, from 0 to 1."""
     ambient = light[AMBIENT]
     if view[GROUND_SEEN] != 0.0:
-        # Near the ground, what faces down sees its own shadow.
+        # Near the ground, a surface that faces down sees its own shadow.
         away = 1.0 + max(pz - view[GROUND_HEIGHT], 0.0) * light[CLOSE]
         ambient *= 1.0 - 0.65 * (1.0 - up) / (away * away)
     return float(ambient)
@@ -161,13 +161,13 @@ def _marks(
 ) -> tuple[float, float, float]:
     """Marks of triangle t of mesh m at sample coordinate (x, y): brush marks, and patches and vessels as in `_mottle`.
 
-    `w` is the depth there, and `footprint` how wide a sample is.
+    `w` is the depth there, and `footprint` the width of a sample.
     """
     u, v, s = _interpolate(functions, t, MARK, x, y)
     u, v, s = w * u, w * v, w * s
     streak = patch = vessel = 0.0
     if parameters[m, GRAIN] > 0.0:
-        # Along x on every face of a box.
+        # The marks run along x on every face of a box.
         streak = parameters[m, GRAIN] * _streaks(v + s, footprint)
     if parameters[m, MOTTLE] > 0.0:
         patch, vessel = _mottle(u, v, s, footprint)
@@ -187,9 +187,9 @@ def _key_light_share(
     py: float,
     pz: float,
 ) -> float:
-    """How much of the key light other meshes let through to the point p of mesh m, from 0 to 1.
+    """Share of the key light that other meshes let through to the point p of mesh m, from 0 to 1.
 
-    Over 4 x 4 texels with weights that fall to the sides.
+    It is averaged over 4 x 4 texels with weights that fall to the sides.
     """
     size = map_depth.shape[0]
     u = light[AXIS_U] * px + light[AXIS_U + 1] * py + light[AXIS_U + 2] * pz
@@ -238,11 +238,11 @@ def shade(
 ) -> None:
     """Add the light that triangles send to the eye.
 
-    All that it calls is compiled into it: Numba counts references for every array that a call passes on, and inside
-    this loop that costs more than the arithmetic.
+    Everything it calls is inlined: Numba counts references for every array that a call passes on, and inside this loop
+    that costs more than the arithmetic.
 
     Args:
-        count: jobs to do.
+        count: number of jobs.
         jobs: (J, 2) triangle and pixel.
         places: (J, 3) sample coordinate x and y, which lies on the triangle, and the weight of the result.
         total: (P, 3) linear light of the pixels, added to.
@@ -292,7 +292,7 @@ def shade(
             lit = _key_light_share(light, map_depth, map_mesh, others, m, px, py, pz)
         key = light[KEY] * lit
 
-        # In flesh, light bleeds around the border of its own shadow.
+        # In flesh, light bleeds across the border into the shaded side.
         key_red = key * max(n_l + parameters[m, WRAP], 0.0) * parameters[m, UNWRAP]
         key_green = key * max(n_l + parameters[m, WRAP + 1], 0.0) * parameters[m, UNWRAP + 1]
         key_blue = key * max(n_l + parameters[m, WRAP + 2], 0.0) * parameters[m, UNWRAP + 2]
@@ -321,7 +321,7 @@ def shade(
             sky_green += metal * (room - sky_green)
             sky_blue += metal * (room * 1.02 - sky_blue)
 
-        # What is brighter than white is cut before samples are mixed, or a highlight's border would be jagged.
+        # Values brighter than white are clipped before samples are mixed: otherwise a highlight's border is jagged.
         red = red * (_KEY_COLOR[0] * key_red + _FILL_COLOR[0] * fill + sky_red) + _KEY_COLOR[0] * shine + edge
         green = green * (_KEY_COLOR[1] * key_green + _FILL_COLOR[1] * fill + sky_green)
         green += _KEY_COLOR[1] * shine + edge

@@ -1,8 +1,8 @@
 """Shadows: maps drawn from the key light and from above.
 
-Shadows on meshes come from a depth map along the key light. A mesh does not shadow itself: on a coarse mesh with
-smooth normals that would show the facets. Shadows on the ground are a blurred silhouette along the key light, and a
-wider one straight down that fades with height, for the light from all around that does not reach under things.
+Shadows on meshes come from a depth map along the key light. A mesh does not shadow itself, because on a coarse mesh
+with smooth normals that would show the facets. Shadows on the ground are a blurred silhouette along the key light, and
+a wider one straight down that fades with height, for the ambient light that does not reach under things.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def draw_flat(
     depth: Singles,
     shown: Indices,
 ) -> None:
-    """Nearest caster in a parallel projection: p holds x and y in texels and the height towards the viewer."""
+    """Find the nearest caster in a parallel projection: p holds x and y in texels and the height towards the viewer."""
     edge = np.empty((3, 3))
     limits = np.empty((1, 5, 3))
     size = depth.shape[0]
@@ -104,7 +104,7 @@ def _blur(maps: Singles, layer: int, size: int, line: Floats, ring: Singles, rad
                 if x - radius - 1 >= 0:
                     total -= line[x - radius - 1]
                 maps[layer, y, x] = total * norm
-    # Down the columns with one running sum for each, row by row: the memory is laid out in rows.
+    # The columns are filtered row by row, with one running sum for each, because the memory is laid out in rows.
     for _ in range(2):
         for x in range(size):
             line[x] = 0.0
@@ -131,7 +131,7 @@ def _measure_casters(
     boxes: Floats,
     box: Floats,
 ) -> None:
-    """Place what casts shadows in the light's axes, and find how far it extends.
+    """Transform the casters of shadows to the light's axes, and find their extents.
 
     Args:
         points: world positions (N, 3).
@@ -139,8 +139,8 @@ def _measure_casters(
         flags: of the meshes.
         ranges: first and last (excluded) vertex of each mesh (M, 2).
         light: the light array.
-        p: (N, 3) to write: places along the light's axes, the height last.
-        boxes: (M, 4) to write: u0, u1, v0, v1 of each mesh; the wrong way round of one that casts no shadow.
+        p: (N, 3) to write: coordinates along the light's axes, the height last.
+        boxes: (M, 4) to write: u0, u1, v0, v1 of each mesh; with u0 > u1 for one that casts no shadow.
         box: (8,) to write: u0, u1, v0, v1, x0, x1, y0, y1 of all of them.
     """
     for k in range(0, 8, 2):
@@ -180,22 +180,22 @@ def _place_key_map(
     """Place the map of the key light around the casters.
 
     Args:
-        p: places along the light's axes, see `_measure_casters`; made places in texels.
+        p: coordinates along the light's axes, see `_measure_casters`; converted to texels.
         meshes: meshes in use.
         flags: of the meshes.
         ranges: first and last (excluded) vertex of each mesh (M, 2).
         boxes: see `_measure_casters`.
-        box: the same.
+        box: see `_measure_casters`.
         size: texels along a side of the map.
         light: the light array; the map's place is written to it.
         others: see `cast_shadows`.
 
     Returns:
-        How far the shadows are to be blurred, texels.
+        Radius by which the shadows are to be blurred, texels.
     """
     soft = light[SOFTNESS]
     extent = max(box[1] - box[0], box[3] - box[2], 1e-6)
-    # What a shadow's border needs around the casters; two blurs of a radius reach two radii.
+    # The margin that a shadow's border needs around the casters: two blurs of a radius reach two radii.
     texel = (extent + 4.0 * soft) / (size - 8)
     light[MAP_SCALE] = 1.0 / texel
     light[MAP_U] = 0.5 * (box[0] + box[1]) - 0.5 * size * texel
@@ -234,7 +234,7 @@ def _place_under_map(
 
     Args:
         points: world positions (N, 3).
-        p: (N, 3) to write: places in texels, and the height below the ground.
+        p: (N, 3) to write: coordinates in texels, and the height below the ground.
         meshes: meshes in use.
         flags: of the meshes.
         ranges: first and last (excluded) vertex of each mesh (M, 2).
@@ -244,7 +244,7 @@ def _place_under_map(
         light: the light array; the map's place is written to it.
 
     Returns:
-        How far the shadows are to be blurred, texels.
+        Radius by which the shadows are to be blurred, texels.
     """
     wide = 1.5 * light[SOFTNESS]
     extent = max(box[5] - box[4], box[7] - box[6], 1e-6)
@@ -265,7 +265,7 @@ def _place_under_map(
 
 @inline_kernel
 def _darken_below(under_depth: Singles, soft: float, dark: Singles) -> None:
-    """How much of the sky is blocked, less the higher a caster is: written to the second layer of `dark`."""
+    """Write how much of the sky is blocked, which decreases with a caster's height, to the second layer of `dark`."""
     reach = 1.0 / max(4.0 * soft, 1e-6)
     for y in range(under_depth.shape[0]):
         for x in range(under_depth.shape[0]):
@@ -300,7 +300,7 @@ def cast_shadows(
     under_mesh: Indices,
     others: Floats,
 ) -> None:
-    """Draw the maps that shadows are looked up in.
+    """Draw the shadow maps.
 
     Args:
         points: world positions (N, 3).

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Look(TypedDict, total=False):
-    """How a mesh looks; what is left out is as usual for its kind.
+    """How a mesh looks; omitted entries have the default of the kind of mesh.
 
     Attributes:
         color: of the surface.
@@ -240,7 +240,7 @@ def tube_mesh(
         return Mesh(np.zeros((1, 3)), np.zeros((0, 3), dtype=np.int32), **seen)
     directions = (steps / np.maximum(lengths, 1e-300)[:, None])[lengths > 1e-9]
     along = np.concatenate([directions[:1], directions[1:] + directions[:-1], directions[-1:]])
-    # The axis that no part of the tube runs along.
+    # The axis along which the tube runs least.
     helper = np.eye(3)[int(np.argmin(np.abs(directions).max(axis=0)))]
     first = np.cross(helper, along) + 1e-9 * np.roll(helper, 1)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -281,7 +281,7 @@ def _bevelled_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     corners, _ = _plain_box()
     signs = np.repeat(corners, 3, axis=0)
     rows = [(3 * c, 3 * c + 1, 3 * c + 2) for c in range(8)]
-    # The faces themselves: what the plain box has, on the vertices of that face.
+    # The faces themselves: the triangles of the plain box, with the vertices of each face.
     for a, b, c in _box_faces(corners).tolist():
         same = (corners[a] == corners[b]) & (corners[b] == corners[c])
         k = int(np.argmax(same))
@@ -309,7 +309,7 @@ def _box_faces(corners: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def _wind_outwards(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Turn the triangles of a body that is star-shaped about the origin counter-clockwise from outside."""
+    """Orient the triangles of a body that is star-shaped about the origin counter-clockwise from outside."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
     result = triangles.copy()
@@ -324,10 +324,10 @@ def _split(a: NDArray[np.int_], b: NDArray[np.int_], c: NDArray[np.int_], d: NDA
 
 
 def _revolve(profile: Sequence[tuple[float, float]], sides: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Turn a profile of (radius, height) about the z axis.
+    """Revolve a profile of (radius, height) about the z axis.
 
-    Each piece has vertices of its own, so its ends stay sharp under smooth shading. Going up the profile, the outside
-    is away from the axis.
+    Each piece has vertices of its own, so its ends stay sharp under smooth shading. For a profile that goes up, the
+    outside is away from the axis.
     """
     angle = 2.0 * np.pi * np.arange(sides) / sides
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -1,4 +1,4 @@
-"""Translucent triangles, from front to back."""
+"""Drawing of translucent triangles, from front to back."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def draw_translucent(
     """Add the translucent triangles to a band, nearest first.
 
     Args:
-        top: first row of samples, that of a pixel.
-        bottom: end of the rows, that of a pixel.
+        top: first row of samples, at the beginning of a row of pixels.
+        bottom: end of the rows, at the end of a row of pixels.
         width: samples in a row.
         supersample: samples along a pixel's side.
         order: triangles, nearest first.
         extents: see `rasterizer.prepare`.
         limits: see `rasterizer.prepare`.
-        depth: 1 / W of what is opaque in the band's samples.
+        depth: 1 / W of opaque triangles in the band's samples.
         left: part of the light from behind that still comes through each sample, starts at 1.
         rows: range of samples touched in each row, widened here.
         total: light of the band's pixels, added to.

@@ -1,4 +1,4 @@
-"""Kernels on vertices: placing, normals, refinement, colours, and lines made into quadrilaterals."""
+"""Kernels on vertices: affine maps, normals, refinement and colours."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def place(points: Floats, first: int, last: int, matrix: Floats, out: Floats) ->
 
 @inlined
 def triangle_normal(points: Floats, triangles: Indices, t: int) -> tuple[float, float, float]:
-    """Normal of triangle t, twice its area long."""
+    """Normal of triangle t, with a length of twice its area."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     ux, uy, uz = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     vx, vy, vz = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1], points[c, 2] - points[a, 2]
@@ -57,7 +57,7 @@ def vertex_normals(
 
 @inlined
 def _before(points: Floats, a: int, b: int) -> bool:
-    """An order of two points that does not depend on which is named first."""
+    """Whether point a comes before point b, in an order that does not depend on which is named first."""
     for k in range(3):
         if points[a, k] != points[b, k]:
             return bool(points[a, k] < points[b, k])
@@ -78,12 +78,12 @@ def refine(
     colors: Floats,
     texture: Floats,
 ) -> int:
-    """Split each triangle in four along a curved surface that the vertex normals suggest.
+    """Split each triangle in four along a curved surface that follows from the vertex normals.
 
     The middle of an edge is moved half the way to the mean of its projections onto the tangent planes of the edge's
     ends (after T. Boubekeur and M. Alexa, "Phong tessellation", 2008; half the way lands on the circle through the
-    ends, up to the fourth order of the angle between the normals). Both triangles of an edge compute the
-    same middle to the last bit, so no seam opens.
+    ends, up to the fourth order of the angle between the normals). Both triangles of an edge compute the same middle to
+    the last bit, so no seam opens.
 
     Args:
         triangles: (T, 3).

@@ -1,4 +1,4 @@
-"""Viewpoints of a scene."""
+"""Viewpoints and cameras for a scene."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ FIELD_OF_VIEW = 32.0
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A direction to look from, and what is to be in the picture.
+    """A direction of view, and what must be in the picture.
 
     Attributes:
         azimuth: See `Camera.orbit` [degrees].
         elevation: See `Camera.orbit` [degrees].
-        base: From which part of the organ's height upwards it must be in the picture, 0 for all of it.
-        lift: How far above where they start the tools must be in the picture too [u].
-        room: How much room there is around what must be seen, as a part of the picture.
+        base: Fraction of the organ's height above which the organ must be in the picture; 0 for all of it.
+        lift: Height above their start up to which the tools must be in the picture too [u].
+        room: Margin around what must be visible, as a fraction of the picture.
     """
 
     azimuth: float
@@ -49,26 +49,27 @@ GENERAL = Viewpoint(azimuth=-68.0, elevation=34.0, base=0.62, room=0.03)
 """From the operator's side (-y), a little from the right and from above, at the organ's upper part."""
 
 INTO_FISSURE = Viewpoint(azimuth=25.0, elevation=66.0, base=0.2)
-"""Along the fissure, which is turned by this azimuth, and down into it."""
+"""Roughly along the fissure, from whose direction the azimuth is measured, and down into it."""
 
 BESIDE_RIDGE = Viewpoint(azimuth=24.0, elevation=22.0, lift=0.8)
-"""Almost along a ridge between two jaws, which is turned by this azimuth, with room to lift it."""
+"""Roughly along a ridge between two jaws, from whose direction the azimuth is measured, with room to lift it."""
 
 ALONG_RIDGE = Viewpoint(azimuth=10.0, elevation=32.0, base=0.4)
 """Along a ridge that is pushed aside."""
 
 STEEP = 0.5
-"""A part of the organ whose normal has a horizontal share above this is seen from its side only."""
+"""A part of the organ whose normal has a horizontal share above this is visible from its side only."""
 ASIDE = 38.0
-"""By how much a viewpoint is turned towards such a part: what is to be done there would hide it from straight ahead
-[degrees]."""
+"""Greatest angle by which a viewpoint is turned towards such a part [degrees]. It is not seen straight on, because the
+tool that works there would hide it."""
 
 HEADROOM = 0.9
-"""Of what is higher above an organ than this, the handle of a long blade, nothing needs to be in the picture [u]."""
+"""Parts of a tool higher above the organs than this, such as the handle of a long blade, need not be in the picture
+[u]."""
 
 
 def viewpoint_of(scene: Scene) -> Viewpoint:
-    """The viewpoint that suits a scene's first organ, however that is turned."""
+    """The viewpoint that suits a scene's first organ, whatever its orientation."""
     placed = scene.organs[0]
     if isinstance(placed.organ, FissuredBlock):
         viewpoint = INTO_FISSURE
@@ -76,7 +77,7 @@ def viewpoint_of(scene: Scene) -> Viewpoint:
         viewpoint = BESIDE_RIDGE if len(scene.tools) > 1 else ALONG_RIDGE
     else:
         return GENERAL
-    # Both shapes are their own mirror images: of the four directions, the one closest to the operator's.
+    # Both shapes are mirror-symmetric: of the four equivalent directions, take the one closest to the operator's.
     x, y, _ = quaternion_matrix(placed.orientation)[:, 0]
     turn = math.degrees(math.atan2(y, x))
     choices = [turn + half + side * viewpoint.azimuth for half in (0.0, 180.0) for side in (-1.0, 1.0)]
@@ -85,13 +86,13 @@ def viewpoint_of(scene: Scene) -> Viewpoint:
 
 
 def viewpoint_toward(scene: Scene, nodes: FloatArray, triangles: NDArray[np.int32], marks: Sequence[Mark]) -> Viewpoint:
-    """The viewpoint that suits a scene and a goal: on the side of the part of the organ that a task is about.
+    """The viewpoint that suits a scene and a goal: on the side of the organ's part that the task is about.
 
     Args:
-        scene: What is to be seen.
+        scene: The scene.
         nodes: (V, 3) of the organ [u].
-        triangles: (T, 3) of it, counter-clockwise from outside.
-        marks: What shows the goal.
+        triangles: (T, 3) of the organ, counter-clockwise from outside.
+        marks: Marks that show the goal.
     """
     viewpoint = viewpoint_of(scene)
     inside = np.zeros(len(nodes), dtype=np.bool_)
@@ -111,7 +112,7 @@ def default_camera(scene: Scene, aspect: float = 1.0) -> Camera:
     """A camera that has the organs and the tools of a scene in the picture.
 
     Args:
-        scene: What is to be seen.
+        scene: The scene.
         aspect: Width of the picture over its height.
     """
     viewpoint = viewpoint_of(scene)
@@ -129,14 +130,14 @@ def default_camera(scene: Scene, aspect: float = 1.0) -> Camera:
 
 
 def fit_camera(points: FloatArray, viewpoint: Viewpoint, aspect: float = 1.0) -> Camera:
-    """The closest camera in a direction that has all points (P, 3) in a picture of an aspect."""
+    """The closest camera in the viewpoint's direction that has all points (P, 3) in a picture of an aspect ratio."""
     turn, rise = math.radians(viewpoint.azimuth), math.radians(viewpoint.elevation)
     backward = np.array([math.cos(rise) * math.cos(turn), math.cos(rise) * math.sin(turn), math.sin(rise)])
     right = np.array([-math.sin(turn), math.cos(turn), 0.0])
     up = np.cross(backward, right)
     local = points @ np.stack([right, up, backward]).T
     reach = math.tan(math.radians(0.5 * FIELD_OF_VIEW)) * (1.0 - 2.0 * viewpoint.room) * np.array([aspect, 1.0])
-    # On each of two axes: the eye is in the middle between the planes that just touch the points on either side.
+    # On each of the two axes, the eye is midway between the planes that just touch the points on either side.
     sums = (local[:, :2] + reach * local[:, 2:]).max(axis=0), (local[:, :2] - reach * local[:, 2:]).min(axis=0)
     middle = 0.5 * (sums[0] + sums[1])
     distance = float((0.5 * (sums[0] - sums[1]) / reach).max())

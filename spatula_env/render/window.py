@@ -1,4 +1,4 @@
-"""A window in which an episode can be watched, and turned with the mouse."""
+"""A window that shows an episode; the view can be turned with the mouse."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from spatula_env.scenes import Scene
 
 DEGREES_PER_PIXEL = 0.35
-"""How far the scene turns when the mouse is dragged."""
+"""Angle by which the scene turns for each pixel that the mouse is dragged [degrees]."""
 
 PATIENCE = 1.0 / 60.0
-"""How long the window waits between two looks at mouse and keyboard [s]."""
+"""Longest time between two checks of mouse and keyboard [s]."""
 
 
 class Window:
     """Shows one scene, moment after moment, in an OpenGL window.
 
     Drag with the left button to turn, with the right or the middle one to shift, scroll to move closer; R goes back to
-    the first view, Escape closes the window. Nobody waits for a window that the user has closed.
+    the first view, Escape closes the window. Once the user has closed it, showing a moment returns at once.
     """
 
     def __init__(
@@ -49,22 +49,22 @@ class Window:
         """Open the window.
 
         Args:
-            scene: With organs and tools.
+            scene: The scene with organs and tools.
             triangles: (T, 3) of all organs.
-            width: Of the picture [pixels].
-            height: Of the picture [pixels].
-            frames_per_second: How many moments are shown in a second at most; None: as many as come.
+            width: Width of the picture [pixels].
+            height: Height of the picture [pixels].
+            frames_per_second: Greatest number of moments shown per second; None: no limit.
             camera: The first view; by default one that suits the kind of scene.
-            title: Of the window.
-            visible: Whether it is on the screen at once.
+            title: Title of the window.
+            visible: Whether the window is visible from the start.
 
         Raises:
             ImportError: If pyglet is not installed.
             RuntimeError: If there is no display, or no OpenGL 3.3 on it.
         """
         self._window, painter = _open(width, height, title, visible)
-        # Whoever drops an environment without closing it sees its window go, too. At the end of the program the system
-        # takes it.
+        # If an environment is garbage-collected without being closed, its window is closed too. At the end of the
+        # program the system closes it.
         self._finish = weakref.finalize(self, self._window.close)
         self._finish.atexit = False
         self._painter = painter()
@@ -86,7 +86,7 @@ class Window:
 
     @property
     def closed(self) -> bool:
-        """Whether the window is gone, whoever closed it."""
+        """Whether the window is closed, by the user or by the program."""
         return self._closed
 
     @property
@@ -100,7 +100,7 @@ class Window:
         Does nothing if the window is closed.
 
         Args:
-            moment: What there is to see.
+            moment: The state to show.
 
         Raises:
             ValueError: If an array has a wrong shape.
@@ -118,7 +118,7 @@ class Window:
         self._last = time.perf_counter()
 
     def listen(self) -> None:
-        """Answer mouse and keyboard, without waiting. Does nothing if the window is closed."""
+        """Process mouse and keyboard events without waiting. Does nothing if the window is closed."""
         if not self._closed:
             self._listen()
 
@@ -153,13 +153,13 @@ class Window:
         self._window.switch_to()
         self._window.dispatch_events()
         if self._leaving:
-            # Not while its events are being handed out.
+            # Closed only now, not while its events are being dispatched.
             self.close()
         elif self._stale and self._composition is not None:
             self._draw()
 
     # ------------------------------------------------------------------------------------------------ events
-    # A true answer keeps pyglet's own from being given.
+    # A handler that returns True keeps pyglet's default handler from being called.
 
     def _on_close(self) -> bool:
         self._leaving = True
@@ -197,13 +197,13 @@ class Window:
 
 
 def _open(width: int, height: int, title: str, visible: bool) -> tuple[Any, Any]:
-    """A pyglet window with its context current, and what draws in it."""
+    """Open a pyglet window and make its context current; returns the window and the class that draws in it."""
     try:
         import pyglet
     except ImportError as error:
         raise ImportError(f"a window needs pyglet: {install_hint('window')}") from error
     if "pyglet.gl" not in sys.modules:
-        # Asking for errors after every call takes longer than the calls.
+        # Checking for errors after every call takes longer than the calls themselves.
         pyglet.options.debug_gl = False
     try:
         from pyglet.gl import Config

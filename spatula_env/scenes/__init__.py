@@ -1,6 +1,6 @@
-"""What stands in a scene: organs, tools, ground, and the scale that turns scene units into SI.
+"""Scenes: organs, tools, ground, and the scale that turns scene units into SI.
 
-`seed`, `retract`, `fissure`, `clamp` and `palpate` are presets; `Scene` and what it holds make any other.
+`seed`, `retract`, `fissure`, `clamp` and `palpate` are presets; any other scene is built from `Scene` and its parts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a scene is made of: the scale that turns scene units into SI, ground, organs and tools.
+"""The parts of a scene: the scale that turns scene units into SI, ground, organs and tools.
 
 Everything here is a frozen dataclass without behaviour of its own: a scene can be shared, compared and sent to
 another process. One scene unit of length is written u; scene masses are written kg and become real ones through
@@ -31,7 +31,7 @@ UNIT_LENGTH = 0.02
 """Metres in a unit of length of the preset scenes."""
 
 ScaleName = Literal["stiffness", "density"]
-"""By what a preset scene's mass scale is chosen; see `choose_scale`."""
+"""How a preset scene's mass scale is chosen; see `choose_scale`."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,12 @@ class PlacedOrgan:
 
     Attributes:
         organ: Its surface.
-        position: Where the origin of its frame is [u].
+        position: Position of the origin of its frame [u].
         mass: Its mass [kg], spread over the nodes by the area around them.
-        orientation: How it is turned, quaternion xyzw.
+        orientation: Its orientation, quaternion xyzw.
         fixed_nodes: Nodes that do not move.
-        material: What it is made of, for an engine that asks; None: `Material()`. The engine "tissue" takes the mass
-            from its density.
+        material: What it is made of, for an engine that uses materials; None: `Material()`. The engine "tissue" takes
+            the mass from its density.
     """
 
     organ: Organ
@@ -135,8 +135,8 @@ class PlacedTool:
 
     Attributes:
         tool: Its shape and contact nodes.
-        position: Where it is at reset [u].
-        orientation: How it is turned at reset, quaternion xyzw.
+        position: Position at reset [u].
+        orientation: Orientation at reset, quaternion xyzw.
         friction: Coulomb coefficient between tool and organ.
     """
 
@@ -158,12 +158,12 @@ class Scene:
 
     Attributes:
         organs: At least one, from any sequence of them.
-        tools: At least one, from any sequence; the first is the one that `Simulation.tool_position` speaks of.
+        tools: At least one, from any sequence; the first is the one that `Simulation.tool_position` refers to.
         ground: The plane under the organs, or None.
         gravity: Downward acceleration [u/s2].
         dt: Length of a physics step [s].
         scale: From scene units to SI.
-        name: What to call the scene.
+        name: Name of the scene.
     """
 
     organs: tuple[PlacedOrgan, ...]
@@ -191,19 +191,21 @@ class Scene:
 def choose_scale(
     scale: ScaleName | Scale, organ: Organ, mass: float, dt: float, stiffness: float, material: Material | None = None
 ) -> Scale:
-    """The scale of a preset scene.
+    """Choose the scale of a preset scene.
 
-    The soft bodies have no material of their own: moved by as much, they resist by a force in proportion to
-    mass / dt^2, the mass being that by area. So the kilograms in a scene unit of mass decide how stiff the organ is
+    The soft bodies have no material of their own: for a given displacement, they resist with a force in proportion to
+    mass / dt^2, the mass being that per area. So the kilograms in a scene unit of mass decide how stiff the organ is
     in pascals.
 
     Args:
-        scale: "stiffness": the organ has `TISSUE_MODULUS`. "density": it has `STANDARD_DENSITY`. Or a scale.
-        organ: What is in the scene.
-        mass: Of the organ [kg].
+        scale: "stiffness": the organ has `TISSUE_MODULUS`. "density": it has `STANDARD_DENSITY`. Or a scale, which is
+            returned.
+        organ: The organ in the scene.
+        mass: Mass of the organ [kg].
         dt: Length of a physics step [s].
-        stiffness: Of the scene: effective Young's modulus [kg/(u s2)] x dt^2 x area / mass [u], measured.
-        material: What the organ is made of: its density and modulus then are meant, whatever name the scale has.
+        stiffness: Measured stiffness of the scene: effective Young's modulus [kg/(u s2)] x dt^2 x area / mass [u].
+        material: What the organ is made of. Whichever name `scale` is, the scale then follows from the material's
+            density; the modulus is the material's own.
 
     Returns:
         The scale.
@@ -225,15 +227,15 @@ def choose_scale(
 
 
 def with_material(scene: Scene, material: Material) -> Scene:
-    """A scene whose organs are of a material, for the engine "tissue".
+    """A copy of a scene whose organs are made of a material, for the engine "tissue".
 
     Args:
-        scene: Any.
+        scene: Any scene.
         material: What all its organs are made of.
 
     Returns:
-        The scene. Its scale has the same length, and a mass with which the organs together have the material's density,
-        as presets have that are given the material.
+        The scene. Its scale has the same length, and a mass with which all organs together have the material's density,
+        as in presets that are given the material.
     """
     organs = tuple(replace(placed, material=material) for placed in scene.organs)
     volume, mass = sum(placed.organ.volume for placed in organs), sum(placed.mass for placed in organs)

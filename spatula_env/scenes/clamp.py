@@ -18,7 +18,7 @@ JAW_CLEARANCE = 0.2
 
 STIFFNESS = 0.168
 """Effective modulus of the organ between the jaws [kg/(u s2)], x dt^2 x area / mass [u].
-Measured by scripts/calibrate_stiffness.py; docs/calibration.md tells how."""
+Measured by scripts/calibrate_stiffness.py; docs/calibration.md describes how."""
 
 
 def clamp(
@@ -44,28 +44,28 @@ def clamp(
 
     The jaws face each other along y: the first tool is at negative y and closes along +y, the second is its mirror
     image. They are above the ridge's foot. One unit is 20 mm: a ridge 40 mm long, 16 mm wide and 26 mm high, and jaws
-    24 mm long. Jaws that take away three tenths of the ridge's width press with 0.25 N each, and can then lift the
+    24 mm long. Jaws that compress the ridge by three tenths of its width press with 0.25 N each, and can then lift the
     organ, which weighs an eighth of that.
 
     Args:
         size: (3,) extents of the organ without the ridge [u].
-        mass: Of the organ [kg].
+        mass: Mass of the organ [kg].
         dt: Length of a physics step [s].
-        ridge_height: How far the ridge stands out above the organ's top [u].
-        ridge_length: Of the ridge, along x [u].
-        ridge_width: Of the ridge, along y, between the jaws [u].
-        edge_length: Of the ridge's triangles [u].
-        base_edge_length: Of the organ's triangles at the base [u]; None for that of the others.
+        ridge_height: Height of the ridge above the organ's top [u].
+        ridge_length: Length of the ridge, along x [u].
+        ridge_width: Width of the ridge, along y, between the jaws [u].
+        edge_length: Edge length of the ridge's triangles [u].
+        base_edge_length: Edge length of the organ's triangles at the base [u]; None for that of the others.
         fixed_base: Whether the base is held to the ground. Lifting then stretches the organ, which is much stiffer than
             the ridge: jaws that squeeze it by three tenths slip after about 0.1 u.
         jaw_size: (3,) edges of each jaw [u]: its length, along x; its height; its thickness, along y.
-        jaw_tilt: By how much each jaw's lower edge is turned towards the ridge [rad].
+        jaw_tilt: Angle by which each jaw's lower edge is turned towards the ridge [rad].
         node_spacing: Greatest distance of contact nodes along an edge of a jaw [u].
         faces: Which faces of the jaws carry contact nodes, "largest" or "all".
         friction: Coulomb coefficient between jaws and organ: that of a toothed jaw rather than of a smooth spatula.
-        scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
+        scale: How the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
-        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
+        material: What the organ is made of, for the engine "tissue"; the mass scale then follows from its density.
 
     Returns:
         The scene. Its organ is a :class:`~spatula_env.geometry.RidgedBlock`, which names the nodes of the ridge's

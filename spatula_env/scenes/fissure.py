@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from spatula_env.scenes.material import Material
 
 ON_EDGE = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
-"""How a plate stands on edge, quaternion xyzw: its y axis upwards and its thickness, z, along negative y."""
+"""Orientation of a plate on edge, quaternion xyzw: its y axis upwards and its thickness, z, along negative y."""
 
 FISSURE_CLEARANCE = 0.3
 """How far the spatula's edge is above the organ at reset [u]."""
 
 STIFFNESS = 0.609
 """Effective modulus of the organ where the blade pushes a wall [kg/(u s2)], x dt^2 x area / mass [u].
-Measured by scripts/calibrate_stiffness.py; docs/calibration.md tells how."""
+Measured by scripts/calibrate_stiffness.py; docs/calibration.md describes how."""
 
 
 def fissure(
@@ -48,33 +48,33 @@ def fissure(
 
     One unit is 20 mm, as in :func:`seed`: a fissure 60 mm long, 32 mm deep and 5 mm wide, about as large as the lateral
     fissure of the brain, and a spatula 20 mm wide and 2.5 mm thick, as the seed's. Moving a wall aside by 6 mm takes
-    0.27 N, and by 10 mm 0.46 N. On the part of the blade in the fissure that is 0.5 and 0.9 kPa in the mean, and 2.4
-    and 3.9 kPa where the pressure is greatest.
+    0.27 N, and by 10 mm 0.46 N. Averaged over the part of the blade in the fissure, that is a pressure of 0.5 and
+    0.9 kPa; the greatest pressures are 2.4 and 3.9 kPa.
 
-    A blade half as thick comes through a fold of the walls now and then, with 0.1 N: once in some 10,000 random
+    A blade half as thick occasionally passes through a fold of the walls, with 0.1 N: about once in 10,000 random
     control steps. The surface's mesh is 0.25 u wide there.
 
-    The organ is held at its base, which is on the ground. A surface of springs is hollow: a floor that is not held
-    hangs between the walls like a hem and follows the wall that is pushed, and the fissure moves sideways more than it
-    opens. In an organ the tissue below holds it; here the floor's nodes are fixed.
+    The organ is held at its base, which is on the ground. An organ that is a surface of springs is hollow: if the floor
+    of the fissure is not held, it hangs loosely between the walls and follows the wall that is pushed, and the fissure
+    moves sideways more than it opens. In a real organ the tissue below holds the floor; here its nodes are fixed.
 
     Args:
         size: (3,) extents of the organ [u].
-        mass: Of the organ [kg].
+        mass: Mass of the organ [kg].
         dt: Length of a physics step [s].
-        depth: Of the fissure [u].
-        length: Of the fissure, along x [u].
+        depth: Depth of the fissure [u].
+        length: Length of the fissure, along x [u].
         width: Distance of the fissure's walls, along y [u].
-        edge_length: Of the organ's triangles in and around the fissure [u].
-        base_edge_length: Of the organ's triangles at the base [u]; None for that of the others.
+        edge_length: Edge length of the organ's triangles in and around the fissure [u].
+        base_edge_length: Edge length of the organ's triangles at the base [u]; None for that of the others.
         fixed_floor: Whether the floor of the fissure is held too.
         tool_size: (3,) edges of the spatula [u]: its width, along x; its height, upwards; its thickness, along y.
         node_spacing: Greatest distance of contact nodes along an edge of the spatula [u].
         faces: Which faces of the spatula carry contact nodes, "largest" or "all".
         friction: Coulomb coefficient between spatula and organ.
-        scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
+        scale: How the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
-        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
+        material: What the organ is made of, for the engine "tissue"; the mass scale then follows from its density.
 
     Returns:
         The scene. Its organ is a :class:`~spatula_env.geometry.FissuredBlock`, which names the nodes of walls and floor

@@ -1,4 +1,4 @@
-"""What tissue is made of, in SI units."""
+"""Materials of tissue, in SI units."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ ModelName = Literal["neo_hookean", "rivlin"]
 """How stress grows with strain; see `Material`."""
 
 BrainRegion = Literal["cortex", "corona_radiata", "basal_ganglia", "corpus_callosum"]
-"""The regions of the human brain that `Material.brain` knows."""
+"""The regions of the human brain for which `Material.brain` has coefficients."""
 
 GREATEST_POISSON_RATIO = 0.49
-"""Beyond it the step that is stable becomes too short; tissue's volume is kept to a per cent or two."""
+"""Beyond it the longest stable step becomes too short; tissue's volume is kept to a per cent or two."""
 
 INJURY_STRAIN = 0.21
-"""Greatest principal Green-Lagrange strain beyond which tissue counts as strained too far. With it the nerve fibres of
-guinea pigs' optic nerves were damaged in half of the cases told right either way, 0.14 being the cautious and 0.34 the
-lenient threshold (A. C. Bain and D. F. Meaney, Tissue-level thresholds for axonal damage in an experimental model of
-central nervous system white matter injury, Journal of Biomechanical Engineering 122, 2000). These were stretched along
-their fibres within some tens of milliseconds, as in an accident: of slow retraction it says little."""
+"""Greatest principal Green-Lagrange strain beyond which tissue counts as strained too far. This threshold best told
+damaged from undamaged nerve fibres in guinea pigs' optic nerves, 0.14 being the cautious and 0.34 the lenient one
+(A. C. Bain and D. F. Meaney, Tissue-level thresholds for axonal damage in an experimental model of central nervous
+system white matter injury, Journal of Biomechanical Engineering 122, 2000). The nerves were stretched along their
+fibres within some tens of milliseconds, as in an accident: the threshold says little about slow retraction."""
 
 BRAIN = {
     "cortex": (1330.4, -3.275, 1.566),
@@ -40,7 +40,7 @@ Biomaterialia 48 (2017) 319-340, as tabulated by the project LivingMatterLab/CAN
 class Material:
     """Tissue: hyperelastic, nearly incompressible, viscous, and relaxing.
 
-    The energy by volume at rest, with the principal invariants I1 and I2 of the right Cauchy-Green tensor, J the ratio
+    The energy per volume at rest, with the principal invariants I1 and I2 of the right Cauchy-Green tensor, J the ratio
     of volumes and y = I1 + I2 - 6 J, is
 
         c1 (I1 - 3) + c2 (I2 - 3) + c3 y^2 - (2 c1 + 4 c2) (J - 1) + k / 2 (J - 1)^2
@@ -48,18 +48,18 @@ class Material:
     with c1 + c2 half the shear modulus, and k such that small strains are those of Young's modulus and Poisson's ratio.
     It stays finite where an element turns inside out. "neo_hookean": c1 alone. "rivlin", after R. S. Rivlin's
     polynomial in both invariants: all three, c1 being negative for tissue that stiffens more in compression than in
-    tension; where 2 c3 y exceeds -c1, and strains are far beyond those of any test, it stays there.
+    tension; 2 c3 y is limited to -c1, which it reaches only at strains far beyond those of any test.
 
     Attributes:
-        young_modulus: At small strain, before anything has relaxed [Pa].
-        poisson_ratio: At small strain, zero or more and at most 0.49.
-        density: [kg/m3].
+        young_modulus: Young's modulus at small strain, before any relaxation [Pa].
+        poisson_ratio: Poisson's ratio at small strain, zero or more and at most 0.49.
+        density: Density [kg/m3].
         model: How stress grows with strain.
-        viscosity: Stress by rate of shear strain, beside what relaxation does [Pa s]. The bulk is viscous in the same
+        viscosity: Stress per rate of shear strain, in addition to relaxation [Pa s]. The bulk is viscous in the same
             proportion to its stiffness.
-        relaxation: Shares of the distortional stress that relax, less than 1 in all, and their times [s]: a Prony
-            series. ((0.3, 2.0),): 30 % of it, by 1 - exp(-t / 2 s).
-        rivlin: c1 and c3 by the shear modulus; for the model "rivlin".
+        relaxation: A Prony series: pairs of a share of the distortional stress that relaxes, less than 1 in all, and
+            its time [s]. ((0.3, 2.0),): 30 % of the stress relaxes, as 1 - exp(-t / 2 s).
+        rivlin: c1 and c3 divided by the shear modulus; for the model "rivlin".
     """
 
     young_modulus: float = 2010.0
@@ -109,7 +109,7 @@ class Material:
 
     @property
     def shear_modulus(self) -> float:
-        """At small strain [Pa]."""
+        """Shear modulus at small strain [Pa]."""
         return self.young_modulus / (2.0 * (1.0 + self.poisson_ratio))
 
     @property
@@ -128,11 +128,11 @@ class Material:
     ) -> Material:
         """Tissue of a region of the human brain, as fitted to the tests of Budday et al. (2017).
 
-        They tell nothing of how it relaxes in operations: no coefficients of a Prony series could be read, so these are
-        arguments.
+        The tests do not show how tissue relaxes in operations: no coefficients of a Prony series could be derived, so
+        these are an argument.
 
         Args:
-            region: Which.
+            region: The region.
             poisson_ratio: See `Material`; with less than that of the fit, compression is softer than published.
             viscosity: See `Material`.
             relaxation: See `Material`.
@@ -156,11 +156,11 @@ class Material:
 
 
 def as_material(value: Any) -> Material:
-    """A material from itself, from a mapping of some of its fields, or from the name of a region of the brain.
+    """Make a material from a material, a mapping of some of its fields, or the name of a region of the brain.
 
     Args:
         value: A `Material`; a mapping such as `{"young_modulus": 3000.0}`, whose other fields have their defaults; or a
-            region that `Material.brain` knows.
+            region for which `Material.brain` has coefficients.
 
     Raises:
         ValueError: If it is none of these, or a value is not allowed.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 STIFFNESS = 0.69
 """Effective modulus of the organ under the spatula [kg/(u s2)], x dt^2 x area / mass [u].
-Measured by scripts/calibrate_stiffness.py; docs/calibration.md tells how."""
+Measured by scripts/calibrate_stiffness.py; docs/calibration.md describes how."""
 
 
 def palpate(
@@ -35,20 +35,20 @@ def palpate(
 ) -> Scene:
     """The scene of the seed, its sphere held up to a height as a brain is held in the skull.
 
-    A sphere that lies free on the ground follows a spatula that slides over it: it rolls by as much as the spatula
-    moves. Held, it stays, and what the spatula feels is the organ and not the floor.
+    A sphere that lies free on the ground rolls along with a spatula that slides over it, by as much as the spatula
+    moves. A sphere that is held stays, so that the spatula feels the organ and not the floor.
 
     Args:
         tool_size: (3,) edges of the box-shaped spatula [u].
-        mass: Of the sphere [kg].
+        mass: Mass of the sphere [kg].
         dt: Length of a physics step [s].
-        held_height: Nodes that are lower than this above the ground do not move [u].
+        held_height: Nodes lower than this height above the ground do not move [u].
         nodes_per_edge: Contact nodes along the longest edge of the spatula's largest faces.
         faces: Which faces carry contact nodes, "largest" or "all".
         friction: Coulomb coefficient between spatula and sphere.
-        scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
+        scale: How the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
-        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
+        material: What the organ is made of, for the engine "tissue"; the mass scale then follows from its density.
 
     Returns:
         The scene.

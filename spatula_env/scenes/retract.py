@@ -14,18 +14,18 @@ if TYPE_CHECKING:
     from spatula_env.scenes.material import Material
 
 UPRIGHT = (0.5, 0.5, 0.5, 0.5)
-"""How a plate stands with its faces to the left and to the right, quaternion xyzw: its x axis along y, its y axis
-upwards, and its thickness, z, along x."""
+"""Orientation of an upright plate with its faces to the left and to the right, quaternion xyzw: its x axis along y, its
+y axis upwards, and its thickness, z, along x."""
 
 QUARTER_TURN = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
-"""How the organ lies, quaternion xyzw: what runs along x in its own frame runs along y."""
+"""Orientation of the organ, quaternion xyzw: the x axis of its own frame runs along y in the scene."""
 
 BLADE_CLEARANCE = 0.4
 """How far the blade's lower edge is above the organ at reset [u]."""
 
 STIFFNESS = 2.03
 """Effective modulus of the organ where the blade pushes the fold [kg/(u s2)], x dt^2 x area / mass [u].
-Measured by scripts/calibrate_stiffness.py; docs/calibration.md tells how."""
+Measured by scripts/calibrate_stiffness.py; docs/calibration.md describes how."""
 
 
 def retract(
@@ -53,21 +53,21 @@ def retract(
 
     Args:
         size: (3,) extents of the organ without the fold: along the fold, across it, and upwards [u].
-        mass: Of the organ [kg].
+        mass: Mass of the organ [kg].
         dt: Length of a physics step [s].
-        fold_height: How far the fold stands out above the organ's top [u].
-        fold_length: Of the fold, along y [u].
-        fold_width: Of the fold, along x [u].
-        edge_length: Of the fold's triangles [u].
-        base_edge_length: Of the organ's triangles at the base [u]; None for that of the others.
+        fold_height: Height of the fold above the organ's top [u].
+        fold_length: Length of the fold, along y [u].
+        fold_width: Width of the fold, along x [u].
+        edge_length: Edge length of the fold's triangles [u].
+        base_edge_length: Edge length of the organ's triangles at the base [u]; None for that of the others.
         tool_size: (3,) edges of the blade [u]: its width, along y; its height, upwards; its thickness, along x.
         node_spacing: Greatest distance of contact nodes along an edge of the blade [u].
         faces: Which faces of the blade carry contact nodes, "largest" or "all".
         friction: Coulomb coefficient between blade and organ: that of moist cotton, which is laid under a retractor,
             rather than of bare steel.
-        scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
+        scale: How the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
-        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
+        material: What the organ is made of, for the engine "tissue"; the mass scale then follows from its density.
 
     Returns:
         The scene. Its organ is a :class:`~spatula_env.geometry.RidgedBlock`, which names the nodes of the fold's

@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from spatula_env.scenes.material import Material
 
 RESTING_SPHERE = (-0.0235445, 0.0522466, 0.0003375, 0.9983566)
-"""How the seed's sphere lies when it has rolled to rest, quaternion xyzw. It is a polyhedron, and its first node would
-stand on the ground like a ball on a needle's point: from there it rolls for many seconds."""
+"""Orientation of the seed's sphere after it has rolled to rest, quaternion xyzw. The sphere is a polyhedron: unturned,
+it would stand on its first node alone, and roll from there for many seconds."""
 
 STIFFNESS = 0.521
 """Effective modulus of the organ under the spatula [kg/(u s2)], x dt^2 x area / mass [u].
-Measured by scripts/calibrate_stiffness.py; docs/calibration.md tells how."""
+Measured by scripts/calibrate_stiffness.py; docs/calibration.md describes how."""
 
 
 def seed(
@@ -39,14 +39,14 @@ def seed(
 
     Args:
         tool_size: (3,) edges of the box-shaped spatula [u].
-        mass: Of the sphere [kg].
+        mass: Mass of the sphere [kg].
         dt: Length of a physics step [s].
         nodes_per_edge: Contact nodes along the longest edge of the spatula's largest faces.
         faces: Which faces carry contact nodes, "largest" or "all".
         friction: Coulomb coefficient between spatula and sphere.
-        scale: By what the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
+        scale: How the mass scale is chosen. "stiffness": forces are those of tissue of a Young's modulus of 2 kPa.
             "density": the organ has the density of brain tissue. Or a scale.
-        material: What the organ is made of, for the engine "tissue"; scene masses are then those of its density.
+        material: What the organ is made of, for the engine "tissue"; the mass scale then follows from its density.
 
     Returns:
         The scene.

@@ -15,7 +15,7 @@ __all__ = ["Report", "SceneWarning", "Simulation", "SimulationDiverged", "Simula
 
 
 def __getattr__(name: str) -> Any:
-    """Import the batch engine when it is first asked for."""
+    """Import `calibrated`, and with it the batch engine, when it is first asked for."""
     if name == "calibrated":
         from spatula_env.sim.calibration import calibrated
 

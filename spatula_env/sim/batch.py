@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 __all__ = ["BatchSimulation", "BatchState", "WorldMemory"]
 
 BatchState = WorldsState
-"""The name that states had, under which pickles find them."""
+"""Former name of `WorldsState`, kept so that existing pickles can be loaded."""
 
 
 class BatchSimulation(Worlds):
-    """`Worlds` with the engine "batch", in a precision that is told by a type of numbers."""
+    """`Worlds` with the engine "batch", whose precision is given as a NumPy dtype."""
 
     def __init__(
         self,
@@ -38,15 +38,15 @@ class BatchSimulation(Worlds):
         """Load a scene into every world, its organs at rest; see `Worlds`.
 
         Args:
-            scene: What is in it.
+            scene: The organs, tools and ground.
             worlds: Number of worlds W.
             contact: "flags" or "second_step".
             first_step: What the flags method's first step looks for.
-            dtype: In which organs are integrated, float32 or float64.
-            parallel: Whether worlds are shared out among threads.
+            dtype: Type in which organs are integrated, float32 or float64.
+            parallel: Whether worlds are distributed over threads.
 
         Raises:
-            ValueError: If an argument is not as it should be.
+            ValueError: If an argument is not allowed.
         """
         precisions: dict[Any, Precision] = {np.dtype(np.float32): "single", np.dtype(np.float64): "double"}
         if np.dtype(dtype) not in precisions:

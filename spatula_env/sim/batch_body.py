@@ -1,26 +1,26 @@
 """Bullet's classic soft body for many worlds at once.
 
-A step is Bullet's: velocities change by gravity and by what is asked for, positions move on with them, sweeps over all
-links pull the nodes towards the links' rest lengths, and the velocities become what the nodes have moved over the time
-step. In a sweep, link after link (Gauss–Seidel) is corrected as
+A step is Bullet's: velocities change by gravity and by the changes that are requested, positions advance with them,
+sweeps over all links pull the nodes towards the links' rest lengths, and the velocities become the nodes' displacements
+divided by the time step. In a sweep, link after link (Gauss–Seidel) is corrected as
 
     k = stiffness (r2 - l2) / (r2 + l2),   x_a -= k s_a d,   x_b += k s_b d,
 
 with d = x_b - x_a, l2 = d . d, r2 the squared rest length and s the link's shares, see `SoftBody.shares`
 (`btSoftBody::predictMotion`, `PSolve_Links` and `solveConstraints` of Bullet 3). A sweep's outcome depends on the order
-of the links, so a single world leaves little to do at once. Many worlds do the same with other numbers: they are put
-side by side into the lanes of vector registers, a block of worlds at a time, and link by link all worlds of the block
-are corrected.
+of the links, so a single world offers little parallelism. Many worlds perform the same operations on different numbers:
+they are put side by side into the lanes of vector registers, a block of worlds at a time, and each link is corrected in
+all worlds of the block at once.
 
 Arrays of a block have shape (V, C, lanes), so that a coordinate of a node in all the block's worlds is one vector. The
-correction of a link is written as vector instructions: of a loop over the lanes the compiler cannot know that a link's
-two nodes are different ones, and it tests for that before every link. A single world has the coordinates of a node
-adjacent instead, and uses a vector for them: C is 4 then, 3 otherwise.
+correction of a link is written as vector instructions: in a loop over the lanes the compiler cannot know that a link's
+two nodes are different, and would test for that before every link. With a single world, the coordinates of a node are
+adjacent instead and form one vector: C is then 4, otherwise 3.
 
 The operations, fused multiply–adds among them, and their order are spelled out and the same for any number of lanes,
-and each is rounded as IEEE 754 says. What happens in a world does therefore not depend, to the last bit, on which other
-worlds there are and how they are put together. Processors older than about 2013 have no fused multiply–add; there it is
-computed by a function, correctly and slowly.
+and each is rounded as IEEE 754 prescribes. The result in a world is therefore the same to the last bit, whatever other
+worlds there are and however they are grouped into blocks. Processors older than about 2013 have no fused multiply–add;
+there a function computes it, correctly but slowly.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 WIDE, NARROW = 16, 8
-"""Worlds in a block, when there are many and when there are few. Sixteen numbers in single precision are as much as
-the widest registers hold."""
+"""Worlds in a block, when there are many and when there are few. Sixteen numbers in single precision fill the widest
+registers."""
 
 GREATEST_STIFFNESS = 2.0
 """Successive over-relaxation converges below this factor only (Kahan's theorem)."""
 
 CACHE_LINE = 64
-"""Vectors must not straddle two of these [bytes]."""
+"""Size of a cache line [bytes]; arrays begin at one, so that no vector straddles two."""
 
 
 def _link_kernel(lanes: int) -> Any:
-    """Make the function that corrects one link in all worlds of a block with so many lanes.
+    """Make the function that corrects one link in all worlds of a block with `lanes` lanes.
 
     It takes the block's positions (V, 3, lanes), the link's nodes, squared rest length and shares, and the worlds'
     stiffness (lanes,).
@@ -103,11 +103,11 @@ class _Vectors:
         self._context, self._builder, self._lanes = context, builder, lanes
         element = context.get_data_type(array.dtype)
         self._kind = ir.VectorType(element, lanes)
-        # What may be assumed of an address: arrays begin at a cache line, but nothing breaks if one does not.
+        # Alignment that loads and stores assume: arrays begin at a cache line, but nothing breaks if one does not.
         self._align = context.get_abi_sizeof(element)
 
     def data(self, kind: Any, array: Any) -> Any:
-        """Where the elements of an array begin."""
+        """Pointer to the first element of an array."""
         return self._context.make_array(kind)(self._context, self._builder, array).data
 
     def address(self, base: Any, node: Any, axis: int, axes: int) -> Any:
@@ -126,7 +126,7 @@ class _Vectors:
         self._builder.store(value, pointer, align=self._align)
 
     def fma(self, a: Any, b: Any, c: Any) -> Any:
-        """The rounded value of a b + c, of vectors or of numbers."""
+        """The value of a b + c with a single rounding, for vectors or scalars."""
         kind = a.type
         lanes = f"v{kind.count}" if isinstance(kind, ir.VectorType) else ""
         name = f"llvm.fma.{lanes}{self._kind.element.intrinsic_name}"
@@ -134,7 +134,7 @@ class _Vectors:
         return self._builder.call(function, [a, b, c])
 
     def spread(self, value: Any) -> Any:
-        """A vector of equal elements."""
+        """A vector whose elements all equal a scalar."""
         nothing, first = ir.Constant(self._kind, ir.Undefined), ir.Constant(ir.IntType(32), 0)
         single = self._builder.insert_element(nothing, value, first)
         mask = ir.Constant(ir.VectorType(ir.IntType(32), self._lanes), [0] * self._lanes)
@@ -176,7 +176,7 @@ _correct_single = _single_link_kernel()
 
 
 class Blocks(NamedTuple):
-    """The arrays of a body in all worlds, B blocks of so many lanes, in the body's precision.
+    """The arrays of a body in all worlds: B blocks of `lanes` worlds each, in the body's precision.
 
     Attributes:
         positions: (B, V, C, lanes) [u].
@@ -185,10 +185,10 @@ class Blocks(NamedTuple):
         movable: (V,) which nodes are not held fixed.
         links: (L, 2) nodes.
         factors: (L, 3) squared rest length [u2] and shares.
-        gravity: (B, lanes) downwards [u/s2].
-        stiffness: (B, lanes) factor.
+        gravity: (B, lanes) downward acceleration [u/s2].
+        stiffness: (B, lanes) factor on the stiffness of links.
         dt: Length of a step [s].
-        inverse_dt: One over it [1/s].
+        inverse_dt: One over `dt` [1/s].
         finite: (B, lanes) zero where all velocities are finite after a step, NaN otherwise.
     """
 
@@ -214,7 +214,7 @@ def predict_block(
     gravity: np.ndarray,
     dt: float,
 ) -> None:
-    """Move a block's nodes on by one step, links aside; see `advance_block`."""
+    """Advance a block's nodes by one step without the links; see `advance_block`."""
     nodes, axes, lanes = positions.shape
     for i in range(nodes):
         if movable[i]:
@@ -257,11 +257,11 @@ def sweep_block(
 
 @array_kernel
 def finish_block(positions: np.ndarray, velocities: np.ndarray, predicted: np.ndarray, inverse_dt: float) -> None:
-    """Add to a block's velocities what links have moved the nodes.
+    """Add to a block's velocities the displacements by links, divided by the time step.
 
-    Bullet divides the whole way of a node by the time step, which comes to the same but for rounding. A step's gain of
-    velocity by gravity moves a node by a few hundred units in the last place of single precision only: the velocity
-    that is left of a rounded way falls short of it by the same part of a thousand in every step.
+    Bullet divides the whole displacement of a node by the time step, which is the same but for rounding. The velocity
+    gained by gravity in a step moves a node by only a few hundred units in the last place of single precision: a
+    velocity computed from the rounded displacement falls short of it by the same part in a thousand in every step.
     """
     nodes, axes, lanes = positions.shape
     size = nodes * axes * lanes
@@ -335,7 +335,7 @@ _ADD_SIGNATURES = [_add_signature(real) for real in _REALS]
 _WRITE_SIGNATURES = [_copy_signature(real, readonly=True) for real in _REALS]
 
 
-# Compiled when first called, which for the two precisions is rarely both of them.
+# Compiled when first called, because a process rarely needs both precisions.
 @kernel(nogil=True)
 def _advance_blocks(first_block: int, end_block: int, blocks: Blocks) -> None:
     """Advance some blocks by one step."""
@@ -374,8 +374,7 @@ def _add_to_worlds(blocks: np.ndarray, movable: np.ndarray, values: np.ndarray) 
 class BatchBody:
     """One soft body in many worlds, which differ in state, gravity, stiffness and mass.
 
-    World w is lane w % lanes of block w // lanes. The last block is filled up with worlds of their own that nothing
-    moves.
+    World w is lane w % lanes of block w // lanes. The last block is padded with unused worlds that nothing moves.
 
     Attributes:
         body: The nodes and links.
@@ -403,11 +402,11 @@ class BatchBody:
             dt: Length of a step [s].
             gravity: Downward acceleration, for all worlds or (W,) for each [u/s2].
             dtype: float32, or float64 to follow Bullet more closely.
-            parallel: Whether blocks are shared out among threads; `numba.set_num_threads` says how many.
-            lanes: Worlds in a block: 1, 8 or 16; by default as suits their number. It makes no difference but in time.
+            parallel: Whether blocks are distributed over threads; `numba.set_num_threads` says how many.
+            lanes: Worlds in a block: 1, 8 or 16; by default as suits their number. Only the speed depends on it.
 
         Raises:
-            ValueError: If an argument is not as it should be.
+            ValueError: If an argument is not allowed.
         """
         check_positive(dt, "dt")
         if not isinstance(worlds, int | np.integer) or worlds < 1:
@@ -458,15 +457,15 @@ class BatchBody:
         mass_scale: ArrayLike | None = None,
         worlds: ArrayLike | None = None,
     ) -> None:
-        """Change in what some worlds differ from others.
+        """Change parameters of some worlds.
 
         Args:
             gravity: Downward acceleration [u/s2].
             stiffness: Factor on the stiffness of all links, from 0 to less than 2. Beyond 1 links along edges
                 over-relax.
-            mass_scale: Factor on all masses. A free body moves alike with any; forces on it, and the contact that
-                derives them from `inverse_masses`, do tell.
-            worlds: (n,) which, or (W,) a mask; all by default. Values are one for all of them or (n,).
+            mass_scale: Factor on all masses. The motion of a free body does not depend on it; forces on the body, and
+                contact, which derives them from `inverse_masses`, do.
+            worlds: (n,) which, or (W,) a mask; all by default. A parameter is one number for all of them, or (n,).
 
         Raises:
             ValueError: If a value is not allowed; nothing has then changed.
@@ -488,7 +487,7 @@ class BatchBody:
     def step(self, velocity_changes: ArrayLike | None = None, displacements: ArrayLike | None = None) -> None:
         """Advance all worlds by one step of `dt`. A world that diverges leaves the others alone; see `finite`.
 
-        Nodes that are held fixed do not move, whatever is asked of them.
+        Nodes that are held fixed do not move, whatever the arguments say.
 
         Args:
             velocity_changes: (W, V, 3) added to the nodes' velocities before the step [u/s].
@@ -516,7 +515,7 @@ class BatchBody:
             share_out(lambda block: _advance_blocks(block, block + 1, blocks), count, threads)
 
     def set_state(self, positions: ArrayLike, velocities: ArrayLike = 0.0, worlds: ArrayLike | None = None) -> None:
-        """Replace the state of all nodes in some worlds; what follows depends on nothing that was there before.
+        """Replace the state of all nodes in some worlds; what follows does not depend on the previous state.
 
         Args:
             positions: (V, 3) for all of these worlds, or (n, V, 3) for each [u].
@@ -547,7 +546,7 @@ class BatchBody:
             worlds: (n,) which, or (W,) a mask; all by default.
 
         Returns:
-            Arrays of their own.
+            Copies.
         """
         indices = world_indices(worlds, self.worlds)
         return self._get(self.blocks.positions, indices), self._get(self.blocks.velocities, indices)

@@ -1,8 +1,8 @@
 """The engine "batch": Bullet's soft body for many worlds, in this package's compiled code.
 
-A block of worlds is taken through all physics steps of a control step before the next one: its state stays in the
-processor's cache meanwhile. Organs are integrated for the whole block at once (see `batch_body`); what follows is done
-world by world, by the code that all engines share (see `step`).
+A block of worlds is taken through all physics steps of a control step before the next block, so that its state stays in
+the processor's cache. Organs are integrated for the whole block at once (see `batch_body`); what follows is done world
+by world, by the code that all engines share (see `step`).
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from spatula_env.sim.engine import EngineOptions
 
 
-# Compiled when first called, which for the two precisions is rarely both of them.
+# Compiled when first called, because a process rarely needs both precisions.
 @kernel(nogil=True)
 def run_block(block: int, blocks: Blocks, coupling: Any, steps: int, share: float) -> None:
     """Take the worlds of a block through physics steps.
 
     Args:
         block: Index of the block.
-        blocks: Of the body in all worlds.
+        blocks: Arrays of the body in all worlds.
         coupling: `Coupling` of the worlds; see `step.couple_worlds`.
-        steps: How many physics steps.
-        share: Of the control step that one of them is.
+        steps: Number of physics steps.
+        share: Length of one of them as a fraction of the control step.
     """
     state, positions, velocities, finite = coupling.state, blocks.positions, blocks.velocities, blocks.finite
     nodes, node_velocities, diverged = state.nodes, state.velocities, state.diverged
@@ -46,7 +46,7 @@ def run_block(block: int, blocks: Blocks, coupling: Any, steps: int, share: floa
     free_nodes, free_velocities = np.empty((end - first, node_count, 3)), np.empty((end - first, node_count, 3))
     for _ in range(steps):
         advance_block(blocks, block)
-        # All worlds at once: what stands side by side in memory are the worlds.
+        # All worlds of the block at once, because the worlds are adjacent in memory.
         read_block(positions[block], free_nodes)
         read_block(velocities[block], free_velocities)
         for w in range(first, end):
@@ -119,7 +119,7 @@ class BatchEngine:
         self._body.set_state(positions, 0.0, worlds)
 
     def save(self, worlds: IntArray) -> tuple[None, ...]:
-        """See `engine.Engine`: there are no nodes but those of the surface."""
+        """See `engine.Engine`: all nodes are surface nodes, so there is nothing else to save."""
         return (None,) * len(worlds)
 
     def restore(self, positions: FloatArray, velocities: FloatArray, inner: Sequence[Any], worlds: IntArray) -> None:

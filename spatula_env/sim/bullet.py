@@ -4,13 +4,13 @@ Facts about PyBullet 3.2.7 that shape this file. In the classic world (`resetSim
 node acts on it alone, in the next step; `resetMeshData` sets positions and leaves velocities; there is no call that
 reads or sets a velocity, but after a step a node's velocity is exactly its displacement over the time step. Meshes
 are read from a file in single precision, so positions are set again after loading. `saveState` ignores soft bodies;
-`resetMeshData` never lets go of the sequences it is given.
+`resetMeshData` never releases its references to the sequences it is given.
 
-A soft body whose triangles are not connected by edges never gets through its first step: Bullet joins neighbours to
-build a tree of them (`buildTreeBottomUp`) until one is left, which never happens. So each part of an organ is a body of
-its own. With a surface that is to be simulated comes one that is to be drawn, and
-`extrapolateBarycentricWeights` looks for the nearest triangle of the first for every vertex of the second: minutes, for
-ten thousand of them. So what is to be drawn, and nothing ever draws it, is a single triangle.
+A soft body whose triangles are not all connected by edges never gets through its first step: Bullet builds a tree by
+joining neighbours (`buildTreeBottomUp`) until one is left, which then never happens. So each part of an organ is a
+separate body. A simulated surface is loaded together with one for rendering, and `extrapolateBarycentricWeights`
+searches the nearest triangle of the first for every vertex of the second, which takes minutes for ten thousand of them.
+So the surface for rendering, which is never rendered here, is a single triangle.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ TOOL_TO_ORGAN_MASS = 1e6
 """Mass of a tool that Bullet itself collides with, in organ masses: its velocity then changes only by rounding."""
 
 MOST_NODES = 46_340
-"""In a soft body: Bullet keeps a table of all pairs of nodes, which it counts in 32 bits."""
+"""Largest number of nodes in a soft body: Bullet keeps a table of all pairs of nodes, and counts them in 32 bits."""
 
 DRAWN = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-"""What Bullet is given to draw."""
+"""The triangle that Bullet is given for rendering, as an OBJ file."""
 
 
 class BulletWorld:
-    """Soft bodies in one world of PyBullet's.
+    """Soft bodies in one PyBullet world.
 
-    Bullet integrates the organs: gravity, links, bending. Ground and, except in `contact="bullet"`, tools are absent
+    Bullet integrates the organs: gravity, links, bending. Ground and, except with `contact="bullet"`, tools are absent
     from Bullet's world: contact with them is resolved by `spatula_env.contact`.
     """
 
@@ -71,7 +71,7 @@ class BulletWorld:
 
         Args:
             scene: What to load.
-            with_tools: Whether the tools are in Bullet's world, to be collided with by Bullet's own algorithm.
+            with_tools: Whether the tools are in Bullet's world, so that Bullet's own algorithm resolves their contact.
 
         Raises:
             ImportError: If PyBullet is not installed; says what to install.
@@ -84,7 +84,7 @@ class BulletWorld:
         self._client: int = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet could not start another physics server; close() simulations no longer needed")
-        # A client has some 30 MB: they go with this object, also when nobody has closed it.
+        # A client takes some 30 MB: they are freed with this object, even if it is never closed.
         self._disconnect = weakref.finalize(self, pybullet.disconnect, self._client)
         # Bullet integrates soft bodies, though not rigid ones, with the time step in single precision.
         self._dt = float(np.float32(scene.dt))
@@ -99,10 +99,10 @@ class BulletWorld:
         order: list[NDArray[np.int64]] = []
         start = first = 0
         for placed, pieces in zip(scene.organs, parts, strict=True):
-            # As Bullet has them, or a velocity that forces are to cancel would remain by the difference.
+            # Masses as Bullet computes them: otherwise forces that should cancel a velocity would leave a part of it.
             organ_masses = node_masses(placed.organ, placed.mass)
             for part in pieces:
-                # Of an organ that is one part exactly the mass that is asked for: a sum is rounded.
+                # An organ of one part gets exactly the mass that is requested: a sum would be rounded.
                 mass = placed.mass if len(pieces) == 1 else float(organ_masses[part.nodes].sum())
                 self._bodies.append(self._load(placed.organ, part, mass))
                 self._slices.append(slice(start, start + len(part.nodes)))
@@ -110,7 +110,7 @@ class BulletWorld:
                 masses.append(organ_masses[part.nodes])
                 order.append(first + part.nodes)
             first += len(placed.organ.vertices)
-        # Nodes of a part need not follow each other in the organ: within this object they do.
+        # The nodes of a part need not be consecutive in the organ, but they are within this object.
         node_order = np.concatenate(order)
         in_order = bool((node_order == np.arange(start)).all())
         self._order: NDArray[np.int64] | None = None if in_order else node_order
@@ -135,7 +135,7 @@ class BulletWorld:
         self._pushed = np.zeros(start, dtype=np.int64)
         self._forces = np.zeros((start, 3))
         self._initial = self._positions.copy()
-        # Organs are kept apart as tools are; with Bullet's own algorithm by that.
+        # This package resolves contact between organs, as it does with tools, unless Bullet's own algorithm is used.
         for first, second in combinations(self._bodies, 2) if not with_tools else ():
             bullet.setCollisionFilterPair(first, second, -1, -1, 0, physicsClientId=client)
         self.tools = BulletTools(bullet, client, scene) if with_tools else None
@@ -165,7 +165,7 @@ class BulletWorld:
         return body
 
     def _body_of(self, place: int) -> int:
-        """Which body has the node at a place, in the order of this object."""
+        """Index of the body that has the node at a place in the order of this object."""
         return next(k for k, part in enumerate(self._slices) if place < part.stop)
 
     def _from_scene(self, values: FloatArray) -> FloatArray:
@@ -239,16 +239,16 @@ class BulletWorld:
                 self._bullet.resetMeshData(body, rows, physicsClientId=self._client)
 
     def set_state(self, positions: FloatArray) -> None:
-        """Put the nodes somewhere (V, 3), standing still [u]; what follows depends on nothing that was before."""
+        """Set the positions (V, 3) of the nodes, at rest [u]; what follows does not depend on the previous state."""
         self._set_state(self._from_scene(positions))
 
     def _set_state(self, positions: FloatArray) -> None:
-        """Set all positions, in the order of this object, and have the velocities forgotten.
+        """Set all positions, in the order of this object, and erase the velocities.
 
         Bullet's velocities cannot be set, only changed by forces, and a velocity that is changed to the wanted one
-        keeps a rounding error that depends on what it was. So the bodies first make one step far away, without
-        gravity and with their velocities cancelled: there the leftover times the time step is too small to change a
-        position, the step's outcome is the same whatever was before, and so is the velocity that it leaves.
+        keeps a rounding error that depends on its previous value. So the bodies first make one step far away, without
+        gravity and with their velocities cancelled: there the remaining velocity times the time step is too small to
+        change a position, so the step's outcome, and the velocity after it, are the same whatever was before.
         """
         bullet, client = self._bullet, self._client
         far = self._initial + SCRUB_SHIFT
@@ -277,7 +277,7 @@ class BulletWorld:
 
 
 def _check_parts(organ: Organ) -> tuple[Part, ...]:
-    """The parts of an organ, if Bullet can simulate each of them."""
+    """The parts of an organ, after a check that Bullet can simulate each of them."""
     parts = organ_parts(organ)
     for part in parts:
         if part.sheets > 1:
@@ -296,12 +296,12 @@ def _check_parts(organ: Organ) -> tuple[Part, ...]:
 
 @contextmanager
 def _given_back(objects: Sequence[object]) -> Iterator[None]:
-    """Undo that a call keeps references to objects for ever.
+    """Release the references to objects that a call in the ``with`` block acquires and never releases.
 
     Args:
-        objects: Which they are, each once.
+        objects: The objects, each listed once.
     """
-    # Counted in the same way both times, so that references of the counting itself cancel out.
+    # Counted in the same way both times, so that the references held by the counting itself cancel out.
     before = list(map(sys.getrefcount, objects))
     try:
         yield
@@ -313,16 +313,16 @@ def _given_back(objects: Sequence[object]) -> Iterator[None]:
 
 
 class BulletEngine:
-    """As many worlds of PyBullet as there are worlds, one after the other; see `engine.CollidingEngine`.
+    """One PyBullet world for each world, stepped one after the other; see `engine.CollidingEngine`.
 
     Attributes:
-        loaded: (W,) PyBullet's worlds.
+        loaded: (W,) the PyBullet worlds.
     """
 
     abilities = Abilities(contacts=("flags", "second_step", "bullet"), restores_exactly=False, sweeps=SWEEPS)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
-        """See `engine.Engine`; what this raises is told by `BulletWorld`."""
+        """See `engine.Engine`; for what this raises, see `BulletWorld`."""
         self._scene, self._with_tools = scene, options.contact == "bullet"
         self.loaded: list[BulletWorld] = []
         try:
@@ -354,7 +354,7 @@ class BulletEngine:
             self.loaded[w].set_state(positions[row])
 
     def save(self, worlds: NDArray[np.int64]) -> tuple[None, ...]:
-        """See `engine.Engine`: there are no nodes but those of the surface."""
+        """See `engine.Engine`: all nodes are surface nodes, so there is nothing else to save."""
         return (None,) * len(worlds)
 
     def restore(
@@ -369,7 +369,7 @@ class BulletEngine:
             world.close()
 
     def set_tools(self, tools: Sequence[PlacedTool], world: int) -> None:
-        """See `engine.CollidingEngine`: Bullet cannot exchange the shape of a body, so all is loaded anew."""
+        """See `engine.CollidingEngine`: Bullet cannot exchange the shape of a body, so the world is loaded anew."""
         self.loaded[world].close()
         self.loaded[world] = self._load(replace(self._scene, tools=tuple(tools)))
 
@@ -396,9 +396,9 @@ class BulletEngine:
 class BulletTools:
     """The scene's tools as rigid bodies in Bullet's world, for `contact="bullet"`.
 
-    A tool is a free body far heavier than the organs, put in place with its velocity before each step. Bullet's
-    contacts then move it as they would move a kinematic body, and what little they change its velocity tells the
-    impulse, which Bullet reports nowhere.
+    A tool is a free body far heavier than the organs, whose pose and velocity are set before each step. Bullet's
+    contacts then treat it like a kinematic body, and the slight change of its velocity gives the impulse, which Bullet
+    does not report.
     """
 
     def __init__(self, bullet: Any, client: int, scene: Scene) -> None:
@@ -430,14 +430,14 @@ class BulletTools:
         return body
 
     def place(self, positions: FloatArray, orientations: FloatArray) -> None:
-        """Put the tools somewhere, at rest."""
+        """Set the poses of the tools, at rest."""
         for body, position, orientation in zip(self._bodies, positions.tolist(), orientations.tolist(), strict=True):
             self._bullet.resetBasePositionAndOrientation(body, position, orientation, physicsClientId=self._client)
 
     def move(self, positions: FloatArray, orientations: FloatArray, linear: FloatArray, angular: FloatArray) -> None:
         """Give the tools the poses that they have at the end of the coming step, and their velocities."""
         self.place(positions, orientations)
-        # Gravity acts on tools too; what it will add is taken off beforehand.
+        # Gravity acts on tools too; the velocity that it will add is subtracted beforehand.
         linear = linear - self._gravity * self._dt
         for body, speed, rate in zip(self._bodies, linear.tolist(), angular.tolist(), strict=True):
             self._bullet.resetBaseVelocity(body, speed, rate, physicsClientId=self._client)

@@ -1,8 +1,8 @@
-"""The scale with which a scene's tool feels an organ as stiff as a given material: an indentation of that organ.
+"""Calibration of a scene's scale by indentation, so that its tool feels an organ as stiff as a given material.
 
-The organs are springs, whose stiffness depends on how their surface is meshed. So it is measured, with the scene's own
-tool on the scene's own organ, and the scale is chosen by what comes out. docs/calibration.md tells how the presets'
-constants were measured in the same way.
+The organs are networks of springs, whose stiffness depends on how their surface is meshed. So the stiffness is
+measured, with the scene's own tool on the scene's own organ, and the scale is chosen accordingly. docs/calibration.md
+describes how the presets' constants were measured in the same way.
 """
 
 from __future__ import annotations
@@ -34,34 +34,36 @@ POISSON = 0.5
 """Poisson's ratio: tissue is nearly incompressible."""
 
 DEPTHS = (0.2, 0.3, 0.4, 0.5)
-"""At which the force is measured, in widths of the tool's face: 4 to 10 mm with a spatula of 20 mm, once it lies on."""
+"""Depths below first contact at which the force is measured, in widths of the tool's face: 4 to 10 mm with a spatula of
+20 mm."""
 
 PLACES = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
-"""Around the place that is asked for, in widths of the tool's face: facets of a coarse surface snap through."""
+"""Offsets in x and y from the requested place, in widths of the tool's face. The force is averaged over them, because
+facets of a coarse surface snap through."""
 
 SPEED = 0.5
-"""Of the tool, in widths of its face in a second."""
+"""Speed of the tool, in widths of its face per second."""
 
 REST = 0.5
-"""How long the tool waits, and then how long the force is averaged [s]."""
+"""Time for which the tool waits at a depth, and then the time over which the force is averaged [s]."""
 
 BENT = 3.0
-"""A curve of which force over depth changes by more than this factor says little of a modulus."""
+"""If force over depth varies by more than this factor along the curve, a modulus describes it badly."""
 
 
 def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: ArrayLike | None = None) -> Scene:
-    """A scene whose forces are those of a material, for any organ: its first tool is pressed onto it to find out.
+    """Choose a scene's scale such that forces are those of a material, by pressing the first tool onto the organ.
 
-    The tool comes down from above, turned as in the scene, at five places close together, and waits at four depths
-    up to half its width. The mean of force over depth is compared with that of a flat punch on an elastic half-
-    space that is nearly incompressible (I. N. Sneddon, International Journal of Engineering Science 3, 1965): force
-    = modulus x 2a / (1 - ν²) x depth, a being the radius of the circle that has the area of the tool's lower face.
-    Masses in the scene stay as they are; what changes is how many kilograms a unit of mass is, and with it all
-    newtons and pascals.
+    This works for any organ. The tool comes down from above, oriented as in the scene, at five places close together,
+    and waits at four depths up to half its width. The mean of force over depth is compared with that of a flat punch
+    on an elastic half-space that is nearly incompressible (I. N. Sneddon, International Journal of Engineering
+    Science 3, 1965): force = modulus x 2a / (1 - ν²) x depth, a being the radius of the circle that has the area of the
+    tool's lower face. Masses in scene units do not change; what changes is the number of kilograms in a unit of mass,
+    and with it all forces in newtons and pressures in pascals.
 
     Args:
-        scene: With the organ and the tool. The other tools stay where they are.
-        young_modulus: That the tool is to feel [Pa].
+        scene: A scene with the organ and the tool. The other tools stay where they are.
+        young_modulus: Young's modulus that the tool should feel [Pa].
         place: (2,) x and y at which the tool comes down [u]; by default those of its position in the scene.
 
     Returns:
@@ -71,7 +73,7 @@ def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: Ar
         ValueError: If an argument is not allowed, or there is no organ where the tool comes down or none that resists.
 
     Warns:
-        SceneWarning: If force and depth are far from being in proportion, or of the scene; see `Simulation`.
+        SceneWarning: If force and depth are far from proportional, or about the scene itself; see `Simulation`.
 
     Example:
         >>> from dataclasses import replace
@@ -108,16 +110,16 @@ def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: Ar
 
 
 def lower_face(placed: PlacedTool) -> float:
-    """Area of the face of a tool that looks down most, as it is turned in the scene [u2]."""
+    """Area of a tool's downward-facing surface, oriented as in the scene and projected onto the horizontal [u2]."""
     tool = placed.tool
     corners = rotate(np.array(placed.orientation), tool.vertices)[tool.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # Seen from below: what of the surface looks down.
+    # The area as seen from below: only triangles that face downwards count.
     return float(0.5 * np.maximum(-across[:, 2], 0.0).sum())
 
 
 def _first_contacts(scene: Scene, places: FloatArray, width: float) -> FloatArray:
-    """(p, 3) where the tool's origin is when, coming down at places (p, 2), it first meets an organ [u]."""
+    """(m, 3) where the tool's origin is when, coming down at places (p, 2), it first meets an organ, if it does [u]."""
     worlds = BatchSimulation(scene, len(places))
     nodes = worlds.nodes
     corners = rotate(np.array(scene.tools[0].orientation), scene.tools[0].tool.vertices)
@@ -132,7 +134,7 @@ def _first_contacts(scene: Scene, places: FloatArray, width: float) -> FloatArra
     while np.isnan(met).any() and height + under > low:
         touched = worlds.advance(motion).peak_forces[:, 0] > 0.0
         met[touched & np.isnan(met)] = height
-        # What has met the organ waits.
+        # A tool that has met the organ stops.
         motion[touched] = 0.0
         height -= SPEED * width * scene.dt
     worlds.close()
@@ -165,7 +167,7 @@ def _forces(scene: Scene, starts: FloatArray, depths: FloatArray, width: float) 
 
 
 def _place(worlds: BatchSimulation, positions: FloatArray) -> None:
-    """Put the first tool of every world (W, 3) somewhere; the others stay."""
+    """Set the position of the first tool in every world (W, 3); the other tools stay."""
     everything = worlds.tool_positions
     everything[:, 0] = positions
     worlds.place_tools(everything)

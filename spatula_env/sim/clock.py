@@ -1,4 +1,4 @@
-"""The time of worlds: so many steps since it was zero, and no sum of many of them, which rounds differently."""
+"""The time of worlds, as a number of steps times their length: a sum of many steps would accumulate rounding errors."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 ON_STEP = 1e-6
-"""A time that is so near to a whole number of steps is one, as a part of a step."""
+"""A time that differs from a whole number of steps by less than this fraction of a step counts as that number."""
 
 
 def later(times: ArrayLike, steps: int, dt: float) -> NDArray[np.float64]:
-    """Times after some more steps.
+    """Advance times by some steps.
 
     Args:
         times: Times now [s].
-        steps: How many steps.
+        steps: Number of steps.
         dt: Length of a step [s].
 
     Returns:
-        As many [s]; multiples of `dt` stay multiples of it, however many steps they took.
+        The later times [s]; multiples of `dt` stay multiples of it, however many steps are taken.
     """
     now = np.asarray(times, dtype=np.float64)
     whole = np.round(now / dt)

@@ -1,4 +1,4 @@
-"""Contact that an engine resolves itself, `contact="bullet"`: the engine has the tools, the detectors only watch."""
+"""Contact that an engine resolves itself, `contact="bullet"`: the engine has the tools, the detectors only observe."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Collisions:
-    """What is done before and after a step of an engine that has the tools itself, in blocks of one world."""
+    """The work before and after each step of an engine that has the tools itself; every block is one world."""
 
     def __init__(
         self,
@@ -34,16 +34,16 @@ class Collisions:
         sums: step.Sums,
         last: step.LastStep,
     ) -> None:
-        """Prepare to watch.
+        """Create the detectors.
 
         Args:
-            scene: Its organs and tools.
-            engine: Has the scene's tools.
-            contacts: Of each world; their memories become the detectors'.
+            scene: The scene with the organs and tools.
+            engine: The engine, which has the scene's tools.
+            contacts: Contact of each world; its memories are shared with the detectors.
             coupling: `step.Coupling` of the worlds.
-            state: That of it; written.
-            sums: Of it; added to.
-            last: Of it; written.
+            state: The state in `coupling`; written.
+            sums: The sums in `coupling`; added to.
+            last: The last step in `coupling`; written.
         """
         self._engine, self._contacts, self._coupling, self._dt = engine, contacts, coupling, scene.dt
         self._state, self._sums, self._last = state, sums, last
@@ -55,36 +55,36 @@ class Collisions:
         self._detectors = [self._watch(world, scene.tools) for world in range(len(contacts))]
 
     def _watch(self, world: int, tools: Sequence[PlacedTool]) -> list[FlaggedDetector]:
-        """Detectors of each tool (outer) and organ (inner), which remember in the world's contact."""
+        """Create a detector for each tool (outer) and organ (inner) that uses the memory of the world's contact."""
         detectors = [FlaggedDetector(placed.tool) for placed in tools for _ in self._organs]
         for detector, memory in zip(detectors, self._contacts[world].memories, strict=True):
             detector.memory = memory
         return detectors
 
     def set_tools(self, tools: Sequence[PlacedTool], world: int) -> None:
-        """Exchange the tools of a world; the engine has to be put into a state after that."""
+        """Exchange the tools of a world; after that, the engine must be given a state."""
         self._engine.set_tools(tools, world)
         self._detectors[world] = self._watch(world, tools)
 
     def place(self, worlds: IntArray) -> None:
-        """Put the engine's tools of some worlds (n,) where they are said to be."""
+        """Put the engine's tools of some worlds (n,) where the state says they are."""
         state = self._state
         for w in worlds.tolist():
             self._engine.place_tools(state.tool_positions[w], state.tool_orientations[w], w)
 
     def begin(self, share: float) -> None:
-        """Tell the engine how its tools move in the coming step, which is a share of a control step."""
+        """Give the engine the tools' motion in the coming step, which is a fraction `share` of the control step."""
         step.drive_worlds(self._coupling, share)
         last = self._last
         for w in np.flatnonzero(~self._state.diverged).tolist():
             self._engine.move_tools(last.positions[w], last.orientations[w], last.linear[w], last.angular[w], w)
 
     def finish(self) -> None:
-        """Take what the tools felt in a step, and look at where they are in the organs."""
+        """Read the impulses on the tools in a step, and observe how they overlap the organs."""
         state, sums, last = self._state, self._sums, self._last
         for w in np.flatnonzero(~state.diverged).tolist():
             impulses = self._engine.tool_impulses(last.linear[w], last.angular[w], w)
-            # Without tools the ground came first.
+            # The coupling itself has no tools here, so it has written the ground's wrench first.
             last.wrenches[w, -1] = last.wrenches[w, 0]
             last.wrenches[w, :-1] = impulses
             last.impulses[w] = np.nan

@@ -1,8 +1,8 @@
-"""The protective stop of robots, in every physics step: a tool that meets too great a force does not push on.
+"""The protective stop of a robot, applied in every physics step: a tool that meets too great a force stops pushing.
 
-A rigid tool that moves as it is told knows no limit: driven against nodes that are held, it would squeeze what is
-between to nothing. No device does that. The force of one physics step decides about the motion in the next, as in a
-robot's inner loop; a limit that looks once in a control step comes many physics steps too late.
+A rigid tool with prescribed motion has no limit of force: driven against nodes that are held, it would squeeze the
+tissue between to nothing, which no device does. The force in one physics step decides about the motion in the next, as
+in a robot's inner loop; a limit that is checked once per control step would act many physics steps too late.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ def restrain(
     restrained_linear: np.ndarray,
     restrained_angular: np.ndarray,
 ) -> bool:
-    """Take from a hand's motion what pushes on against too great a force. Its tools keep their arrangement.
+    """Remove the part of a hand's motion that pushes on against too great a force. Its tools keep their arrangement.
 
     Args:
         positions: (N, 3) of the hand's tools [u].
-        linear: (N, 3) velocities that are asked for [u/s].
-        angular: (N, 3) [rad/s].
+        linear: (N, 3) requested velocities [u/s].
+        angular: (N, 3) requested angular velocities [rad/s].
         forces: (N, 3) on the tools in the last physics step [kg u/s2].
-        limit: A tool that meets no more is not in question [kg u/s2].
-        restrained_linear: (N, 3) written. What moves all tools together loses its part against each force beyond the
-            limit. Two jaws go on opening or closing along the line between them if none of those forces resists.
+        limit: Greatest force on a tool that does not restrain the motion [kg u/s2].
+        restrained_linear: (N, 3) written. The common motion of all tools loses its component against each force beyond
+            the limit. Two jaws go on opening or closing along the line between them unless one of those forces resists.
         restrained_angular: (N, 3) written: zero if a force is beyond the limit.
 
     Returns:
-        Whether a force is beyond the limit; what is written is otherwise what is asked for.
+        Whether a force is beyond the limit; if not, the requested motion is written unchanged.
     """
     count = positions.shape[0]
     stopped = False
@@ -54,7 +54,7 @@ def restrain(
         for axis in range(3):
             common[axis] += linear[k, axis] / count
             restrained_angular[k, axis] = 0.0
-    # Jaws: half the speed at which they part, along the line from the first to the second.
+    # For two jaws: half the speed at which they move apart, along the line from the first to the second.
     away, parting = np.zeros(3), 0.0
     if count == 2:
         distance = 0.0

@@ -1,8 +1,8 @@
-"""What an engine is: it integrates the organs of W worlds of a scene. All else is `worlds.Worlds`.
+"""Interfaces of engines. An engine integrates the organs of W worlds of a scene; `worlds.Worlds` does everything else.
 
-Ground, tools and what organs do to each other are not its business, but for an engine that has a contact algorithm of
-its own. The organs' vertices are its surface nodes, counted through organ after organ: V in all. Whatever nodes it has
-besides are its own.
+An engine does not deal with the ground, the tools or contact between organs, unless it has a contact algorithm of its
+own. Its surface nodes are the organs' vertices, numbered consecutively through all organs: V in all. Any further nodes
+are internal to the engine.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ ContactName = Literal["flags", "second_step", "bullet"]
 """What resolves contact between tools and organs; see `Simulation`."""
 
 Precision = Literal["single", "double"]
-"""In which an engine that has the choice integrates the organs."""
+"""Precision in which an engine that offers both integrates the organs."""
 
 PRECISIONS = {"single": np.float32, "double": np.float64}
-"""Types of numbers by the name of the precision."""
+"""NumPy types by the name of the precision."""
 
 
 @dataclass(frozen=True)
 class EngineOptions:
-    """What an engine is told beside the scene.
+    """Options of an engine besides the scene.
 
     Attributes:
-        contact: What resolves contact, one of the engine's `Abilities.contacts`.
-        precision: For an engine that has the choice.
-        threads: How many threads worlds are shared out among.
+        contact: The method that resolves contact, one of the engine's `Abilities.contacts`.
+        precision: Precision of an engine that offers both.
+        threads: Number of threads over which worlds are distributed.
     """
 
     contact: ContactName = "flags"
@@ -49,13 +49,13 @@ class Abilities:
     """What an engine can do.
 
     Attributes:
-        contacts: What can resolve contact with it. An engine with "bullet" is a `CollidingEngine`.
-        restores_exactly: Whether a state goes on, when it is restored, as it would have gone on without. Where not, an
-            environment that is saved is put to its own state, so that both go on alike.
+        contacts: The methods that can resolve contact with it. An engine with "bullet" is a `CollidingEngine`.
+        restores_exactly: Whether a restored state continues exactly as the original would have. If not, an environment
+            that is saved is itself restored from the saved state, so that both continue alike.
         varies: Whether worlds can differ in gravity, stiffness and mass; it is then a `VaryingEngine`.
-        strains: Whether it tells how tissue is strained; it is then a `StrainedEngine`.
-        sweeps: Over what holds an organ together, in a step. A pull gets as many edges far, and a warning says so of
-            organs that have more across; None: there is no such limit.
+        strains: Whether it reports how tissue is strained; it is then a `StrainedEngine`.
+        sweeps: Number of solver sweeps over an organ's links in a step. A pull travels that many edges per step, and a
+            warning is issued for organs that are more edges across; None: there is no such limit.
     """
 
     contacts: tuple[ContactName, ...] = ("flags", "second_step")
@@ -78,7 +78,7 @@ class Engine(Protocol):
         """(W, V) of the surface nodes [1/kg]; zero for a node that is held fixed."""
 
     def advance(self, positions: FloatArray, velocities: FloatArray, diverged: BoolArray) -> None:
-        """Advance all worlds by one physics step, from where contact has put them after the last one.
+        """Advance all worlds by one physics step, from the state in which contact left them after the last one.
 
         Args:
             positions: (W, V, 3) of the surface nodes at the start of the step; written, at its end [u].
@@ -90,23 +90,23 @@ class Engine(Protocol):
         """Set the velocities of all nodes of some worlds to zero, inner nodes included.
 
         Args:
-            positions: (n, V, 3) where the surface nodes are [u].
+            positions: (n, V, 3) of the surface nodes [u].
             worlds: (n,) which worlds.
         """
 
     def save(self, worlds: IntArray) -> tuple[Any, ...]:
-        """(n,) what the surface nodes do not tell of the state of some worlds (n,), such as inner nodes.
+        """(n,) the part of the state of some worlds (n,) that surface nodes do not contain, such as inner nodes.
 
-        Arrays of its own, that can be pickled; None where the surface nodes tell all.
+        Copies, which can be pickled; None where the surface nodes are the whole state.
         """
 
     def restore(self, positions: FloatArray, velocities: FloatArray, inner: Sequence[Any], worlds: IntArray) -> None:
-        """Put some worlds into a state; what follows depends on nothing that was before.
+        """Put some worlds into a state; what follows does not depend on the previous state.
 
         Args:
             positions: (n, V, 3) of the surface nodes [u].
             velocities: (n, V, 3) of them [u/s].
-            inner: (n,) what `save` gave; None: what goes with these surface nodes at rest.
+            inner: (n,) what `save` returned; None: the inner state that fits these surface nodes at rest.
             worlds: (n,) which worlds.
         """
 
@@ -116,7 +116,7 @@ class Engine(Protocol):
 
 @runtime_checkable
 class BlockEngine(Protocol):
-    """An engine that takes blocks of worlds through several physics steps, contact included, with no Python between.
+    """An engine that takes blocks of worlds through several physics steps, contact included, all in compiled code.
 
     Attributes:
         lanes: Worlds in a block.
@@ -130,8 +130,8 @@ class BlockEngine(Protocol):
         Args:
             block: Index of the block.
             coupling: `step.Coupling` of the worlds, for `step.couple_worlds`, which follows each step of the engine.
-            steps: How many physics steps.
-            share: Of the control step that one of them is.
+            steps: Number of physics steps.
+            share: Length of one of them as a fraction of the control step.
         """
 
 
@@ -156,13 +156,13 @@ class VaryingEngine(Engine, Protocol):
 class Strains(NamedTuple):
     """How the O organs of n worlds are strained and stressed, in scene units.
 
-    Peaks are of single nodes of a mesh; what is high is exceeded by a twentieth of an organ's volume.
+    A peak is the value at a single node of a mesh; a high value is exceeded in a twentieth of an organ's volume.
 
     Attributes:
-        peak_strains: (n, O) greatest principal Green-Lagrange strain, half of the squared stretch less one.
-        high_strains: (n, O) likewise.
-        peak_stresses: (n, O) greatest principal Cauchy stress, tension positive [kg/(u s2)].
-        high_stresses: (n, O) likewise.
+        peak_strains: (n, O) peak of the greatest principal Green-Lagrange strain, half of (squared stretch less one).
+        high_strains: (n, O) high value of the same.
+        peak_stresses: (n, O) peak of the greatest principal Cauchy stress, tension positive [kg/(u s2)].
+        high_stresses: (n, O) high value of the same.
         strained_shares: (n, O) share of the volume that is strained beyond a threshold.
     """
 
@@ -174,14 +174,14 @@ class Strains(NamedTuple):
 
 
 class StrainedEngine(Engine, Protocol):
-    """An engine that tells how tissue is strained."""
+    """An engine that reports how tissue is strained."""
 
     def strains(self, worlds: IntArray, threshold: float) -> Strains:
         """How organs are strained now.
 
         Args:
             worlds: (n,) which worlds.
-            threshold: Of strain, for `Strains.strained_shares`.
+            threshold: Strain beyond which volume counts in `Strains.strained_shares`.
         """
 
 
@@ -189,10 +189,10 @@ class CollidingEngine(Engine, Protocol):
     """An engine that can resolve the contact of tools by an algorithm of its own."""
 
     def set_tools(self, tools: Sequence[PlacedTool], world: int) -> None:
-        """Exchange the tools of a world. The state of its organs is lost: `restore` follows."""
+        """Exchange the tools of a world. The state of its organs is lost: `restore` must follow."""
 
     def place_tools(self, positions: FloatArray, orientations: FloatArray, world: int) -> None:
-        """Put the tools of a world somewhere, at rest: positions (N, 3) [u] and orientations (N, 4)."""
+        """Set the poses of a world's tools, at rest: positions (N, 3) [u] and orientations (N, 4)."""
 
     def move_tools(
         self, positions: FloatArray, orientations: FloatArray, linear: FloatArray, angular: FloatArray, world: int
@@ -208,4 +208,4 @@ class CollidingEngine(Engine, Protocol):
         """
 
     def tool_impulses(self, linear: FloatArray, angular: FloatArray, world: int) -> FloatArray:
-        """(N, 6) what the organs gave tools of these velocities in the last step [kg u/s, kg u2/s2]."""
+        """(N, 6) impulses of the organs on tools with these velocities in the last step [kg u/s, kg u2/s2]."""

@@ -1,4 +1,4 @@
-"""What an engine that takes forces and gives positions is told, from displacements and changes of velocity."""
+"""Conversions for an engine that takes forces and returns positions: forces from displacements and velocity changes."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def forces_of_changes(
 ) -> int:
     """The forces that displace nodes, and change their velocities, within one step.
 
-    A displacement is a velocity for the length of a step. It is still in the engine's velocities afterwards, and is
-    taken off again with the next forces.
+    A displacement is applied as a velocity for the length of a step. That velocity remains in the engine afterwards,
+    and is removed with the next forces.
 
     Args:
         velocity_changes: (V, 3) [u/s].
@@ -54,7 +54,7 @@ def forces_of_changes(
 def velocities_of_positions(
     before: np.ndarray, displacements: np.ndarray, after: np.ndarray, dt: float, velocities: np.ndarray
 ) -> bool:
-    """Write the nodes' velocities (V, 3) from their positions before and after a step, and how they were displaced.
+    """Compute the nodes' velocities (V, 3) from their positions before and after a step, and their displacements.
 
     Returns whether all are finite.
     """

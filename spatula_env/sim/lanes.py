@@ -1,4 +1,4 @@
-"""What all engines do that have worlds in the lanes of vector registers: kernels on blocks of worlds."""
+"""Kernels on blocks of worlds, for all engines that keep worlds in the lanes of vector registers."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from spatula_env._kernels import array_kernel
 
 @array_kernel
 def tell_finite(velocities: np.ndarray, finite: np.ndarray) -> None:
-    """Tell which worlds of a block are finite.
+    """Find which worlds of a block have finite velocities.
 
     Args:
-        velocities: (V, C, lanes) of the block's nodes, of which the first three of C coordinates are looked at.
+        velocities: (V, C, lanes) of the block's nodes; only the first three of C coordinates are checked.
         finite: (lanes,) result: zero where all velocities are finite, NaN otherwise.
     """
     for k in range(finite.shape[0]):
@@ -20,5 +20,5 @@ def tell_finite(velocities: np.ndarray, finite: np.ndarray) -> None:
     for i in range(velocities.shape[0]):
         for axis in range(3):
             for k in range(finite.shape[0]):
-                # Stays zero as long as all is finite, and is NaN from then on otherwise.
+                # Stays zero as long as all values are finite; the first that is not makes it NaN for good.
                 finite[k] += velocities[i, axis, k] - velocities[i, axis, k]

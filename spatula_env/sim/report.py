@@ -1,4 +1,4 @@
-"""What a physics step tells."""
+"""The report of a physics step."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ if TYPE_CHECKING:
 
 
 LONGEST_CROSSED = 0.1
-"""Organs that cross for longer are tangled [s]."""
+"""Organs that have crossed for longer than this are tangled [s]."""
 
 
 @dataclass(frozen=True)
 class Wrench:
-    """What the organs do to one tool, averaged over a step.
+    """The load of the organs on one tool, averaged over a step.
 
     Attributes:
         force: (3,) [kg u/s2].
         torque: (3,) about the tool's origin, world frame [kg u2/s2].
-        node_forces: (n, 3) spread over the contact nodes; they sum to `force` [kg u/s2]. NaN with `contact="bullet"`,
-            where Bullet does not tell.
-        pressures: (n,) the part of each node's force against its face, over the node's share of the face [kg/(u s2)].
+        node_forces: (n, 3) the force, distributed over the contact nodes; they sum to `force` [kg u/s2]. NaN with
+            `contact="bullet"`, where Bullet does not report them.
+        pressures: (n,) the component of each node's force against its face, divided by the node's share of the face
+            [kg/(u s2)].
     """
 
     force: FloatArray
@@ -48,22 +49,22 @@ class Report:
     """What happened in one step, in scene units.
 
     Attributes:
-        scene: Which scene it happened in.
+        scene: The scene.
         motions: How the tools moved.
         loads: (N, 6) force and torque on each of the N tools, averaged over the step [kg u/s2, kg u2/s2].
-        nodal_impulses: (V, 3) what the tools gave the organs' nodes [kg u/s]; NaN with `contact="bullet"`, where
-            Bullet does not tell.
-        ground_force: (3,) what the ground does to the organs, averaged over the step [kg u/s2].
+        nodal_impulses: (V, 3) impulses of the tools on the organs' nodes [kg u/s]; NaN with `contact="bullet"`, where
+            Bullet does not report them.
+        ground_force: (3,) force of the ground on the organs, averaged over the step [kg u/s2].
         all_contacts: What the detector of each tool (outer) and organ (inner) found, before correction.
         table: (C, 8) all points where something pushed; see `contact.pressure`. None with `contact="bullet"`.
         penetration: Greatest depth of a contact node before correction [u].
         residual: Greatest depth that is left after correction: of any point of an organ's surface in a tool, and of a
             tool's corners and edges in an organ; see `contact.depth` and `contact.edge_depth` [u].
-        queries: How many times each detector was asked: more than once where something moved too far at once.
-        reach: How far a push is spread over contact nodes [u].
-        crossings: In how many places organs cross themselves or each other: pairs of an edge and a triangle.
-        crossed_for: For how long they have [s].
-        stopped: Whether the tools did not go, or went a part of the way alone, as an organ could not give way.
+        queries: Number of queries of each detector: more than one where something moved too far at once.
+        reach: Distance over which a push is distributed to contact nodes [u].
+        crossings: Number of places where organs cross themselves or each other: pairs of an edge and a triangle.
+        crossed_for: Time for which organs have been crossing [s].
+        stopped: Whether the tools did not move, or only part of their way, because an organ could not give way.
     """
 
     scene: Scene
@@ -83,17 +84,17 @@ class Report:
 
     @property
     def tangled(self) -> bool:
-        """Whether organs have crossed for longer than `LONGEST_CROSSED`: what happens to them then means nothing."""
+        """Whether organs have crossed for longer than `LONGEST_CROSSED`; their motion is meaningless then."""
         return self.crossed_for > LONGEST_CROSSED
 
     @property
     def force(self) -> FloatArray:
-        """(3,) what the organs do to the first tool, averaged over the step [kg u/s2]."""
+        """(3,) force of the organs on the first tool, averaged over the step [kg u/s2]."""
         return self.loads[0, :3]
 
     @property
     def torque(self) -> FloatArray:
-        """(3,) about the first tool's origin, world frame [kg u2/s2]."""
+        """(3,) torque of the organs on the first tool, about its origin, world frame [kg u2/s2]."""
         return self.loads[0, 3:]
 
     @property
@@ -113,7 +114,7 @@ class Report:
 
     @cached_property
     def wrenches(self) -> tuple[Wrench, ...]:
-        """What the organs do to each tool, and how it is spread over the contact nodes."""
+        """The load of the organs on each tool, and its distribution over the contact nodes."""
         return tuple(self._wrench(index) for index in range(len(self.loads)))
 
     @cached_property
@@ -156,12 +157,12 @@ class Report:
 
 @dataclass(frozen=True)
 class Pressures:
-    """How tools are pressed in a step.
+    """Contact pressures on the tools in a step.
 
     Attributes:
-        peak: Greatest on a contact node of any tool [kg/(u s2)].
-        faces: (F,) mean on each face with nodes, of one tool after the other [kg/(u s2)].
-        nodes: (n,) for each tool, on its contact nodes [kg/(u s2)].
+        peak: Greatest pressure on a contact node of any tool [kg/(u s2)].
+        faces: (F,) mean pressure on each face with nodes, tool after tool [kg/(u s2)].
+        nodes: For each tool, (n,) pressures on its contact nodes [kg/(u s2)].
     """
 
     peak: float

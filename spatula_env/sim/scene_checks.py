@@ -1,4 +1,4 @@
-"""What in a scene is wrong or likely not to be as it is meant: errors, warnings, and likely causes of failures."""
+"""Checks of a scene: errors, warnings about what is probably not intended, and likely causes of failures."""
 
 from __future__ import annotations
 
@@ -22,27 +22,28 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 LARGEST_ORGAN = 1.0
-"""An organ that is larger is likely to be in another unit: ten times the cube that the Falcon reaches [m]."""
+"""An organ larger than this, ten times the cube that the Falcon reaches, is probably given in another unit [m]."""
 
 LEAST_VOLUME = 0.95
-"""An organ that has lost more of its volume when it is at rest does not bear its own weight."""
+"""An organ that at rest has a smaller share of its volume than this does not bear its own weight."""
 
 GREATEST_DEFORMATION = 0.05
-"""Nor does one whose nodes are farther, on average, from where they were in the organ, as a share of its extent."""
+"""An organ whose nodes at rest are displaced in it by more than this share of its extent, as a root mean square, does
+not bear its own weight either."""
 
 
 BURIED = 0.01
-"""An organ is below the ground if a free node is deeper in it than this share of the organ's extent."""
+"""An organ is below the ground if a free node is deeper in the ground than this share of the organ's extent."""
 
 
 def check_surfaces(scene: Scene) -> None:
-    """Check that no organ's surface crosses itself. That organs cross each other is not looked for.
+    """Check that no organ's surface crosses itself. Crossings between organs are not checked.
 
     Args:
         scene: The scene.
 
     Raises:
-        ValueError: If one does; names the organ, and vertices where it does.
+        ValueError: If a surface crosses itself; names the organ, and the vertices of the first crossing.
     """
     for placed in scene.organs:
         organ = placed.organ
@@ -57,7 +58,7 @@ def check_surfaces(scene: Scene) -> None:
 
 
 def organs_below_ground(scene: Scene) -> str:
-    """Which organs of a scene have free nodes in the ground, in words; empty if none has."""
+    """Describe in words which organs of a scene have free nodes in the ground; empty if none has."""
     if scene.ground is None:
         return ""
     height, told = scene.ground.height, []
@@ -82,13 +83,13 @@ def tools_in_organs(
     positions: FloatArray,
     orientations: FloatArray,
 ) -> str:
-    """Which tools reach into which organs, in words; empty if none does.
+    """Describe in words which tools reach into which organs; empty if none does.
 
     Args:
         organs: The organs.
-        nodes: (V, 3) of all of them [u].
+        nodes: (V, 3) of all organs [u].
         tools: (N,) the tools' shapes.
-        positions: (N, 3) of the tools [u]; one that is not a number is not looked at.
+        positions: (N, 3) of the tools [u]; a tool whose position is not finite is skipped.
         orientations: (N, 4) of the tools.
     """
     told, start = [], 0
@@ -108,15 +109,15 @@ def tools_in_organs(
 
 
 def warn_of_scene(scene: Scene, sweeps: int | None = None) -> None:
-    """Warn of what can be seen before anything moves.
+    """Warn about problems of a scene that can be seen before anything moves.
 
     Args:
         scene: The scene.
-        sweeps: Of a step of the engine; see `engine.Abilities`.
+        sweeps: Number of sweeps in a step of the engine; see `engine.Abilities`.
 
     Warns:
-        SceneWarning: Of parts of an organ that nothing holds, of organs far too large or smaller than every tool, and
-            of surfaces too fine for the springs.
+        SceneWarning: About parts of an organ that nothing holds, organs that are far too large or smaller than every
+            tool, and surfaces that are too fine for the springs.
     """
     for placed in scene.organs:
         for told in _doubts(scene, placed, sweeps):
@@ -159,17 +160,17 @@ def _doubts(scene: Scene, placed: PlacedOrgan, sweeps: int | None) -> Iterator[s
 def warn_of_rest(
     scene: Scene, nodes: FloatArray, volumes: FloatArray, initial: FloatArray, speeds: FloatArray | None
 ) -> None:
-    """Warn of what has become of organs that have settled.
+    """Warn about organs that have lost their shape in settling, or have not come to rest.
 
     Args:
         scene: The scene.
         nodes: (V, 3) of all organs, settled [u].
         volumes: (O,) of the O organs, settled [u3].
-        initial: (O,) the same before [u3].
-        speeds: (V,) at which nodes still moved when settling was ended [u/s]; None if they had come to rest.
+        initial: (O,) volumes before settling [u3].
+        speeds: (V,) of the nodes when settling was ended [u/s]; None if they had come to rest.
 
     Warns:
-        SceneWarning: Of organs that have lost their shape, or were not at rest.
+        SceneWarning: About each such organ.
     """
     start = 0
     for placed, volume, before in zip(scene.organs, volumes.tolist(), initial.tolist(), strict=True):
@@ -197,9 +198,9 @@ def warn_of_rest(
 
 
 def deformation_of(before: FloatArray, after: FloatArray) -> float:
-    """How much a body has changed its shape, wherever it has moved or rolled.
+    """How much a body has changed its shape, regardless of how it has moved or rolled.
 
-    The body is moved back as well as a rigid motion can (W. Kabsch, Acta Crystallographica A 32, 1976).
+    The rigid motion that fits best is undone first (W. Kabsch, Acta Crystallographica A 32, 1976).
 
     Args:
         before: (V, 3) its nodes [u].

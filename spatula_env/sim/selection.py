@@ -1,4 +1,4 @@
-"""Which worlds are meant, and numbers for them: checks of arguments."""
+"""Checks of arguments that select worlds, or give numbers for them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 
 def world_indices(worlds: ArrayLike | None, count: int, *, once: bool = False) -> IntArray:
-    """Indices of worlds.
+    """Indices of selected worlds.
 
     Args:
         worlds: (n,) indices, or (count,) a mask; None: all.
-        count: How many worlds there are.
-        once: Whether each is to be named once, as they are written to.
+        count: Number of worlds.
+        once: Whether each may be named only once, because they are written to.
 
     Raises:
-        ValueError: If there are no such worlds, or one is named twice.
+        ValueError: If there are no such worlds, or, with `once`, one is named twice.
     """
     if worlds is None:
         return np.arange(count)
@@ -43,7 +43,7 @@ def world_indices(worlds: ArrayLike | None, count: int, *, once: bool = False) -
 
 
 def one_each(value: ArrayLike, name: str, worlds: IntArray) -> FloatArray:
-    """A finite number for each of some worlds (n,), from one for all of them or one each."""
+    """(n,) a finite number for each of some worlds, from a single number or one for each."""
     array = np.asarray(value, dtype=np.float64)
     if array.shape not in ((), (len(worlds),)):
         raise ValueError(f"{name} must be a number or have shape ({len(worlds)},), got {array.shape}")

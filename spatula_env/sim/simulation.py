@@ -1,4 +1,4 @@
-"""One world and what happens in it: `Worlds` of one world, with a report of every step."""
+"""Simulation of one world: a `Worlds` with a single world, and a report of every step."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ __all__ = ["ContactName", "Simulation", "SimulationDiverged", "SimulationState"]
 
 
 class Simulation:
-    """Soft organs, rigid tools that move as they are told, and contact between them.
+    """Soft organs, rigid tools with prescribed motion, and contact between them.
 
-    Everything is in scene units: lengths in u, masses in kg, seconds; `scene.scale` leads to SI.
+    Everything is in scene units: lengths in u, masses in kg, seconds; `scene.scale` converts to SI.
 
     Example:
         >>> from spatula_env import Simulation, scenes
@@ -46,10 +46,10 @@ class Simulation:
         >>> simulation.close()
 
     Attributes:
-        worlds: The one world, as what steps many of them has it.
-        contact: What resolves contact.
-        listeners: Called with the report of every physics step, in order. When one raises, the step has been done all
-            the same.
+        worlds: The underlying `Worlds`, which has this one world.
+        contact: The method that resolves contact.
+        listeners: Functions that are called with the report of every physics step, in order. If one raises an
+            exception, the step has been made nevertheless.
     """
 
     def __init__(
@@ -63,27 +63,27 @@ class Simulation:
         """Load a scene and let its organs come to rest.
 
         Args:
-            scene: What is in it.
-            engine: What integrates the organs, a name in `engines.ENGINES`. "bullet": PyBullet's soft body. "batch":
-                this package's own, which computes the same, faster. None: "bullet" where PyBullet is installed, else
-                "batch".
+            scene: The organs, tools and ground.
+            engine: Name of the engine that integrates the organs, one of `engines.ENGINES`. "bullet": PyBullet's soft
+                body. "batch": this package's own, which computes the same, faster. None: "bullet" where PyBullet is
+                installed, else "batch".
             contact: "flags": the flags method with both its steps; organs are kept apart from themselves and each other
-                too, which the others do not do. "second_step": without the first step, so that both faces of a thin
-                tool push. "bullet": PyBullet's own collision algorithm; the detector only watches.
+                too, which the other methods do not do. "second_step": without the first step, so that both faces of a
+                thin tool push. "bullet": PyBullet's own collision algorithm; the detector only observes.
             first_step: What the flags method's first step looks for, "inside" or "any_hit"; see `FlaggedDetector`.
-            precision: In which an engine that has the choice integrates, "single" or "double". Bullet's is always
-                double, as is all contact.
+            precision: Precision in which an engine that offers both integrates, "single" or "double". Bullet's is
+                always double, as is all contact.
 
         Raises:
-            TypeError: If `scene` is no scene.
-            ValueError: If an argument is not one of those, or the engine is asked for a contact that it does not have,
-                or an organ's surface crosses itself.
+            TypeError: If `scene` is not a `Scene`.
+            ValueError: If an argument is not one of those, or the engine does not support that contact, or an organ's
+                surface crosses itself.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
             SimulationDiverged: If an organ collapses under its own weight.
 
         Warns:
-            SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and of what
-                else in the scene is not as it is likely to be meant.
+            SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and about
+                anything else in the scene that is probably not intended.
         """
         self.worlds = Worlds(
             scene, 1, engine=engine, contact=contact, first_step=first_step, precision=precision, parallel=False
@@ -95,7 +95,7 @@ class Simulation:
 
     @property
     def scene(self) -> Scene:
-        """What is in it, with the present tools."""
+        """The scene, with the present tools."""
         tools = self.worlds.tools_of(0)
         if tools is not self._scene.tools:
             self._scene = replace(self.worlds.scene, tools=tools)
@@ -105,8 +105,8 @@ class Simulation:
         """Start again: organs at rest, tools where the scene has them, no contact, time zero.
 
         Args:
-            seed: Accepted so that callers can pass theirs on. Nothing in a simulation is random: two resets, and
-                two simulations of one scene, go on identically to the last bit.
+            seed: Accepted so that callers can pass theirs on. Nothing in a simulation is random: after two resets, and
+                in two simulations of one scene, results are identical to the last bit.
 
         Raises:
             ValueError: If the seed is neither None nor an integer that is not negative; nothing has then changed.
@@ -116,12 +116,12 @@ class Simulation:
         self.worlds.reset()
 
     def place_tool(self, position: ArrayLike, orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0), index: int = 0) -> None:
-        """Put a tool somewhere at once. Its flags are cleared and the organs feel nothing of the way.
+        """Move a tool to a pose at once. Its flags are cleared, and the organs feel nothing of the motion.
 
         Args:
             position: (3,) [u].
             orientation: (4,) unit quaternion xyzw.
-            index: Which tool, from 0 on.
+            index: Index of the tool, from 0.
 
         Raises:
             ValueError: If an argument is malformed or not finite, or there is no such tool; all tools then stay where
@@ -131,13 +131,13 @@ class Simulation:
         self.worlds.place_tool(index, as_vector3(position, "position"), as_quaternion(orientation, "orientation"))
 
     def set_tools(self, tools: Sequence[PlacedTool]) -> None:
-        """Exchange the tools' shapes and friction. Everything starts again, as after `reset`.
+        """Exchange the tools, with their shapes, friction and initial poses. Everything starts again, as after `reset`.
 
         Args:
             tools: As many as there are; organs stay at rest as they were.
 
         Raises:
-            TypeError: If one of them is no `PlacedTool`.
+            TypeError: If one of them is not a `PlacedTool`.
             ValueError: If there is another number of tools.
         """
         self._check_open()
@@ -175,13 +175,13 @@ class Simulation:
         return self.tell()
 
     def tell(self) -> Report:
-        """Report of the last step, to the listeners too; who has the worlds stepped otherwise calls it after each step.
+        """Report the last step, also to the listeners. Code that steps `worlds` itself calls this after each step.
 
         Returns:
             What happened.
         """
         report = self._report()
-        # A copy: who listens may stop listening.
+        # A copy, because a listener may remove itself.
         for listener in tuple(self.listeners):
             listener(report)
         return report
@@ -212,7 +212,7 @@ class Simulation:
     def pressures(self) -> Pressures:
         """The contact pressures of the last step; zero with `contact="bullet"`.
 
-        They are those of the step's report, all at once and in a fraction of the time.
+        They are the same as in the step's report, but computed all at once and in a fraction of the time.
 
         Raises:
             RuntimeError: If no step has been made since the last `reset`, `restore` or exchange of tools.
@@ -230,16 +230,16 @@ class Simulation:
         """How organs are strained and stressed now, (1, O) each; see `Worlds.strains`.
 
         Raises:
-            RuntimeError: If the engine does not tell.
+            RuntimeError: If the engine does not report strains.
         """
         self._check_open()
         return self.worlds.strains()
 
     def save(self) -> SimulationState:
-        """Everything needed to go on from here later, as arrays of its own.
+        """Everything needed to continue from here later, as copies.
 
         What follows `restore` is the same each time to the last bit. With the engine "bullet" it differs at first by
-        1e-13 u from what follows without: Bullet's velocities hold rounding errors that cannot be read.
+        1e-13 u from the run without `restore`: Bullet's velocities hold rounding errors that cannot be read.
         """
         self._check_open()
         return SimulationState.of_world(self.worlds.save())
@@ -251,7 +251,7 @@ class Simulation:
             state: What `save` returned.
 
         Raises:
-            TypeError: If it is no state of a simulation.
+            TypeError: If `state` is not a `SimulationState`.
             ValueError: If the state is of a scene with other nodes or tools, or not finite; nothing has then changed.
         """
         self._check_open()
@@ -283,7 +283,7 @@ class Simulation:
 
     @property
     def volume(self) -> float:
-        """What all organs together enclose now [u3]."""
+        """Volume that all organs together enclose now [u3]."""
         return float(self.worlds.volumes.sum())
 
     @property
@@ -331,7 +331,7 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """Since the reset [s]."""
+        """Time since the reset [s]."""
         return float(self.worlds.times[0])
 
     def _check_open(self) -> None:
@@ -340,7 +340,7 @@ class Simulation:
 
 
 def _as_velocities(value: ArrayLike, name: str, shape: tuple[int, ...]) -> FloatArray:
-    """A velocity for each tool (N, 3), from one for all (3,) or one for each."""
+    """(N, 3) a velocity for each tool, from one for all (3,) or one for each (N, 3)."""
     try:
         array = np.ascontiguousarray(as_floats(value))
     except ValueError as error:

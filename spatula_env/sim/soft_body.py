@@ -1,12 +1,12 @@
-"""What Bullet makes of an organ: masses of its nodes, and links between them.
+"""Bullet's model of an organ: masses of its nodes, and links between them.
 
-Bullet's classic soft body is a set of nodes that links keep at their rest lengths. This module derives both from the
-organ's surface as PyBullet's `loadSoftBody(useMassSpring=1, useBendingSprings=1)` does, in the order in which Bullet
-goes through the links: the outcome of a Gauss–Seidel sweep depends on it. Facts about PyBullet 3.2.7, found by
+In Bullet's classic soft body, links pull nodes towards the links' rest lengths. This module derives masses and links
+from the organ's surface as PyBullet's `loadSoftBody(useMassSpring=1, useBendingSprings=1)` does, in the order in which
+Bullet processes the links: the outcome of a Gauss–Seidel sweep depends on it. Facts about PyBullet 3.2.7, found by
 comparing with it:
 
 - The node masses come from the vertices as read from a file, in single precision. The rest lengths do not: Bullet
-  takes them from where the nodes are at the beginning of the first step, in double precision.
+  takes them from the nodes' positions at the beginning of the first step, in double precision.
 - There is a link along every edge, of stiffness 1, and one between any two nodes at graph distance two, of half that.
 
 An organ of several parts, which PyBullet does not load, is a soft body for each of them.
@@ -34,16 +34,16 @@ if TYPE_CHECKING:
     IntArray = NDArray[np.int32]
 
 EDGE_STIFFNESS = 1.0
-"""How much of its stretch a link along an edge takes away in each sweep."""
+"""Fraction of its stretch that a link along an edge removes in each sweep."""
 
 BENDING_STIFFNESS = 0.5
-"""The same of a link between nodes at graph distance two."""
+"""Fraction of its stretch that a link between nodes at graph distance two removes in each sweep."""
 
 SWEEPS = 20
-"""Over all links in a step, as PyBullet has it: a pull gets about so many edges far."""
+"""Sweeps over all links in a step, as in PyBullet: a pull travels about as many edges."""
 
 SHUFFLE_SEED, SHUFFLE_FACTOR, SHUFFLE_SUMMAND, SHUFFLE_MODULUS = 243703, 1664525, 1013904223, 2**32
-"""Bullet's linear congruential generator."""
+"""Constants of Bullet's linear congruential generator."""
 
 SHORTEST_SQUARED = float(np.finfo(np.float64).eps)
 """Bullet leaves links alone whose squared rest length and squared length are less than this together [u2]."""
@@ -55,11 +55,11 @@ class SoftBody:
 
     Attributes:
         vertices: (V, 3) positions at rest [u].
-        masses: (V,) of the nodes, those that are held fixed included [kg].
+        masses: (V,) of the nodes, including those that are held fixed [kg].
         inverse_masses: (V,) zero for a node that is held fixed [1/kg].
         links: (L, 2) the nodes that each link connects, int32, in the order of a sweep.
         squared_rest_lengths: (L,) [u2].
-        stiffness: (L,) how much of its stretch a link takes away in each sweep.
+        stiffness: (L,) fraction of its stretch that a link removes in each sweep.
     """
 
     vertices: FloatArray
@@ -70,7 +70,7 @@ class SoftBody:
     stiffness: FloatArray
 
     def shares(self) -> FloatArray:
-        """(L, 2) by what part of its stretch a link moves each of its ends.
+        """(L, 2) fraction of its stretch by which a link moves each of its ends.
 
         With Bullet's constant c0 = (1/m_a + 1/m_b) / stiffness these are 1 / (m_a c0) and 1 / (m_b c0): only ratios of
         masses matter. Zero where both ends are fixed.
@@ -85,7 +85,7 @@ def soft_body(placed: PlacedOrgan) -> SoftBody:
     """The nodes and links of an organ in a scene.
 
     Args:
-        placed: The organ, its mass, where it is, and which of its nodes are held fixed.
+        placed: The organ, with its mass, its pose and the nodes that are held fixed.
 
     Returns:
         The soft body, at rest in its initial shape.
@@ -110,7 +110,7 @@ def soft_body(placed: PlacedOrgan) -> SoftBody:
 
 
 def join(bodies: Sequence[SoftBody]) -> SoftBody:
-    """Several soft bodies as one, their nodes counted through.
+    """Join several soft bodies into one, with nodes numbered consecutively.
 
     Args:
         bodies: At least one.
@@ -134,7 +134,7 @@ def node_masses(organ: Organ, mass: float) -> FloatArray:
 
     Args:
         organ: The organ.
-        mass: Of the whole organ [kg].
+        mass: Mass of the whole organ [kg].
 
     Returns:
         (V,) [kg].
@@ -155,7 +155,7 @@ def node_masses(organ: Organ, mass: float) -> FloatArray:
 
 
 def ordered_links(triangles: NDArray[np.integer]) -> tuple[IntArray, FloatArray]:
-    """The links of a surface, in the order in which Bullet goes through them.
+    """The links of a surface, in the order in which Bullet processes them.
 
     Args:
         triangles: (T, 3) node indices.
@@ -173,13 +173,13 @@ def ordered_links(triangles: NDArray[np.integer]) -> tuple[IntArray, FloatArray]
 
 
 def shuffle(count: int) -> NDArray[np.int64]:
-    """Bullet's shuffle: each element in turn changes places with one that a random number names.
+    """Bullet's shuffle: each element in turn changes places with one that a random number selects.
 
     Args:
         count: Number of elements.
 
     Returns:
-        (count,) which element is at each place afterwards.
+        (count,) the element at each place afterwards.
     """
     order = list(range(count))
     number = SHUFFLE_SEED
@@ -206,7 +206,7 @@ def _pairs_at_distance_two(edges: NDArray[np.int64], count: int) -> NDArray[np.i
     start, end = both.T
     degree = np.bincount(start, minlength=count)
     offset = np.concatenate([[0], np.cumsum(degree)])
-    # Every directed edge goes on to every neighbour of its end.
+    # Extend every directed edge to every neighbour of its end.
     branches = degree[end]
     place = np.arange(branches.sum()) - np.repeat(np.cumsum(branches) - branches, branches)
     near, far = np.repeat(start, branches), end[np.repeat(offset[end], branches) + place]

@@ -1,4 +1,4 @@
-"""What decides how worlds go on, to be kept and put back: of many worlds together, or of one."""
+"""Complete states of worlds, to be saved and restored: of many worlds together, or of one."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class WorldMemory:
     """What the contact model remembers of one world from step to step.
 
     Attributes:
-        flags: Of each tool (outer) and organ (inner).
-        multipliers: From which solves start.
-        ledger: Of the energy that the tools put in.
-        near: Of organs that are near themselves or each other.
-        pace: Part of their ways that the tools go in the next step.
+        flags: Contact flags of each tool (outer) and organ (inner).
+        multipliers: Multipliers from which solves start (warm start).
+        ledger: Account of the energy that the tools put in.
+        near: Memory of contact of organs with themselves and each other.
+        pace: Fraction of their motion that the tools make in the next step.
     """
 
     flags: tuple[BoolArray, ...]
@@ -36,7 +36,7 @@ class WorldMemory:
 
 @dataclass(frozen=True)
 class WorldsState:
-    """All that decides how n worlds go on; made by `Worlds.save`.
+    """The complete state of n worlds, which determines how they continue; made by `Worlds.save`.
 
     Attributes:
         nodes: (n, V, 3) [u].
@@ -45,8 +45,8 @@ class WorldsState:
         tool_orientations: (n, N, 4).
         tool_forces: (n, N, 3) on each tool in the last physics step [kg u/s2].
         times: (n,) [s].
-        memories: (n,) of the contact model.
-        inner: (n,) what the engine has beside the surface nodes; None where it has nothing.
+        memories: (n,) memories of the contact model.
+        inner: (n,) the engine's state besides the surface nodes; None where there is none.
     """
 
     nodes: FloatArray
@@ -71,7 +71,7 @@ class WorldsState:
 
 @dataclass(frozen=True)
 class SimulationState:
-    """All that decides how a simulation goes on; made by `Simulation.save`.
+    """The complete state of a simulation, which determines how it continues; made by `Simulation.save`.
 
     Attributes:
         nodes: (V, 3) [u].
@@ -79,8 +79,8 @@ class SimulationState:
         tool_positions: (N, 3) of the N tools [u].
         tool_orientations: (N, 4).
         contact: What the contact model remembers, and the forces of the last step.
-        time: [s].
-        inner: What the engine has beside the surface nodes; None where it has nothing.
+        time: Time since the reset [s].
+        inner: The engine's state besides the surface nodes; None where there is none.
     """
 
     nodes: FloatArray
@@ -93,7 +93,7 @@ class SimulationState:
 
     @classmethod
     def of_world(cls, state: WorldsState, world: int = 0) -> SimulationState:
-        """The state of one of n worlds, from that of all of them."""
+        """Extract the state of one of n worlds."""
         memory, tools = state.memories[world], len(state.tool_positions[world])
         organs = len(memory.flags) // tools
         forces = state.tool_forces[world]
@@ -116,7 +116,7 @@ class SimulationState:
 
     @staticmethod
     def joined(states: Sequence[SimulationState]) -> WorldsState:
-        """The state of n worlds, from those of each."""
+        """Join the states of n worlds into one."""
         return WorldsState(
             nodes=np.stack([state.nodes for state in states]),
             node_velocities=np.stack([state.node_velocities for state in states]),

@@ -1,7 +1,7 @@
-"""What follows an engine's step in each world: move the tools, resolve contact, add up loads.
+"""The part of a physics step that follows the engine's, in each world: move the tools, resolve contact, add up loads.
 
 Contact differs from world to world and is resolved world by world, in double precision, whichever engine has moved the
-organs. Worlds come in blocks, which share a workspace: a block's worlds are taken one after the other, on one thread.
+organs. The worlds of a block share a workspace: they are processed one after the other, on one thread.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from spatula_env.sim.drive import restrain
 
 
 class State(NamedTuple):
-    """How W worlds are.
+    """The state of W worlds.
 
     Attributes:
         nodes: (W, V, 3) [u].
@@ -29,7 +29,7 @@ class State(NamedTuple):
         tool_positions: (W, N, 3) [u].
         tool_orientations: (W, N, 4).
         tool_forces: (W, N, 3) on each tool in the last step [kg u/s2].
-        diverged: (W,) worlds that are left alone.
+        diverged: (W,) worlds that are skipped.
     """
 
     nodes: np.ndarray
@@ -41,12 +41,12 @@ class State(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """How the tools of W worlds are to move.
+    """The prescribed motion of the tools of W worlds, and its limits.
 
     Attributes:
         linear: (W, N, 3) [u/s].
         angular: (W, N, 3) [rad/s].
-        pressure_limits: (W,) from which on pressure is overpressure [kg/(u s2)].
+        pressure_limits: (W,) pressure beyond which overpressure is counted [kg/(u s2)].
         force_limits: (W,) see `drive.restrain` [kg u/s2].
     """
 
@@ -57,7 +57,7 @@ class Drive(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """What is added up over the steps of a control step in W worlds: `worlds.Loads`, with sums in place of averages.
+    """Sums over the physics steps of a control step in W worlds: as `worlds.Loads`, with sums in place of averages.
 
     Attributes:
         forces: (W, N, 3).
@@ -70,8 +70,8 @@ class Sums(NamedTuple):
         overpressures: (W,).
         restrained: (W,).
         crossed_for: (W,) how long organs have crossed after the last step [s].
-        face_pressures: (W, N, F), F the faces of the tool with the most: normal force on each face by its area.
-        node_pressures: (W, N, n), n the contact nodes of the tool with the most: of the last step.
+        face_pressures: (W, N, F) normal force on each face divided by its area; F: faces of the tool with the most.
+        node_pressures: (W, N, n) of the last step; n: contact nodes of the tool with the most.
     """
 
     forces: np.ndarray
@@ -89,7 +89,7 @@ class Sums(NamedTuple):
 
 
 class LastStep(NamedTuple):
-    """How the last step went of the world of each of B blocks that came last: of the only one, where blocks have one.
+    """The last step of the last world of each of B blocks; where a block has one world, of every world.
 
     The first six are the fields of `contact.motion.Motions`.
 
@@ -101,8 +101,8 @@ class LastStep(NamedTuple):
         linear: (B, N, 3) the tools' velocities [u/s].
         angular: (B, N, 3) [rad/s].
         nodes: (B, V, 3) at the end [u].
-        impulses: (B, V, 3) what the tools gave the nodes [kg u/s].
-        wrenches: (B, N + 1, 6) what the organs gave the tools, and the ground [kg u/s, kg u2/s2].
+        impulses: (B, V, 3) impulses of the tools on the nodes [kg u/s].
+        wrenches: (B, N + 1, 6) impulses of the organs on the tools and, last, on the ground [kg u/s, kg u2/s2].
         result: (B, 7) by the column names of `contact.settings`.
     """
 
@@ -124,15 +124,15 @@ class CouplingType(types.StructRef):
 
 
 class Coupling(structref.StructRefProxy):
-    """All that is between the engine and the tools: a structure, which a kernel takes in no time.
+    """Everything that couples the engine with the tools, as a structure that can be passed to a kernel at no cost.
 
     Fields:
         contacts: `WorldContacts` of each of the W worlds.
-        with_tools: Whether tools count, or only the ground.
+        with_tools: Whether there is contact with the tools, or only with the ground.
         first_step: Code of the detectors' first step; see `contact.step.resolve_step`.
         dt: Length of a step [s].
         state: `State` of the worlds; written.
-        drive: `Drive`, what the tools are to do.
+        drive: `Drive`, the prescribed motion of the tools.
         sums: `Sums`, added to.
         last: `LastStep`; written, and a workspace of each block.
     """
@@ -156,7 +156,7 @@ def make_coupling(
     sums: Sums,
     last: LastStep,
 ) -> Any:
-    """A `Coupling` of these fields."""
+    """Make a `Coupling` of these fields."""
     return Coupling(contacts, with_tools, first_step, dt, state, drive, sums, last)
 
 
@@ -164,10 +164,10 @@ def make_coupling(
 def drive_tools(
     state: State, drive: Drive, sums: Sums, last: LastStep, dt: float, block: int, w: int, share: float
 ) -> bool:
-    """Write what the tools of a world of a block do in the coming step; see `couple_worlds`.
+    """Write the motion of a world's tools in the coming step into the block's `LastStep`; see `couple_worlds`.
 
     Returns:
-        Whether too great a force keeps them from what they were to do.
+        Whether too great a force restrains the prescribed motion.
     """
     positions, orientations = state.tool_positions[w], state.tool_orientations[w]
     linear, angular = last.linear[block], last.angular[block]
@@ -190,7 +190,7 @@ def drive_tools(
 def add_loads(
     contact: Any, state: State, drive: Drive, sums: Sums, last: LastStep, dt: float, block: int, w: int
 ) -> None:
-    """Add what the tools of a world felt in the step that has just been made, and move them to its end."""
+    """Add the loads on a world's tools in the step that has just been made, and move the tools to its end."""
     positions, orientations, wrenches = last.positions[block], last.orientations[block], last.wrenches[block]
     tool_count, push_count = positions.shape[0], int(last.result[block, CONTACT_COUNT])
     greatest = 0.0
@@ -236,11 +236,11 @@ def couple_worlds(
         block: Index of the block.
         first: Its first world.
         end: The world after its last one.
-        share: Of the control step that the physics step is.
-        free_nodes: (n, V, 3) or more: of the worlds from `first` on, without contact [u].
-        free_velocities: (n, V, 3) or more [u/s].
+        share: Length of the physics step as a fraction of the control step.
+        free_nodes: (n, V, 3) or more: nodes of the worlds from `first` on, moved by the engine without contact [u].
+        free_velocities: (n, V, 3) or more: their velocities [u/s].
     """
-    # Taking what is in a structure out of it counts references: once here, not for every world.
+    # Reading the fields of a structure counts references, so it is done once here and not for every world.
     contacts, state, drive, sums, last = (
         coupling.contacts, coupling.state, coupling.drive, coupling.sums, coupling.last,
     )  # fmt: skip
@@ -276,20 +276,20 @@ def couple_worlds(
             add_loads(contacts[w], state, drive, sums, last, dt, block, w)
 
 
-# Compiled when first called: what a coupling is made of is told by what it holds.
+# Compiled when first called, because the type of a coupling follows from its contents.
 @kernel(nogil=True)
 def couple_block(
     block: int, lanes: int, coupling: Any, share: float, free_nodes: np.ndarray, free_velocities: np.ndarray
 ) -> None:
-    """Finish a physics step in the worlds of a block of so many lanes; see `couple_worlds`.
+    """Finish a physics step in the worlds of a block; see `couple_worlds`.
 
     Args:
         block: Index of the block.
         lanes: Worlds in a block.
-        coupling: See there.
-        share: See there.
-        free_nodes: (W, V, 3) of all worlds, without contact [u].
-        free_velocities: (W, V, 3) [u/s].
+        coupling: See `couple_worlds`.
+        share: See `couple_worlds`.
+        free_nodes: (W, V, 3) nodes of all worlds, moved by the engine without contact [u].
+        free_velocities: (W, V, 3) their velocities [u/s].
     """
     first = block * lanes
     end = min(first + lanes, free_nodes.shape[0])
@@ -298,7 +298,7 @@ def couple_block(
 
 @kernel(nogil=True)
 def drive_worlds(coupling: Any, share: float) -> None:
-    """Write what the tools do in the coming step, in blocks of one world, for an engine that has the tools itself."""
+    """Write the tools' motion in the coming step, for an engine that has the tools itself; every block is one world."""
     state, drive, sums, last = coupling.state, coupling.drive, coupling.sums, coupling.last
     for w in range(state.diverged.shape[0]):
         if not state.diverged[w]:

@@ -1,4 +1,4 @@
-"""Independent pieces of work, shared out among threads."""
+"""Distribution of independent pieces of work over threads."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from collections.abc import Callable
 def share_out(work: Callable[[int], None], count: int, threads: int) -> None:
     """Do `work(0)` to `work(count - 1)`, each once, on some threads; for work that releases the interpreter's lock.
 
-    Threads are started for this call and have ended when it returns: there are none that a process could not fork with.
+    Threads are started for this call and have ended when it returns, so that the process can be forked afterwards.
 
     Args:
-        work: What to do; pieces must not depend on each other.
-        count: How many pieces.
-        threads: On how many threads, this one included.
+        work: The function to call; pieces must not depend on each other.
+        count: Number of pieces.
+        threads: Number of threads, including this one.
 
     Raises:
-        BaseException: What the first piece that failed raised, when all threads have ended; others may then not have
+        BaseException: What the first piece that failed raised, after all threads have ended; some pieces may not have
             been begun.
     """
     pieces = iter(range(count))

@@ -1,4 +1,4 @@
-"""What volume organs still enclose: less than nothing, and they have turned inside out."""
+"""Volumes that organs enclose; an organ whose volume is negative has turned inside out."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 COLLAPSED = 0.05
-"""An organ that rests with a smaller share of its volume has collapsed. A fast tool presses it flat for a moment,
-from which it recovers."""
+"""An organ that at rest has a smaller share of its volume has collapsed. In motion it may recover: a fast tool presses
+an organ flat for a moment."""
 
 INSIDE_OUT = -1e-3
-"""An organ with a smaller share is inside out. One that is flat has a volume of zero, give or take rounding."""
+"""An organ with a smaller share of its volume is inside out. One that is flat has a volume of zero, up to rounding."""
 
 F8_2, F8_3, I4_2, I8 = ARRAYS["f8_2"], ARRAYS["f8_3"], ARRAYS["i4_2"], ARRAYS["i8"]
 
@@ -39,7 +39,7 @@ def enclosed_volumes(nodes: np.ndarray, triangles: np.ndarray, ends: np.ndarray,
     for w in range(nodes.shape[0]):
         first = 0
         for organ in range(ends.shape[0]):
-            # From a node of the organ itself: far from the origin digits would be lost.
+            # Relative to a node of the organ itself: far from the origin, digits would be lost.
             origin, six_fold = nodes[w, triangles[first, 0]], 0.0
             ax, ay, az = origin[0], origin[1], origin[2]
             for t in range(first, ends[organ]):
@@ -56,7 +56,7 @@ class Volumes:
     """The volumes of a scene's organs.
 
     Attributes:
-        organs: The scene's.
+        organs: The scene's organs.
         triangles: (T, 3) of all organs, organ after organ.
         initial: (O,) of the O organs as the scene has them, undeformed [u3].
     """
@@ -65,7 +65,7 @@ class Volumes:
         """Prepare to measure.
 
         Args:
-            scene: Whose organs.
+            scene: The scene with the organs.
         """
         self.organs: tuple[PlacedOrgan, ...] = scene.organs
         starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
@@ -98,7 +98,7 @@ class Volumes:
         return wrong
 
     def tell(self, volumes: FloatArray) -> str:
-        """What has become of the organs whose volumes (O,) are those of collapsed ones."""
+        """Describe in words which organs with these volumes (O,) have collapsed or turned inside out."""
         return _enumerate(self.organs, volumes / self.initial)
 
 

@@ -1,4 +1,4 @@
-"""W worlds of one scene: engines integrate the organs; tools, contact, loads, settling and states are here, for all."""
+"""W worlds of one scene: engines integrate the organs; tools, contact, loads, settling and states are handled here."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from spatula_env.sim.engine import CollidingEngine, Precision, StrainedEngine, VaryingEngine
 
 Steer: TypeAlias = Callable[[int, int], tuple[FloatArray, FloatArray]]
-"""Tells for a world and a physics step of a control step how its tools are to move: linear (N, 3) [u/s] and angular
-(N, 3) [rad/s] velocities."""
+"""Function of the index of a world, and of a physics step in the control step, that returns the velocities of the
+world's tools: linear (N, 3) [u/s] and angular (N, 3) [rad/s]."""
 
 SETTLED_SPEED = 1e-3
-"""An organ none of whose nodes is faster is at rest [u/s]."""
+"""An organ is at rest if none of its nodes is faster than this [u/s]."""
 
 TOO_WEAK = (
     "gravity may be too strong for the springs at this time step, or the surface too fine for them: a smaller dt, less "
@@ -71,7 +71,7 @@ class SimulationDiverged(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """What the tools felt during a control step of several physics steps, in scene units.
+    """Loads on the tools during a control step of several physics steps, in scene units.
 
     Rows of worlds that have diverged hold zeros.
 
@@ -82,12 +82,12 @@ class Loads:
         flags: (W, n) for each tool: which of its n contact nodes are in contact with any organ at the end.
         penetrations: (W,) greatest depth of a contact node in the last physics step, before correction [u].
         residuals: (W,) greatest depth left after correction, as in `Report`, at most in any physics step [u].
-        ground_forces: (W, 3) what the ground does to the organs, averaged [kg u/s2].
+        ground_forces: (W, 3) force of the ground on the organs, averaged [kg u/s2].
         peak_pressures: (W,) greatest contact pressure on a node of a tool in a physics step [kg/(u s2)]. Zero with
-            `contact="bullet"`, where Bullet does not tell; so are the next three.
-        mean_pressures: (W,) greatest of the tools' faces: normal force on it by its area, averaged over the control
-            step [kg/(u s2)].
-        overpressures: (W,) integral over time of what the greatest pressure exceeds the limit by [kg/(u s)].
+            `contact="bullet"`, where Bullet does not report it; so are the next three.
+        mean_pressures: (W,) greatest mean pressure on a face of a tool: its normal force divided by its area, averaged
+            over the control step [kg/(u s2)].
+        overpressures: (W,) integral over time of the greatest pressure's excess over the limit [kg/(u s)].
         node_pressures: (W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)].
         restrained: (W,) share of the physics steps in which too great a force kept tools from pushing on.
         tangled: (W,) whether organs have crossed themselves or each other for longer than `report.LONGEST_CROSSED`.
@@ -113,7 +113,7 @@ class Loads:
 class Worlds:
     """W worlds of one scene, which differ in state, tools, friction and, if the engine can do it, in parameters.
 
-    Everything is in scene units. What happens in a world does not depend, to the last bit, on which others there are.
+    Everything is in scene units. Results in a world do not depend, to the last bit, on the other worlds.
 
     Example:
         >>> import numpy as np
@@ -125,11 +125,11 @@ class Worlds:
         (16, 1, 3)
 
     Attributes:
-        engine: What integrates the organs.
-        contact: What resolves contact.
+        engine: The engine that integrates the organs.
+        contact: The method that resolves contact.
         contacts: The contact of each world.
         state: Arrays that kernels work on: positions and velocities of nodes and tools, W first; not to be written.
-        last: How the last physics step went; see `step.LastStep`.
+        last: Results of the last physics step; see `step.LastStep`.
     """
 
     def __init__(
@@ -146,26 +146,26 @@ class Worlds:
         """Load a scene into every world, its organs at rest.
 
         Args:
-            scene: What is in it.
+            scene: The organs, tools and ground.
             count: Number of worlds W.
-            engine: What integrates the organs, a name in `engines.ENGINES`. None: that of `Simulation`.
-            contact: What resolves contact; see `Simulation`.
+            engine: Name of the engine that integrates the organs, one of `engines.ENGINES`. None: that of `Simulation`.
+            contact: The method that resolves contact; see `Simulation`.
             first_step: What the flags method's first step looks for; see `FlaggedDetector`.
-            precision: In which an engine that has the choice integrates, "single" or "double". Contact is always
+            precision: Precision in which an engine that offers both integrates, "single" or "double". Contact is always
                 double.
-            parallel: Whether worlds are shared out among threads, in blocks; by default if Numba has more than one.
-                `numba.set_num_threads` says how many are used.
+            parallel: Whether worlds are distributed over threads, in blocks; by default if Numba has more than one
+                thread. `numba.set_num_threads` says how many are used.
 
         Raises:
-            TypeError: If `scene` is no scene.
-            ValueError: If an argument is not as it should be, the engine does not have that contact, or an organ's
-                surface crosses itself.
+            TypeError: If `scene` is not a `Scene`.
+            ValueError: If an argument is not allowed, the engine does not support that contact, or an organ's surface
+                crosses itself.
             ImportError: If PyBullet is asked for and is not installed; says what to install.
             SimulationDiverged: If an organ collapses under its own weight.
 
         Warns:
-            SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and of what
-                else in the scene is not as it is likely to be meant.
+            SceneWarning: If an organ does not keep its shape under its own weight or does not come to rest, and about
+                anything else in the scene that is probably not intended.
         """
         for name, value, allowed in (
             ("contact", contact, get_args(ContactName)),
@@ -210,11 +210,11 @@ class Worlds:
         )
         self._times = np.zeros(count)
         self._has_stepped = np.zeros(count, dtype=np.bool_)
-        # Where tools were before the first step of organs at rest; not a number where that is not known.
+        # Poses of the tools before the first step, with organs at rest; NaN where they are not known.
         self._start_positions, self._start_orientations = np.full(tools, np.nan), np.full((*tools[:2], 4), np.nan)
         self._skin = scene_skin(scene)
         self._equip(scene.tools)
-        # Worlds of a scene are alike, so one settles for all; but an engine's own contact keeps traces of what was.
+        # All worlds are alike, so one settles for all; but an engine's own contact keeps traces of earlier steps.
         first = np.arange(1 if self._collisions is None else count)
         self._rest = np.repeat(vertices[None], count, axis=0)
         self._set_nodes(first, self._rest[first], np.zeros_like(self._rest[first]), (None,) * len(first))
@@ -226,7 +226,7 @@ class Worlds:
         self.reset()
 
     def _equip(self, tools: Sequence[PlacedTool]) -> None:
-        """Prepare contact with some tools in every world; worlds of a block share their workspace."""
+        """Set up contact with some tools in every world; the worlds of a block share a workspace."""
         scene, count = self._scene, self.count
         organs = [placed.organ for placed in scene.organs]
         surfaces = surface_list([np.array(organ.triangles) for organ in organs])
@@ -299,12 +299,12 @@ class Worlds:
 
     @property
     def scene(self) -> Scene:
-        """The scene that all worlds show; parameters and tools of some may have been changed since."""
+        """The scene of all worlds; parameters and tools of some worlds may have been changed since."""
         return self._scene
 
     @property
     def count(self) -> int:
-        """W."""
+        """Number of worlds W."""
         return len(self._times)
 
     @property
@@ -335,7 +335,7 @@ class Worlds:
 
     @property
     def volumes(self) -> FloatArray:
-        """(W, O) what each organ encloses now [u3]."""
+        """(W, O) volume that each organ encloses now [u3]."""
         return self._volumes.measure(self.state.nodes)
 
     @property
@@ -350,28 +350,28 @@ class Worlds:
 
     @property
     def times(self) -> FloatArray:
-        """(W,) since each world's reset (a copy) [s]."""
+        """(W,) time since each world's reset (a copy) [s]."""
         return self._times.copy()
 
     @property
     def node_pressures(self) -> tuple[FloatArray, ...]:
-        """(W, n) for each tool: on each of its contact nodes in the last physics step [kg/(u s2)]."""
+        """For each tool, (W, n) pressures on its contact nodes in the last physics step [kg/(u s2)]."""
         pressures = self._sums.node_pressures * ~self.state.diverged[:, None, None]
         return tuple(pressures[:, k, : len(placed.tool.nodes)] for k, placed in enumerate(self._scene.tools))
 
     def strains(self, worlds: ArrayLike | None = None, *, threshold: float = INJURY_STRAIN) -> Strains:
-        """How organs are strained and stressed now, with an engine that tells: "tissue".
+        """How organs are strained and stressed now, with an engine that reports it: "tissue".
 
         Args:
             worlds: (n,) which, or (W,) a mask; all by default.
-            threshold: Of strain, for the share of the volume beyond it.
+            threshold: Strain beyond which volume counts in `Strains.strained_shares`.
 
         Returns:
             (n, O) of each organ; zero in worlds that have diverged.
 
         Raises:
             ValueError: If there is no such world.
-            RuntimeError: If the engine does not tell.
+            RuntimeError: If the engine does not report strains.
         """
         indices = world_indices(worlds, self.count)
         if not self.engine.abilities.strains:
@@ -386,12 +386,12 @@ class Worlds:
         return self._has_stepped.copy()
 
     def why_diverged(self, world: int) -> str:
-        """What has become of a world that has diverged, and what is likely to be the cause, in words."""
+        """Describe in words what has happened to a world that has diverged, with the likely cause."""
         poses = self._start_positions[world], self._start_orientations[world]
         return self._why(world, tools_in_organs(self._scene.organs, self._rest[world], self._tools[world], *poses))
 
     def _why(self, world: int, cause: str) -> str:
-        """The same, with the cause if it is known, or else an empty one."""
+        """Describe what has happened to a world, as `why_diverged`, with a cause, which is empty if it is not known."""
         nodes = self.state.nodes[world : world + 1]
         if np.isfinite(nodes).all() and self._volumes.collapsed(nodes).any():
             return f"{self._volumes.tell(self._volumes.measure(nodes)[0])}; {cause or TOO_WEAK}"
@@ -403,7 +403,7 @@ class Worlds:
         return self.state.nodes[world_indices(worlds, self.count)]
 
     def times_of(self, worlds: ArrayLike) -> FloatArray:
-        """(n,) since the reset of each of some worlds (n,), or of those where a mask (W,) is true (a copy) [s]."""
+        """(n,) time since the reset in some worlds (n,), or where a mask (W,) is true (a copy) [s]."""
         return self._times[world_indices(worlds, self.count)]
 
     def tools_of(self, world: int) -> tuple[PlacedTool, ...]:
@@ -430,7 +430,7 @@ class Worlds:
     def settle(self, worlds: ArrayLike | None = None) -> None:
         """Let the organs of some worlds come to rest under their present parameters, and reset these worlds.
 
-        From then on `reset` puts the organs there.
+        From then on, `reset` puts the organs into that state.
 
         Args:
             worlds: (n,) which, or (W,) a mask; all by default.
@@ -466,7 +466,7 @@ class Worlds:
 
         Args:
             indices: Which worlds.
-            where: To go into an error, with the fields `worlds` and `world`.
+            where: Text for an error, a format string with the fields `worlds` and `world`.
 
         Returns:
             (n, V) how fast nodes moved when settling was ended [u/s], and (n,) whether they had not come to rest.
@@ -477,7 +477,7 @@ class Worlds:
         state = self.state
         masses = 1.0 / np.where(self.engine.inverse_masses > 0.0, self.engine.inverse_masses, np.inf)[indices]
         energy_before, settled = np.zeros(len(indices)), np.zeros(len(indices), dtype=np.bool_)
-        # The others wait meanwhile.
+        # Meanwhile the other worlds are skipped, as if they had diverged.
         waiting = np.setdiff1d(np.arange(self.count), indices)
         state.diverged[waiting] = True
         for _ in range(math.ceil(LONGEST_SETTLING / self.dt)):
@@ -499,7 +499,7 @@ class Worlds:
         return np.abs(state.velocities[indices]).max(axis=2), ~settled
 
     def _check_settling(self, bad: IntArray, where: str) -> None:
-        """Give settling up if something has gone wrong in some worlds."""
+        """Raise SimulationDiverged if settling has failed in any worlds, which are given by their indices."""
         if len(bad):
             told = where.format(worlds=bad.tolist(), world=bad[0])
             why = self._why(int(bad[0]), organs_below_ground(self._scene))
@@ -508,11 +508,11 @@ class Worlds:
     def place_tools(
         self, positions: ArrayLike, orientations: ArrayLike | None = None, worlds: ArrayLike | None = None
     ) -> None:
-        """Put the tools of some worlds somewhere at once; flags are cleared and organs feel nothing of the way.
+        """Move the tools of some worlds to poses at once; flags are cleared and organs feel nothing of the motion.
 
         Args:
             positions: (n, N, 3) [u].
-            orientations: (n, N, 4) unit quaternions xyzw; as they are by default.
+            orientations: (n, N, 4) unit quaternions xyzw; unchanged by default.
             worlds: (n,) which, or (W,) a mask; all by default.
 
         Raises:
@@ -529,10 +529,10 @@ class Worlds:
         self._clear_flags(indices)
 
     def place_tool(self, index: int, position: FloatArray, orientation: FloatArray) -> None:
-        """Put one tool somewhere in all worlds, as `place_tools` does with all of them.
+        """Move one tool to a pose in all worlds, as `place_tools` does with all tools.
 
         Args:
-            index: Which of the scene's tools, from 0 on.
+            index: Index of the tool in the scene, from 0.
             position: (3,) [u].
             orientation: (4,) unit quaternion xyzw.
 
@@ -554,14 +554,14 @@ class Worlds:
         friction: ArrayLike | None = None,
         worlds: ArrayLike | None = None,
     ) -> None:
-        """Change in what some worlds differ from others. Organs stay where they are; see also `settle`.
+        """Change parameters of some worlds. Organs stay where they are; see also `settle`.
 
         Args:
             gravity: Downward acceleration [u/s2].
             stiffness: Factor on the stiffness of all links, from 0 to less than 2.
             mass_scale: Factor on all masses of the organs.
             friction: Coefficient of all tools.
-            worlds: (n,) which, or (W,) a mask; all by default. Values are one for all of them or (n,).
+            worlds: (n,) which, or (W,) a mask; all by default. A parameter is one number for all of them, or (n,).
 
         Raises:
             ValueError: If a value is not allowed, or the engine's worlds cannot differ in it; nothing has then changed.
@@ -587,15 +587,15 @@ class Worlds:
                 self._change_tools(w, [replace(placed, friction=float(new_friction[row])) for placed in self._tools[w]])
 
     def set_tools(self, tools: Sequence[Tool], worlds: ArrayLike | None = None, index: int = 0) -> None:
-        """Give some worlds another tool, where the old one was. Its flags are cleared.
+        """Replace a tool in some worlds; the new one has the pose of the old one. Its flags are cleared.
 
         Args:
             tools: One for all of these worlds, or one each; with as many contact nodes as the scene's.
             worlds: (n,) which, or (W,) a mask; all by default.
-            index: Which of the scene's tools, from 0 on.
+            index: Index of the tool in the scene, from 0.
 
         Raises:
-            TypeError: If one of them is no `Tool`.
+            TypeError: If one of them is not a `Tool`.
             ValueError: If a tool does not fit, or there is none of that index; nothing has then changed.
         """
         indices = world_indices(worlds, self.count)
@@ -614,7 +614,7 @@ class Worlds:
         self._clear_flags(indices, [index])
 
     def vary(self, friction: FloatArray, tool_size: FloatArray, worlds: ArrayLike | None = None) -> None:
-        """Change the tools of some worlds. Flags are cleared.
+        """Scale the friction and the size of the tools of some worlds. Flags are cleared.
 
         Args:
             friction: (n,) factor on the scene's coefficients between tools and organs.
@@ -632,7 +632,7 @@ class Worlds:
         self._clear_flags(indices)
 
     def exchange_tools(self, tools: Sequence[PlacedTool]) -> None:
-        """Give all worlds other tools, of any shape, in the places of the scene's. All starts again, as after `reset`.
+        """Give all worlds other tools, of any shape, where these are placed. All starts again, as after `reset`.
 
         Args:
             tools: As many as there are.
@@ -645,7 +645,7 @@ class Worlds:
         self.reset()
 
     def _change_tools(self, world: int, tools: Sequence[PlacedTool]) -> None:
-        """Give a world other tools and their friction, where the old ones were."""
+        """Give a world other tools, with their friction, in the poses of the old ones."""
         before, self._tools[world] = self._tools[world], tuple(tools)
         for index, (old, new) in enumerate(zip(before, tools, strict=True)):
             if new.tool != old.tool:
@@ -668,21 +668,21 @@ class Worlds:
         steer: Steer | None = None,
         after_step: Callable[[], object] | None = None,
     ) -> Loads:
-        """Move all worlds on by some physics steps, the tools moving with constant velocity.
+        """Advance all worlds by some physics steps, the tools moving with constant velocity.
 
         Args:
             linear_velocities: (W, N, 3) [u/s].
             angular_velocities: (W, N, 3) world frame [rad/s]; none by default.
-            steps: How many.
-            pressure_limits: (W,) what overpressure is counted from [kg/(u s2)]; by default none is counted.
-            force_limits: (W,) tools that have met more in a physics step do not push on in the next one, see
-                `drive.restrain` [kg u/s2]; by default they always do.
-            steer: Is asked before every physics step how the tools are to move, in place of the velocities.
-            after_step: Called after every physics step. What it raises ends the control step.
+            steps: Number of physics steps.
+            pressure_limits: (W,) pressure beyond which overpressure is counted [kg/(u s2)]; by default none is counted.
+            force_limits: (W,) a tool that has met a greater force in a physics step does not push on in the next one,
+                see `drive.restrain` [kg u/s2]; by default there is no limit.
+            steer: Called before every physics step for the velocities of the tools, in place of the given ones.
+            after_step: Called after every physics step. An exception that it raises ends the control step.
 
         Returns:
-            What the tools felt. A world that diverges, as an organ in it has turned inside out or
-            positions are not finite, leaves the others alone; it waits to be reset.
+            The loads on the tools. A world that diverges, because an organ in it has turned inside out or positions are
+            not finite, does not affect the others; it waits to be reset.
 
         Raises:
             ValueError: If a velocity is malformed or not finite; nothing has then changed.
@@ -711,14 +711,14 @@ class Worlds:
         steer: Steer | None = None,
         after_step: Callable[[], object] | None = None,
     ) -> None:
-        """Do what `advance` does, without looking at arguments and without telling what the tools felt."""
+        """Do what `advance` does, without checking arguments and without returning loads."""
         drive, state = self._drive, self.state
         self._note_starts()
         drive.linear[:], drive.angular[:] = linear, angular
         drive.pressure_limits[:], drive.force_limits[:] = pressure_limits, force_limits
         for array in self._sums:
             array[:] = 0.0
-        # An engine that can is let through all steps at once, where nobody is to be asked or told in between.
+        # An engine that can do so runs all steps at once, unless a function must be called in between.
         alone = self._blocks is not None and steer is None and after_step is None
         for index in range(1 if alone else steps):
             if steer is not None:
@@ -735,7 +735,7 @@ class Worlds:
                 after_step()
 
     def _note_starts(self) -> None:
-        """Remember where the tools of worlds are that have not been stepped since a reset."""
+        """Remember the poses of the tools in worlds that have not been stepped since a reset."""
         fresh = ~(self._has_stepped | self.state.diverged)
         if fresh.any():
             at_rest = (fresh & (self._times == 0.0))[:, None, None]
@@ -743,7 +743,7 @@ class Worlds:
             self._start_orientations[fresh] = self.state.tool_orientations[fresh]
 
     def _advance(self, steps: int, share: float, *, with_tools: bool = True) -> None:
-        """Take all worlds through physics steps, each a share of a control step, with their tools or without."""
+        """Take all worlds through physics steps, each a fraction `share` of a control step, with tools or without."""
         state, lanes = self.state, self._lanes
         coupling = self._coupling if with_tools else self._settling
         collisions = self._collisions if with_tools else None
@@ -776,7 +776,7 @@ class Worlds:
         state.diverged[:] |= self._volumes.inside_out(state.nodes).any(axis=1)
 
     def _loads(self, steps: int) -> Loads:
-        """What the tools felt in so many steps."""
+        """The loads on the tools, from the sums over a number of steps."""
         sums, ok = self._sums, ~self.state.diverged
         told = {name: values * ok.reshape(-1, *[1] * (values.ndim - 1)) for name, values in sums._asdict().items()}
         for name in ("forces", "torques", "ground_forces", "face_pressures"):
@@ -792,7 +792,7 @@ class Worlds:
         )
 
     def _flags(self) -> tuple[BoolArray, ...]:
-        """(W, n) for each tool: which of its contact nodes are in contact with any organ."""
+        """For each tool, (W, n) which of its contact nodes are in contact with any organ."""
         organs, ok = len(self._scene.organs), ~self.state.diverged
         found = [[memory.states[0] for memory in contact.memories] for contact in self.contacts]
         return tuple(
@@ -801,7 +801,7 @@ class Worlds:
         )
 
     def save(self, worlds: ArrayLike | None = None) -> WorldsState:
-        """Everything needed to go on from here later, as arrays of its own.
+        """Everything needed to continue from here later, as copies.
 
         Args:
             worlds: (n,) which, or (W,) a mask; all by default.
@@ -835,7 +835,7 @@ class Worlds:
             worlds: (n,) which worlds get it, or (W,) a mask; all by default.
 
         Raises:
-            TypeError: If it is no state of worlds.
+            TypeError: If `state` is not a `WorldsState`.
             ValueError: If the state is of another number of worlds, or does not fit the scene or is not finite, or a
                 world is named twice; nothing has then changed.
         """
@@ -882,7 +882,7 @@ class Worlds:
             self._collisions.place(indices)
 
     def _clear_flags(self, indices: IntArray, tools: Sequence[int] | None = None) -> None:
-        """Forget where some tools touch, in some worlds, and what they felt; all tools by default."""
+        """Clear the contact flags of some tools in some worlds, and the forces on them; all tools by default."""
         organs = len(self._scene.organs)
         for tool in range(len(self._scene.tools)) if tools is None else tools:
             self.state.tool_forces[indices, tool] = 0.0

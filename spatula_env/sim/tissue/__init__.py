@@ -1,1 +1,1 @@
-"""Organs that are a material: nearly incompressible hyperelastic solids, by finite elements."""
+"""Organs made of a material: nearly incompressible hyperelastic solids, discretised by finite elements."""

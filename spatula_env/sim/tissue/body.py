@@ -1,4 +1,4 @@
-"""Organs of tissue in many worlds: what kernels work on, and how it is read and written."""
+"""Organs of tissue in many worlds: the arrays that kernels work on, and access to them."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ if TYPE_CHECKING:
     from spatula_env.scenes import PlacedOrgan, Scale, Scene
 
 CACHE_LINE = 64
-"""Vectors must not straddle two of these [bytes]."""
+"""Size of a cache line [bytes]; arrays begin at one, so that no vector straddles two."""
 
 STABILISER = 0.3
-"""By shear modulus: what keeps elements from deforming otherwise than the nodes around them tell. With none of it there
-are motions that cost nothing; with 1, tissue of few elements resists shear by a quarter too much."""
+"""Modulus of the stabiliser, by the shear modulus. It resists deformations of elements that the averages at their nodes
+do not see. With 0 some motions cost no energy; with 1, tissue of few elements is too stiff in shear by a quarter."""
 
 GROWTH = 2.0
-"""How much stiffer than at rest a node's resistance to volume may become, by |cof F|^2 / 3, before it is held back: as
-in tissue that is pressed to less than half its thickness. Substeps are short enough for that much."""
+"""Factor by which a node's resistance to volume change, |cof F|^2 / 3, may exceed that at rest before it is limited, as
+in tissue that is pressed to less than half its thickness. Substeps are short enough for this factor."""
 
 SAFETY = 0.6
-"""Of the longest substep that is stable where tissue is at rest. Pressed it is stiffer: with 0.95 the seed's organ
-began to swing under a plate 10 mm deep, with 0.6 it does not."""
+"""Length of a substep, by the longest one that is stable where tissue is at rest. Compressed tissue is stiffer: with
+0.95 the seed's organ began to oscillate under a plate 10 mm deep, with 0.6 it does not."""
 
 LONGEST_PASSAGE = 0.5
-"""Of a shear wave in a step, by the mean edge of a surface. Contact is resolved once in a step: by 0.25 the force on
-the seed's plate, held 10 mm deep, varies by less than a per cent, by 0.38 by three, and by 0.5 by six to twenty."""
+"""Longest way of a shear wave in a step, by the mean edge of a surface. Contact is resolved once in a step: at 0.25 the
+force on the seed's plate, held 10 mm deep, varies by less than 1 %, at 0.38 by 3 %, and at 0.5 by 6 to 20 %."""
 
 UNDERESTIMATE = 1.05
-"""Power iteration finds the greatest eigenvalue from below."""
+"""Factor on the greatest eigenvalue, because power iteration approaches it from below."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class Lump:
     Attributes:
         placed: The organ.
         material: What it is made of.
-        solid: Its tetrahedra, nodes in the order in which kernels go through them.
-        surface: (V,) which of these nodes are the organ's vertices.
+        solid: Its tetrahedra, with the nodes in the order in which kernels process them.
+        surface: (V,) indices of the nodes that are the organ's vertices.
         law: Coefficients of the energy [kg/(u s2)].
         masses: (N,) of the nodes [kg].
-        frequency: The greatest of small motions, where stress grows fastest [1/s].
+        frequency: Greatest angular frequency of small motions, in the state where stress grows fastest [1/s].
     """
 
     placed: PlacedOrgan
@@ -71,7 +71,7 @@ class Lump:
 
     @classmethod
     def of(cls, placed: PlacedOrgan, scale: Scale) -> Lump:
-        """Fill an organ of a scene of that scale."""
+        """Fill an organ with tetrahedra, in a scene with that scale."""
         material = Material() if placed.material is None else placed.material
         mesh = fill_organ(placed.organ)
         filled = place_nodes(mesh.nodes, placed)
@@ -95,7 +95,7 @@ class Lump:
 
     @property
     def viscous_time(self) -> float:
-        """Viscosity by shear modulus [s]."""
+        """Viscosity divided by shear modulus [s]."""
         return self.material.viscosity / self.material.shear_modulus
 
     @property
@@ -106,7 +106,7 @@ class Lump:
         return held
 
     def passage(self, dt: float) -> float:
-        """How far a shear wave gets in a step, by the mean edge of the surface: see `LONGEST_PASSAGE`."""
+        """How far a shear wave travels in a step, by the mean edge of the surface; see `LONGEST_PASSAGE`."""
         organ = self.placed.organ
         ends = organ.vertices[organ.triangles]
         edge = float(np.linalg.norm(ends - np.roll(ends, 1, axis=1), axis=2).mean())
@@ -114,7 +114,7 @@ class Lump:
         return dt * math.sqrt(self.law.shear / float(density)) / edge
 
     def substeps(self, dt: float, stiffness: FloatArray) -> IntArray:
-        """(n,) into how many parts a step is divided, where stiffness by mass is changed by factors (n,).
+        """(n,) number of substeps in a step, with stiffness per mass multiplied by factors (n,).
 
         A motion of angular frequency w is stable where w^2 h (h + 2 t) < 4, with the substep h and the viscous time t.
         """
@@ -125,13 +125,13 @@ class Lump:
 
 
 def place_nodes(nodes: FloatArray, placed: PlacedOrgan) -> FloatArray:
-    """(N, 3) nodes of an organ's own frame, where they are in the scene."""
+    """(N, 3) nodes of an organ, transformed from its own frame to the scene."""
     moved: FloatArray = rotate(np.array(placed.orientation), nodes) + placed.position
     return moved
 
 
 def along_longest(nodes: FloatArray) -> IntArray:
-    """(N,) an order of nodes (N, 3) in which neighbours are near each other: in rows, in layers across the longest."""
+    """(N,) an order of nodes (N, 3) that keeps neighbours close: by layers across the longest axis, then by rows."""
     if not len(nodes):
         return np.zeros(0, dtype=np.int64)
     extents = np.ptp(nodes, axis=0)
@@ -144,7 +144,7 @@ def along_longest(nodes: FloatArray) -> IntArray:
 class TissueBody:
     """The organs of a scene as tissue in many worlds, which differ in state, gravity, stiffness and mass.
 
-    World w is lane w % lanes of block w // lanes. The last block is filled up with worlds in which nothing moves.
+    World w is lane w % lanes of block w // lanes. The last block is padded with unused worlds in which nothing moves.
 
     Attributes:
         lumps: The organs.
@@ -157,9 +157,9 @@ class TissueBody:
         """Put the scene's organs into every world, at rest in their initial shape.
 
         Args:
-            scene: What is in it.
+            scene: The scene with the organs.
             worlds: Number of worlds W.
-            lanes: Worlds in a block. It makes no difference but in time.
+            lanes: Worlds in a block. Only the speed depends on it.
             dtype: float32 or float64.
         """
         self._real = np.dtype(dtype)
@@ -248,7 +248,7 @@ class TissueBody:
                 self.blocks.relaxation[:, organ, term, 1] = share
 
     def _write_steps(self) -> None:
-        """Divide the step of each world into substeps, as its stiffness and mass need."""
+        """Divide the step of each world into substeps, as its stiffness and mass require."""
         lanes, count = len(self.blocks.lanes), len(self.blocks.positions)
         ratio = self._stiffness / self._mass_scale
         parts = np.stack([lump.substeps(self.dt, ratio) for lump in self.lumps], axis=1)
@@ -270,7 +270,7 @@ class TissueBody:
 
     @property
     def substeps(self) -> IntArray:
-        """(B, O) into how many parts a step of each block and organ is divided (a copy)."""
+        """(B, O) number of substeps in a step, for each block and organ (a copy)."""
         return self.blocks.substeps.copy()
 
     def set_parameters(
@@ -281,13 +281,13 @@ class TissueBody:
         mass_scale: ArrayLike | None = None,
         worlds: ArrayLike | None = None,
     ) -> None:
-        """Change in what some worlds differ from others.
+        """Change parameters of some worlds.
 
         Args:
             gravity: Downward acceleration [u/s2].
             stiffness: Factor on Young's modulus and viscosity, more than zero.
             mass_scale: Factor on density, more than zero.
-            worlds: (n,) which, or (W,) a mask; all by default. Values are one for all of them or (n,).
+            worlds: (n,) which, or (W,) a mask; all by default. A parameter is one number for all of them, or (n,).
 
         Raises:
             ValueError: If a value is not allowed; nothing has then changed.
@@ -339,9 +339,10 @@ class TissueBody:
         np.moveaxis(array, -1, 1)[worlds // lanes, worlds % lanes] = values
 
     def follow(self, surface: FloatArray) -> FloatArray:
-        """(n, N, 3) where all nodes are at rest when the surface nodes are at (n, V, 3): each organ is put as it fits.
+        """(n, N, 3) positions of all nodes for surface nodes at (n, V, 3): inner nodes follow as a rigid body.
 
-        The turn and the shift that bring an organ's surface at rest closest to where it is (W. Kabsch, 1976).
+        Each organ gets the rotation and the shift that bring its surface at rest closest to the given one (W. Kabsch,
+        1976).
         """
         nodes = np.empty((len(surface), len(self.rest), 3))
         first = first_vertex = 0
@@ -358,11 +359,11 @@ class TissueBody:
 
 
 def _pair_table(solid: Solid) -> FloatArray:
-    """(K, `nodal.PAIR_COLUMNS`)."""
+    """(K, `nodal.PAIR_COLUMNS`) table of the pairs of neighbours."""
     return np.column_stack([solid.gradients, solid.reversed_gradients, solid.weights])
 
 
 def _node_table(lump: Lump) -> FloatArray:
-    """(N, `nodal.NODE_COLUMNS`)."""
+    """(N, `nodal.NODE_COLUMNS`) table of the nodes."""
     moves = ~lump.held
     return np.column_stack([moves / lump.masses, moves, lump.solid.shares, lump.solid.own_gradients])

@@ -1,7 +1,7 @@
-"""The engine "tissue": organs that are a material, in one world or in many.
+"""The engine "tissue": organs made of a material, in one world or in many.
 
-As the batch engine does, it takes a block of worlds through all physics steps of a control step before the next one:
-organs for the whole block at once, world by world what follows.
+Like the batch engine, it takes a block of worlds through all physics steps of a control step before the next block:
+organs are integrated for the whole block at once, and what follows is done world by world.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ WIDE, NARROW = 16, 8
 
 
 class Inner(NamedTuple):
-    """What the surface nodes do not tell of the state of tissue in one world.
+    """The state of tissue in one world that the surface nodes do not contain.
 
     Attributes:
         positions: (N, 3) of all nodes [u].
         velocities: (N, 3) of all nodes [u/s].
-        free_velocities: (N, 3) of surface nodes, those that contact was told [u/s].
-        holds: (N, 3) of surface nodes, what these were changed by because contact was there before [u/s].
-        debts: (N, 3) of surface nodes, by how much they are to become faster by and by [u/s].
+        free_velocities: (N, 3) velocities of surface nodes that were passed to contact [u/s].
+        holds: (N, 3) changes of velocity by which surface nodes were held, as contact held them before [u/s].
+        debts: (N, 3) velocities that are still to be added gradually to surface nodes [u/s].
         histories: (N, R, 6) of R terms of relaxation; empty where nothing relaxes.
     """
 
@@ -50,17 +50,17 @@ class Inner(NamedTuple):
     histories: FloatArray
 
 
-# Compiled when first called, which for the two precisions is rarely both of them.
+# Compiled when first called, because a process rarely needs both precisions.
 @kernel(nogil=True)
 def run_block(block: int, blocks: Blocks, coupling: Any, steps: int, share: float) -> None:
     """Take the worlds of a block through physics steps.
 
     Args:
         block: Index of the block.
-        blocks: Of the tissue in all worlds.
+        blocks: Arrays of the tissue in all worlds.
         coupling: `Coupling` of the worlds; see `step.couple_worlds`.
-        steps: How many physics steps.
-        share: Of the control step that one of them is.
+        steps: Number of physics steps.
+        share: Length of one of them as a fraction of the control step.
     """
     state, positions, velocities, finite = coupling.state, blocks.positions, blocks.velocities, blocks.finite
     nodes, node_velocities, diverged, surface = state.nodes, state.velocities, state.diverged, blocks.surface
@@ -94,11 +94,11 @@ class TissueEngine:
         """See `engine.Engine`.
 
         Raises:
-            ImportError: If an organ is none of the presets' and Netgen is not installed; says what to install.
+            ImportError: If an organ is not one of the presets' and Netgen is not installed; says what to install.
             ValueError: If an organ cannot be filled.
 
         Warns:
-            SceneWarning: If steps are too long for contact with it.
+            SceneWarning: If steps are too long for contact with an organ; see `LONGEST_PASSAGE`.
         """
         self.lanes: int = 1 if worlds == 1 else WIDE if worlds >= WIDE * options.threads else NARROW
         self.body = TissueBody(scene, worlds, lanes=self.lanes, dtype=PRECISIONS[options.precision])
@@ -156,7 +156,7 @@ class TissueEngine:
         nodes = self.body.read(blocks.positions, worlds)
         nodes[:, blocks.surface] = positions
         self.body.write(blocks.positions, worlds, nodes)
-        # Contact goes on: what it changed velocities by stays.
+        # Contact continues: the changes of velocity by contact are kept.
         jumps = self.body.read(blocks.free_velocities, worlds) - self.body.read(blocks.velocities, worlds)
         self.body.write(blocks.free_velocities, worlds, jumps)
         self.body.write(blocks.velocities, worlds, 0.0)

@@ -1,7 +1,7 @@
-"""What contact and the nodes of tissue tell each other: instructions on rows of lanes.
+"""Exchange between contact and the nodes of tissue, as instructions on rows of lanes.
 
-Each is the body of a loop over nodes. A surface node that contact held is held through the next step's
-substeps; see `docs/tissue.md`.
+Each intrinsic is the body of a loop over nodes. A surface node that contact held stays held through the substeps of the
+next step; see `docs/tissue.md`.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from spatula_env.sim.tissue.lanes import Build, Row, dot
 from spatula_env.sim.tissue.nodal import instructions, vector
 
 LONGEST_THROW = 0.005
-"""How far from where it has been held contact is told that a node would be without it [u]. Enough to be found in the
-tool; farther, and it might be found on the other side of it."""
+"""Greatest distance between a held node and the place, passed to contact, where it would be without being held [u]. It
+suffices for the node to be found in the tool; farther away, it might be found on the tool's other side."""
 
 GIVEN_BACK = 0.2
-"""Of a debt, in a step: at once it would be a blow."""
+"""Share of a debt that is given back in a step: given back at once, it would be a blow."""
 
 LEAST_JUMP = 1e-12
-"""Contact that changes a node's velocity by less, squared, leaves it alone [u2/s2]."""
+"""A node whose change of velocity by contact is less than this, squared, is not in contact [u2/s2]."""
 
 
 def _throw_time(build: Build, hold: list[Row], dt: Any) -> Row:
-    """How long a node that was held is let fly for contact: a step, or until `LONGEST_THROW`."""
+    """Time for which a node that was held is moved on freely for contact: a step, or until `LONGEST_THROW`."""
     squared = dot(hold, hold)
     longest = build.constant(LONGEST_THROW) / squared.most(build.constant(LEAST_JUMP)).root()
     return longest.least(build.spread(dt))
@@ -54,7 +54,8 @@ def _emit_take_contact(
             build.address(base, node, axis, 3) for base in (positions, velocities, directions, holds, debts)
         )
         build.store(jump[axis] * inverse, at_direction)
-        # A node that nothing holds any more was held for one step too long, which it is given back by and by.
+        # A node that contact releases was held for one step too long: it keeps the held motion, and is given back the
+        # difference gradually, as a debt.
         owed = build.choose(is_free, hold[axis], none)
         build.store(build.load(at_position).plus(owed, time), at_position)
         build.store(velocity[axis] + owed, at_velocity)
@@ -75,7 +76,7 @@ def take_contact(
     dt: Any,
     node: Any,
 ) -> tuple[Any, Callable[..., Any]]:
-    """Find in which direction contact has changed a surface node's velocity, and let go what it leaves alone."""
+    """Find the direction in which contact has changed a surface node's velocity; release a node it left alone."""
     return instructions(
         _emit_take_contact, lanes, positions, velocities, free_velocities, directions, holds, debts, dt, node
     )
@@ -107,5 +108,5 @@ def give_free(
     dt: Any,
     node: Any,
 ) -> tuple[Any, Callable[..., Any]]:
-    """Put a surface node where it would be had nothing held it, for contact to hold it again."""
+    """Move a surface node to where it would be if nothing had held it, so that contact may hold it again."""
     return instructions(_emit_give_free, lanes, positions, velocities, free_velocities, holds, dt, node)

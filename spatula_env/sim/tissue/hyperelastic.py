@@ -1,4 +1,4 @@
-"""A material's energy and stress, in NumPy: what the kernels are checked against, and curves of single tests."""
+"""A material's energy and stress in NumPy: the reference for the kernels, and stress curves of standard tests."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Hyperelastic:
     """The coefficients of `scenes.Material`'s energy, in any one unit of stress.
 
     Attributes:
-        c1: Of I1.
-        c2: Of I2.
-        c3: Of the square.
-        bulk: k.
-        greatest_slope: What 2 c3 y does not exceed.
+        c1: Coefficient of I1.
+        c2: Coefficient of I2.
+        c3: Coefficient of the square of y.
+        bulk: The coefficient k.
+        greatest_slope: Upper bound of 2 c3 y.
     """
 
     c1: float
@@ -34,7 +34,7 @@ class Hyperelastic:
 
     @classmethod
     def of(cls, material: Material, unit: float = 1.0) -> Hyperelastic:
-        """Those of a material.
+        """The coefficients of a material.
 
         Args:
             material: The material.
@@ -58,7 +58,7 @@ class Hyperelastic:
 
     @property
     def greatest_shear(self) -> float:
-        """The tangent modulus in simple shear where it is greatest, which is where 2 c3 y reaches its greatest."""
+        """The greatest tangent modulus in simple shear, which occurs where 2 c3 y reaches its upper bound."""
         return self.shear + 12.0 * self.greatest_slope
 
     @property
@@ -68,11 +68,11 @@ class Hyperelastic:
 
     @property
     def rest_pressure(self) -> float:
-        """2 c1 + 4 c2: what the invariants would pull with at rest, were it not for the term in J."""
+        """2 c1 + 4 c2: the stress of the invariants' terms at rest, which the term in J - 1 cancels."""
         return 2.0 * self.c1 + 4.0 * self.c2
 
     def energy(self, deformations: ArrayLike) -> FloatArray:
-        """(...) of deformation gradients (..., 3, 3), by volume at rest."""
+        """(...) energy per volume at rest, of deformation gradients (..., 3, 3)."""
         f, _, first, second = _invariants(deformations)
         change = np.linalg.det(f) - 1.0
         strain = np.maximum(first + second - 6.0 * (change + 1.0), 0.0)
@@ -90,7 +90,7 @@ class Hyperelastic:
         return energy
 
     def stress(self, deformations: ArrayLike) -> FloatArray:
-        """(..., 3, 3) first Piola-Kirchhoff stress of deformation gradients (..., 3, 3), which can be inverted."""
+        """(..., 3, 3) first Piola-Kirchhoff stress of deformation gradients (..., 3, 3), which must be invertible."""
         f, c, first, second = _invariants(deformations)
         volume = np.linalg.det(f)
         slope = np.clip(2.0 * self.c3 * (first + second - 6.0 * volume), 0.0, self.greatest_slope)
@@ -109,7 +109,7 @@ class Hyperelastic:
         across = along**-0.5
         f = np.zeros((*along.shape, 3, 3))
         f[..., 0, 0] = along
-        # Newton's method on the stress across, whose slope is taken by differences.
+        # Newton's method on the lateral stress, with its slope by finite differences.
         for _ in range(50):
             values = []
             for change in (0.0, 1e-6):
@@ -129,7 +129,7 @@ class Hyperelastic:
 
 
 def _invariants(deformations: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """F, C, I1 and I2."""
+    """F, C, I1 and I2 of deformation gradients."""
     f = np.asarray(deformations, dtype=np.float64)
     c = np.swapaxes(f, -1, -2) @ f
     first = np.trace(c, axis1=-2, axis2=-1)

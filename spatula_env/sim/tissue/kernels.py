@@ -17,35 +17,35 @@ if TYPE_CHECKING:
 
 
 class Blocks(NamedTuple):
-    """The arrays of O organs in all worlds, B blocks of so many lanes, in the tissue's precision.
+    """The arrays of O organs in all worlds: B blocks of `lanes` worlds each, in the tissue's precision.
 
-    The nodes of all organs are counted through, organ after organ: N in all. So are the pairs of neighbours: K.
+    The nodes of all organs are numbered consecutively, organ after organ: N in all. So are the pairs of neighbours: K.
 
     Attributes:
-        lanes: (lanes,) whose type tells how many lanes there are.
+        lanes: (lanes,) a tuple whose type gives the number of lanes.
         positions: (B, N, 3, lanes) [u].
         velocities: (B, N, 3, lanes) [u/s].
-        leading: (2, B, N, 3, lanes) where forces are taken at: a little later than now, for viscosity [u].
+        leading: (2, B, N, 3, lanes) positions for forces: those of a little later than now, for viscosity [u].
         stresses: (B, N, 9, lanes) workspace.
-        overstresses: (B, N, 6, lanes) what has relaxed of each node's stress; empty where nothing relaxes.
+        overstresses: (B, N, 6, lanes) the part of each node's stress that has relaxed; empty where nothing relaxes.
         histories: (B, N, R, 6, lanes) of R terms of relaxation.
-        free_velocities: (B, N, 3, lanes) those that contact was told; of surface nodes, as are the next three [u/s].
-        directions: (B, N, 3, lanes) of length one in which contact holds a node, or zero.
-        holds: (B, N, 3, lanes) what a node's velocity would have changed by, had it not been held in the step [u/s].
-        debts: (B, N, 3, lanes) by how much a node is to become faster by and by, as it was held too long [u/s].
+        free_velocities: (B, N, 3, lanes) velocities passed to contact; for surface nodes, as are the next three [u/s].
+        directions: (B, N, 3, lanes) unit vector along which contact holds a node, or zero.
+        holds: (B, N, 3, lanes) change of velocity by which a node was held in the step [u/s].
+        debts: (B, N, 3, lanes) velocity still to be added gradually to a node, because it was held too long [u/s].
         starts: (N + 1,) where each node's neighbours begin.
         neighbours: (K,) the neighbours of each node.
         pairs: (K, `nodal.PAIR_COLUMNS`).
         nodes: (N, `nodal.NODE_COLUMNS`).
-        surface: (V,) which of the nodes are on organs' surfaces: the vertices.
-        surface_ends: (O,) the node after the last one on each organ's surface; an organ's begin with these.
+        surface: (V,) the nodes on organs' surfaces: the vertices.
+        surface_ends: (O,) the node after the last one on each organ's surface; an organ begins with its surface nodes.
         ends: (O,) the node after the last one of each organ.
         materials: (B, O, `nodal.MATERIAL_ROWS`, lanes).
-        relaxation: (B, O, R, 2, lanes) by what a history's distance shrinks in a step, and a term's share.
+        relaxation: (B, O, R, 2, lanes) factor on a history's distance from the stress in a step, and a term's share.
         general: (O,) whether an organ's material has c2 or c3, or relaxes.
-        terms: (O,) how many terms of relaxation there are.
+        terms: (O,) number of terms of relaxation.
         steps: (B, O, S, `nodal.STEP_ROWS`, lanes) for each substep; zero in worlds that take fewer.
-        substeps: (B, O) how many substeps that world of a block takes that takes most.
+        substeps: (B, O) number of substeps in the world of a block that takes the most.
         dt: Length of a step [s].
         finite: (B, lanes) zero where all velocities are finite after a step, NaN otherwise.
     """
@@ -88,7 +88,7 @@ def begin_step(
     first: int,
     end: int,
 ) -> None:
-    """Write where forces on an organ's nodes are taken at, from where contact has put them."""
+    """Write the positions at which forces on an organ's nodes are evaluated, from their state after contact."""
     for i in range(first, end):
         lead_node(lanes, positions, velocities, leading, materials, i)
 
@@ -139,7 +139,7 @@ def move_nodes(
     end: int,
     substep: int,
 ) -> None:
-    """Move an organ's nodes on by a substep."""
+    """Advance an organ's nodes by a substep."""
     for i in range(first, surface_end):
         move_surface(
             lanes, directions, holds, debts, positions, velocities, leading, next_leading, stresses, starts, neighbours,
@@ -165,7 +165,7 @@ def take_contacts(
     first: int,
     end: int,
 ) -> None:
-    """See what contact has done to an organ's surface nodes."""
+    """Take over the changes that contact has made to an organ's surface nodes."""
     for i in range(first, end):
         take_contact(lanes, positions, velocities, free_velocities, directions, holds, debts, dt, i)
 
@@ -181,7 +181,7 @@ def give_frees(
     first: int,
     end: int,
 ) -> None:
-    """Put an organ's surface nodes where they would be had nothing held them."""
+    """Move an organ's surface nodes to where they would be if nothing had held them."""
     for i in range(first, end):
         give_free(lanes, positions, velocities, free_velocities, holds, dt, i)
 
@@ -285,7 +285,7 @@ def find_block_deformations(
         find_deformation(lanes, positions, deformations, starts, neighbours, pairs, i)
 
 
-# Compiled when first called, which for the two precisions and the numbers of lanes is rarely all of them.
+# Compiled when first called, because a process rarely needs all precisions and numbers of lanes.
 @kernel(nogil=True)
 def find_deformations(blocks: Blocks) -> None:
     """Write the deformation gradients at all nodes into the workspace `Blocks.stresses`, row after row of each."""

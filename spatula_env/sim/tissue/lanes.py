@@ -1,10 +1,10 @@
 """Arithmetic on vector registers, for kernels that are written as instructions.
 
-Of a loop over worlds that reads and writes the same nodes through several elements the compiler cannot know that it may
-be turned into vector instructions. So the bodies of such loops are written here as what they are: a `Row` is the value
-of one quantity in all worlds of a block, one in each lane of a vector register, and `+`, `-`, `*` and `/` of rows are
-one instruction each. Each is rounded as IEEE 754 says, so that a world's outcome does not depend on how many lanes
-there are.
+The compiler cannot know that a loop over worlds may be turned into vector instructions if it reads and writes the same
+nodes through several elements. So the bodies of such loops are written as vector instructions: a `Row` is the value of
+one quantity in all worlds of a block, one in each lane of a vector register, and `+`, `-`, `*` and `/` of rows are one
+instruction each. Each is rounded as IEEE 754 prescribes, so that a world's outcome does not depend on the number of
+lanes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ WORD = ir.IntType(64)
 
 
 class Row:
-    """A value in each lane."""
+    """One value in each lane."""
 
     def __init__(self, build: Build, value: Any) -> None:
         """Wrap an LLVM value of the type `build.kind`."""
@@ -42,7 +42,7 @@ class Row:
         return Row(self.build, self.build.builder.fneg(self.value))
 
     def plus(self, a: Row, b: Row) -> Row:
-        """This plus a b, rounded once."""
+        """This row plus a b, rounded once."""
         return self.build.fma(a, b, self)
 
     def root(self) -> Row:
@@ -53,7 +53,7 @@ class Row:
         return Row(build, build.builder.call(function, [self.value]))
 
     def is_less(self, other: Row) -> Any:
-        """In which lanes this is less than the other; in none where one of them is NaN."""
+        """In which lanes this row is less than the other; false where one of them is NaN."""
         return self.build.builder.fcmp_ordered("<", self.value, other.value)
 
     def least(self, other: Row) -> Row:
@@ -71,7 +71,7 @@ class Row:
 
 
 class Build:
-    """Where instructions of so many lanes go: the body of a Numba intrinsic."""
+    """Emits instructions on rows of lanes into the body of a Numba intrinsic."""
 
     def __init__(self, context: Any, builder: Any, array: Any, lanes: int) -> None:
         """Prepare for arrays of an element type.
@@ -80,16 +80,16 @@ class Build:
             context: Numba's target context.
             builder: LLVM's builder of instructions.
             array: Numba type of an array of that element type.
-            lanes: How many; of one, rows are numbers.
+            lanes: Number of lanes; with one, rows are scalars.
         """
         self.context, self.builder, self.lanes = context, builder, lanes
         self.element = context.get_data_type(array.dtype)
         self.kind = self.element if lanes == 1 else ir.VectorType(self.element, lanes)
-        # What may be assumed of an address: arrays begin at a cache line, but nothing breaks if one does not.
+        # Alignment that loads and stores assume: arrays begin at a cache line, but nothing breaks if one does not.
         self._align = context.get_abi_sizeof(self.element)
 
     def data(self, kind: Any, array: Any) -> Any:
-        """Where the elements of an array begin."""
+        """Pointer to the first element of an array."""
         return self.context.make_array(kind)(self.context, self.builder, array).data
 
     def index(self, base: Any, place: Any, offset: int, count: int) -> Any:
@@ -108,7 +108,7 @@ class Build:
         return self.spread(ir.Constant(self.element, value))
 
     def address(self, base: Any, place: Any, offset: int, count: int) -> Any:
-        """Of row `offset` of the `count` rows at a place."""
+        """Pointer to row `offset` of the `count` rows at a place."""
         pointer = self.builder.gep(base, [self._place(place, count * self.lanes, offset * self.lanes)])
         return self.builder.bitcast(pointer, self.kind.as_pointer())
 
@@ -121,16 +121,16 @@ class Build:
         self.builder.store(row.value, pointer, align=self._align)
 
     def whole(self, value: int) -> Any:
-        """A whole number, for an index."""
+        """An integer constant, for an index."""
         return ir.Constant(WORD, value)
 
     def sums(self, count: int) -> list[Sum]:
-        """So many sums, zero."""
+        """A list of `count` sums that are zero."""
         return [Sum(self) for _ in range(count)]
 
     @contextmanager
     def each(self, start: Any, end: Any) -> Iterator[Any]:
-        """Do what is in the block for each of some indices, and tell which it is."""
+        """Emit a loop over indices whose body is the ``with`` block, and yield the index."""
         with cgutils.for_range_slice(self.builder, start, end, ir.Constant(WORD, 1)) as (index, _):
             yield index
 
@@ -141,12 +141,12 @@ class Build:
         return Row(self, self.builder.call(function, [a.value, b.value, c.value]))
 
     def choose(self, chosen: Any, a: Row, b: Row) -> Row:
-        """Where `chosen` is true a, else b."""
+        """A row with the values of `a` where `chosen` is true, and those of `b` elsewhere."""
         return Row(self, self.builder.select(chosen, a.value, b.value))
 
     @property
     def suffix(self) -> str:
-        """What the names of LLVM's functions of rows end with."""
+        """Suffix of the names of LLVM's intrinsics that work on rows."""
         return f"{'' if self.lanes == 1 else f'v{self.lanes}'}{self.element.intrinsic_name}"
 
     def _place(self, place: Any, count: int, offset: int) -> Any:
@@ -166,7 +166,7 @@ class Build:
 
 
 class Sum:
-    """A row that is added to in a loop; it stays in a register."""
+    """A row that accumulates in a loop; it stays in a register."""
 
     def __init__(self, build: Build) -> None:
         """Begin with zero."""
@@ -176,7 +176,7 @@ class Sum:
 
     @property
     def row(self) -> Row:
-        """What it has come to."""
+        """The present value of the sum."""
         return self._build.load(self._place)
 
     def add(self, a: Row, b: Row) -> None:

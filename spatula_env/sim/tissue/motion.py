@@ -1,4 +1,4 @@
-"""How nodes move on by a substep: instructions on rows of lanes, each the body of a loop over nodes."""
+"""Motion of nodes in a substep, as instructions on rows of lanes, each the body of a loop over nodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _force(
     materials: Any,
     node: Any,
 ) -> list[Row]:
-    """What the stresses of a node and its neighbours, and the stabiliser, do to the node."""
+    """Force on a node by the stresses at the node and its neighbours, and by the stabiliser."""
     here, sums, draws = vector(build, positions, node), build.sums(3), build.sums(3)
     start, end = build.index(starts, node, 0, 1), build.index(starts, node, 1, 1)
     with build.each(start, end) as pair:
@@ -83,7 +83,7 @@ def _emit_move(
         directions, holds, debts = touch
         gains = [gain.plus(part, debt) for gain, debt in zip(gains, vector(build, debts, node), strict=True)]
         direction = vector(build, directions, node)
-        # What pushes against the contact is held; what leads away from it is not.
+        # A change of velocity against the contact is held; one away from it is not.
         pressed = dot(gains, direction).least(build.constant(0.0))
         for axis in range(3):
             gains[axis] = gains[axis].plus(-pressed, direction[axis])
@@ -123,7 +123,7 @@ def move_inner(
     node: Any,
     substep: Any,
 ) -> tuple[Any, Callable[..., Any]]:
-    """Move an inner node on by a substep, and write where forces will be taken at in the next one."""
+    """Advance an inner node by a substep, and write the position at which forces are evaluated in the next one."""
     return instructions(
         _emit_move, lanes, positions, velocities, leading, next_leading, stresses, starts, neighbours, pairs, nodes,
         materials, steps, node, substep,
@@ -151,7 +151,7 @@ def move_surface(
     node: Any,
     substep: Any,
 ) -> tuple[Any, Callable[..., Any]]:
-    """Move a surface node on by a substep, held by what it touches."""
+    """Advance a surface node by a substep, held by what it touches."""
     return instructions(
         _emit_move_surface, lanes, directions, holds, debts, positions, velocities, leading, next_leading, stresses,
         starts, neighbours, pairs, nodes, materials, steps, node, substep,
@@ -171,5 +171,5 @@ def _emit_lead(build: Build, positions: Any, velocities: Any, leading: Any, mate
 def lead_node(
     typing_context: Any, lanes: Any, positions: Any, velocities: Any, leading: Any, materials: Any, node: Any
 ) -> tuple[Any, Callable[..., Any]]:
-    """Write where forces on a node will be taken at, from where it is and how it moves."""
+    """Write the position at which forces on a node are evaluated, from its position and velocity."""
     return instructions(_emit_lead, lanes, positions, velocities, leading, materials, node)

@@ -1,7 +1,7 @@
-"""What the instructions for nodes share: the columns of their tables, and F and what follows from it.
+"""What the instructions for nodes share: the columns of their tables, and F and the quantities derived from it.
 
-`stress`, `motion` and `held` have the intrinsics. How many lanes there are is told by the type of the argument `lanes`,
-a tuple of so many numbers: a kernel is compiled for the lanes it is called with, and for no others.
+`stress`, `motion` and `held` have the intrinsics. The type of the argument `lanes`, a tuple with one number per lane,
+gives the number of lanes: a kernel is compiled for the number that it is called with, and for no other.
 
 `docs/tissue.md` has the equations.
 """
@@ -17,9 +17,8 @@ from spatula_env.sim.tissue.lanes import Build, Row, dot
 
 C1, C2, TWICE_C3, GREATEST_SLOPE, REST_PRESSURE, BULK, GROWTH, STABILISER, VISCOUS_TIME = range(9)
 """Rows of `materials`: the coefficients c1, c2 and twice c3 of the energy; the greatest value of 2 c3 y; the pressure
-2 c1 + 4 c2 that the distortional part has at rest; the bulk coefficient; thrice the growth of |cof F|^2 / 3 from which
-on pressure is held back; the modulus that keeps elements from deforming otherwise than the nodes around them tell; and
-viscosity by shear modulus [s]."""
+2 c1 + 4 c2 that the distortional part has at rest; the bulk coefficient; three times the growth of |cof F|^2 / 3 beyond
+which pressure is limited; the modulus of the stabiliser; and viscosity divided by shear modulus [s]."""
 
 MATERIAL_ROWS = 9
 
@@ -33,20 +32,20 @@ node; that of the node's shape function, averaged around the neighbour; and the 
 gradients of both, negative."""
 
 STEP_ROWS = 4
-"""Rows of `steps` for a substep: its length [s]; that times stiffness by mass; that times gravity [u/s]; and the part
-of a debt that is given back in it."""
+"""Rows of `steps` for a substep: its length [s]; the length times the factor on stiffness per mass [s]; the length
+times gravity [u/s]; and the share of a debt that is given back in it."""
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 """Components of a symmetric tensor, in the order in which they are kept."""
 
 
 def instructions(emit: Callable[..., None], lanes: Any, *arguments: Any) -> tuple[Any, Callable[..., Any]]:
-    """Signature and code of an intrinsic.
+    """Signature and code generator of an intrinsic.
 
     Args:
-        emit: Writes the instructions, given the `Build`, and for each array where its elements begin.
-        lanes: Type of the tuple that tells how many lanes there are.
-        arguments: Types of the others, the first of them a C-contiguous array of reals.
+        emit: Emits the instructions, given the `Build` and the arguments; for each array, a pointer to its elements.
+        lanes: Type of the tuple that gives the number of lanes.
+        arguments: Types of the other arguments, the first of them a C-contiguous array of reals.
     """
     signature = types.void(lanes, *arguments)
 
@@ -73,7 +72,7 @@ def numbers(build: Build, base: Any, place: Any, first: int, columns: int) -> li
 
 
 def deformation(build: Build, positions: Any, starts: Any, neighbours: Any, pairs: Any, node: Any) -> list[list[Row]]:
-    """F at a node, by rows: the sum over neighbours of what is between them times the neighbour's gradient."""
+    """F at a node, by rows: the sum over neighbours of the distance vector times the neighbour's gradient."""
     here, sums = vector(build, positions, node), [build.sums(3) for _ in range(3)]
     start, end = build.index(starts, node, 0, 1), build.index(starts, node, 1, 1)
     with build.each(start, end) as pair:
@@ -94,6 +93,6 @@ def cauchy_green(f: list[list[Row]]) -> list[list[Row]]:
 
 
 def stiffening(build: Build, material: Callable[[int], Row], first: Row, second: Row, volume: Row) -> Row:
-    """2 c3 y, which is what c1 and c2 are raised by, within its bounds."""
+    """2 c3 y within its bounds, by which c1 and c2 are raised."""
     strain = (first + second).plus(build.constant(-6.0), volume)
     return (material(TWICE_C3) * strain).most(build.constant(0.0)).least(material(GREATEST_SLOPE))

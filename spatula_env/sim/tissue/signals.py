@@ -1,4 +1,4 @@
-"""How tissue is strained and stressed: what its nodes tell, and what is told of an organ."""
+"""How tissue is strained and stressed: values at nodes, and the summary that is reported for an organ."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ Symmetric = dict[tuple[int, int], "FloatArray"]
 """The components of a symmetric tensor, each (...), by `SYMMETRIC`."""
 
 HIGH = 0.95
-"""The share of an organ's volume that does not exceed what is told as high: peaks are of single nodes, and depend on
-how fine the mesh is where a tool's edge presses."""
+"""Share of an organ's volume in which the values reported as high are not exceeded. Peaks, in contrast, are those of
+single nodes, and depend on how fine the mesh is where a tool's edge presses."""
 
 LEAST_DETERMINANT = 0.05
-"""Of F, by which stress is divided: of what is pressed to less it says little."""
+"""Least determinant of F by which stress is divided: where tissue is compressed further, the stress says little."""
 
 
 THIRD_OF_A_TURN = 2.0 * math.pi / 3.0
 
 
 class NodalStrains(NamedTuple):
-    """Strain and stress at all nodes of a body, those within organs included.
+    """Strain and stress at all nodes of a body, including those inside organs.
 
     Attributes:
-        strains: (n, N) greatest principal Green-Lagrange strain: half of the squared stretch less one.
-        stresses: (n, N) greatest principal Cauchy stress, tension positive; viscous stress aside [kg/(u s2)].
+        strains: (n, N) greatest principal Green-Lagrange strain: half of (squared stretch less one).
+        stresses: (n, N) greatest principal Cauchy stress, tension positive, without viscous stress [kg/(u s2)].
     """
 
     strains: FloatArray
@@ -48,12 +48,12 @@ def nodal_strains(body: TissueBody, worlds: IntArray) -> NodalStrains:
     """Strains and stresses at the nodes of some worlds.
 
     Args:
-        body: The organs; what is left in its workspace is written.
-        worlds: (n,) which.
+        body: The organs; its workspace is overwritten.
+        worlds: (n,) which worlds.
     """
     blocks = body.blocks
     find_deformations(blocks)
-    # Component by component, so that what follows goes through memory in order.
+    # Components first, so that the following operations access memory in order.
     flat = np.ascontiguousarray(np.moveaxis(body.read(blocks.stresses, worlds), 2, 0))
     relaxed = body.read(blocks.overstresses, worlds)
     strains, stresses = np.empty(flat.shape[1:]), np.empty(flat.shape[1:])
@@ -61,7 +61,7 @@ def nodal_strains(body: TissueBody, worlds: IntArray) -> NodalStrains:
     for lump in body.lumps:
         nodes = slice(first, first + len(lump.masses))
         f = [[flat[3 * i + j][:, nodes] for j in range(3)] for i in range(3)]
-        # The left Cauchy-Green tensor has the squared stretches as eigenvalues too, and the stress its directions.
+        # The left Cauchy-Green tensor has the squared stretches as eigenvalues too, and the directions of the stress.
         left = {(i, j): f[i][0] * f[j][0] + f[i][1] * f[j][1] + f[i][2] * f[j][2] for i, j in SYMMETRIC}
         squares = eigenvalues(left)
         state = _State.of(lump.law, f, squares)
@@ -85,7 +85,7 @@ class _State(NamedTuple):
 
     @classmethod
     def of(cls, law: Hyperelastic, f: list[list[FloatArray]], squares: list[FloatArray]) -> _State:
-        """That of deformation gradients with these squared stretches."""
+        """The state for deformation gradients with these squared stretches."""
         a, b, c = squares
         first, second = a + b + c, a * b + b * c + c * a
         volume = (
@@ -104,7 +104,7 @@ class _State(NamedTuple):
 
 
 def _relaxed_stress(state: _State, f: list[list[FloatArray]], left: Symmetric, relaxed: FloatArray) -> Symmetric:
-    """Cauchy stress, less what has relaxed of the stress at rest (n, N, 6)."""
+    """Cauchy stress, less the relaxed part (n, N, 6) of the stress in the reference configuration."""
     stress: Symmetric = {}
     for i, j in SYMMETRIC:
         squared = sum(left[min(i, k), max(i, k)] * left[min(k, j), max(k, j)] for k in range(3))
@@ -117,9 +117,9 @@ def _relaxed_stress(state: _State, f: list[list[FloatArray]], left: Symmetric, r
 
 
 def eigenvalues(tensor: Symmetric) -> list[FloatArray]:
-    """The three of symmetric tensors, each (...), the greatest first.
+    """The three eigenvalues of symmetric tensors, each (...), the greatest first.
 
-    By the cosine (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, Communications of the ACM 4, 1961).
+    Trigonometric solution (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, Communications of the ACM 4, 1961).
     """
     mean = (tensor[0, 0] + tensor[1, 1] + tensor[2, 2]) / 3.0
     a, b, c = (tensor[k, k] - mean for k in range(3))
@@ -135,12 +135,12 @@ def eigenvalues(tensor: Symmetric) -> list[FloatArray]:
 
 
 def organ_strains(body: TissueBody, worlds: IntArray, threshold: float) -> Strains:
-    """What is told of organs in some worlds; see `Strains`.
+    """Summarise strains and stresses of organs in some worlds; see `Strains`.
 
     Args:
         body: The organs.
-        worlds: (n,) which.
-        threshold: Of strain, for the share beyond it.
+        worlds: (n,) which worlds.
+        threshold: Strain beyond which volume counts in `Strains.strained_shares`.
     """
     found = nodal_strains(body, worlds)
     shape = len(worlds), len(body.lumps)
@@ -159,7 +159,7 @@ def organ_strains(body: TissueBody, worlds: IntArray, threshold: float) -> Strai
 
 
 def _quantile(values: FloatArray, shares: NDArray[np.float64]) -> FloatArray:
-    """(n,) what `HIGH` of the volume does not exceed, of values (n, N) at nodes with shares (N,) of it."""
+    """(n,) value that is not exceeded in `HIGH` of the volume, from values (n, N) at nodes with shares (N,) of it."""
     order = np.argsort(values, axis=1)
     reached = np.cumsum(shares[order], axis=1) >= HIGH
     places = np.take_along_axis(order, np.argmax(reached, axis=1)[:, None], axis=1)

@@ -1,8 +1,8 @@
-"""What an organ's tetrahedra are at rest: averages around nodes, and how fast they can ring.
+"""An organ's tetrahedra at rest: averages around nodes, and the greatest frequency of vibration.
 
-Strains and stresses are those of nodes, averaged over the tetrahedra around each by their volumes: linear tetrahedra of
-their own would lock where tissue hardly changes its volume, and are far too stiff where they are few (Bonet and Burton,
-1998; Puso and Solberg, 2006; see `docs/tissue.md`).
+Strains and stresses are those of nodes, averaged over the tetrahedra around each by their volumes: with values of their
+own, linear tetrahedra would lock where tissue hardly changes its volume, and are far too stiff where they are few
+(Bonet and Burton, 1998; Puso and Solberg, 2006; see `docs/tissue.md`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray, Int32Array, IntArray
 
 FASTEST_NODE = 4.0
-"""By how much faster than the median node, by squared frequencies, any may be. Where the mesh is so fine that a node
-would be faster it is given mass of the others: a part in a thousand of an organ's, which moves no force at rest and
-spares all its nodes many substeps."""
+"""Upper bound of a node's squared frequency, by that of the median node. Where the mesh is so fine that a node would
+exceed it, the node is given mass of the others: about a thousandth of an organ's mass, which changes no force at rest
+and spares all its nodes many substeps."""
 
 POWER_STEPS = 120
-"""Of power iteration, after which the greatest eigenvalue is found to a few per cent, from below."""
+"""Steps of power iteration, after which the greatest eigenvalue is found to a few per cent, from below."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Tetrahedra at rest, and what is averaged around their nodes.
+    """Tetrahedra at rest, and averages around their nodes.
 
     Two nodes of a tetrahedron are neighbours. There is a pair for each node and each of its neighbours, K in all, by
     nodes and then by neighbours.
@@ -36,7 +36,7 @@ class Solid:
         tetrahedra: (M, 4) of positive volume, int32.
         volumes: (M,) [u3].
         shares: (N,) of the volume: a quarter of that of each tetrahedron around a node [u3].
-        masses: (N,) of the nodes, of unit density: their shares, but for `FASTEST_NODE` [u3].
+        masses: (N,) of the nodes, at unit density: their shares, adjusted by `FASTEST_NODE` [u3].
         starts: (N + 1,) where each node's pairs begin.
         neighbours: (K,) the neighbour of each pair.
         gradients: (K, 3) of the neighbour's shape function, averaged around the node [1/u].
@@ -58,7 +58,7 @@ class Solid:
     weights: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Derive what follows from the shape."""
+        """Derive all other attributes from nodes and tetrahedra."""
         count, corners = len(self.nodes), self.nodes[self.tetrahedra]
         edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
         volumes, inverses = np.linalg.det(edges) / 6.0, np.linalg.inv(edges)
@@ -73,7 +73,7 @@ class Solid:
         weights = np.bincount(places, np.einsum("mak,mbk,m->mab", shapes, shapes, volumes).ravel())
         of, to = np.divmod(keys, count)
         apart = of != to
-        # The pair the other way round has the key that is made of the same nodes the other way round.
+        # The key of the reversed pair is made of the same two nodes in reversed order.
         backwards = np.searchsorted(keys, to * count + of)
         for name, value in (
             ("volumes", volumes),
@@ -89,10 +89,10 @@ class Solid:
         object.__setattr__(self, "masses", self._spread_mass())
 
     def _spread_mass(self) -> FloatArray:
-        """(N,) of the nodes, of unit density.
+        """(N,) masses of the nodes, at unit density.
 
-        By Gershgorin's theorem no squared frequency exceeds the greatest row sum of stiffness by mass; here of a unit
-        of resistance to volume.
+        By Gershgorin's theorem no squared frequency exceeds the greatest row sum of stiffness over mass; here the
+        stiffness is that of a unit of resistance to volume change.
         """
         of, to, count = self.pair_nodes, self.neighbours, len(self.nodes)
         others, own = (np.linalg.norm(rows, axis=1) for rows in (self.gradients, self.own_gradients))
@@ -109,19 +109,19 @@ class Solid:
         return np.repeat(np.arange(len(self.nodes)), np.diff(self.starts))
 
     def deformations(self, positions: FloatArray) -> FloatArray:
-        """(N, 3, 3) deformation gradients F at the nodes, where these are at (N, 3)."""
+        """(N, 3, 3) deformation gradients F at the nodes, for positions (N, 3)."""
         apart = positions[self.neighbours] - positions[self.pair_nodes]
         pulled = np.einsum("ka,kb->kab", apart, self.gradients)
         deformations: FloatArray = np.add.reduceat(pulled, self.starts[:-1], axis=0)
         return deformations
 
     def forces(self, stresses: FloatArray, positions: FloatArray, stabiliser: float) -> FloatArray:
-        """(N, 3) on the nodes.
+        """(N, 3) forces on the nodes.
 
         Args:
             stresses: (N, 3, 3) first Piola-Kirchhoff stresses at the nodes.
-            positions: (N, 3) of these.
-            stabiliser: Modulus that keeps elements from deforming otherwise than the nodes around them tell.
+            positions: (N, 3) of the nodes.
+            stabiliser: Modulus that resists deformations of elements which the averages at their nodes do not see.
         """
         of, to = self.pair_nodes, self.neighbours
         loads = self.shares[:, None, None] * (stresses - stabiliser * self.deformations(positions))
@@ -132,14 +132,14 @@ class Solid:
         return forces
 
     def fastest(self, shear: float, bulk: float, stabiliser: float) -> float:
-        """The greatest squared angular frequency of small motions, of unit density [1/s2].
+        """The greatest squared angular frequency of small motions, at unit density [1/s2].
 
         Args:
             shear: Shear modulus.
-            bulk: Resistance to volume: Lamé's first parameter.
+            bulk: Resistance to volume change: Lamé's first parameter.
             stabiliser: See `forces`.
         """
-        # The same start everywhere: nothing here is random.
+        # A fixed starting vector, so that the result is deterministic.
         shape, value = np.cos(np.arange(3.0 * len(self.nodes)) ** 2).reshape(-1, 3), 0.0
         for _ in range(POWER_STEPS):
             gradients = self.deformations(shape)

@@ -1,4 +1,4 @@
-"""The stresses of nodes, and how they relax: instructions on rows of lanes, each the body of a loop over nodes."""
+"""Stresses at nodes and their relaxation, as instructions on rows of lanes, each the body of a loop over nodes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from spatula_env.sim.tissue.nodal import (
 )
 
 LEAST_VOLUME = 0.2
-"""Of J, by which the relaxing stress is divided: where tissue is pressed to less, it is not followed exactly."""
+"""Least J by which the relaxing stress is divided: where tissue is compressed further, relaxation is not exact."""
 
 
 def _emit_stress(
@@ -52,7 +52,7 @@ def _emit_stress(
     volume = dot(f[0], cofactors[0])
     flat = [entry for row in cofactors for entry in row]
     second = dot(flat, flat)
-    # Beyond this growth the pressure's stiffness is held at what a substep bears.
+    # Beyond this growth, the stiffness of the pressure is limited to what the length of a substep allows.
     hold = one.least(material(GROWTH) / second)
     pressure = material(BULK) * (volume - one) - material(REST_PRESSURE)
     if not general:
@@ -66,7 +66,7 @@ def _emit_stress(
         pressure = pressure.plus(build.constant(-6.0), slope) * hold
         of_second = (material(C2) + slope) * two * hold
         of_first = ((material(C1) + slope) * two - material(STABILISER)).plus(of_second, first)
-        # 2 s1 + 2 s2 (I1 - C) less what has relaxed, which F is multiplied by.
+        # F is multiplied by 2 s1 + 2 s2 (I1 - C) less what has relaxed.
         middle = [[-(of_second * c[i][j]) for j in range(3)] for i in range(3)]
         for k, (i, j) in enumerate(SYMMETRIC):
             middle[i][j] = middle[i][j] - build.load(build.address(overstresses, node, k, 6))
@@ -156,7 +156,7 @@ def _emit_relax(
     two, slope = build.constant(2.0), stiffening(build, material, first, dot(flat, flat), volume)
     of_second = (material(C2) + slope) * two
     of_first = ((material(C1) + slope) * two).plus(of_second, first)
-    # The inverse of C is the product of the transposed cofactors and the cofactors, by J squared.
+    # The inverse of C is the product of the transposed cofactors and the cofactors, divided by J squared.
     inward = -(material(REST_PRESSURE).plus(build.constant(6.0), slope) / volume.most(build.constant(LEAST_VOLUME)))
     stress = []
     for i, j in SYMMETRIC:
@@ -169,7 +169,7 @@ def _emit_relax(
         place = build.builder.add(build.builder.mul(node, terms), term)
         for k in range(6):
             at = build.address(histories, place, k, 6)
-            # What the stress has become to which this term has relaxed.
+            # The history of a term approaches the stress exponentially.
             history = stress[k].plus(keep, build.load(at) - stress[k])
             build.store(history, at)
             sums[k].add(share, history)
