@@ -86,7 +86,8 @@ def run(chosen: argparse.Namespace) -> int:
     if chosen.json:
         print_json({"emulated": chosen.emulated, "passed": good, "steps": [asdict(step) for step in steps]})
     elif good:
-        print(f"All is well{f'; not tried: {chr(44).join(left_out)}' if left_out else ''}.")
+        untried = f"; not tried: {', '.join(left_out)}" if left_out else ""
+        print(f"All is well{untried}.")
     else:
         print(f"The check ended at {steps[-1].name!r}; see above for what to do.")
     return 0 if good else FAILURE

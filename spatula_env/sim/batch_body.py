@@ -35,7 +35,7 @@ from numba.extending import intrinsic
 
 from spatula_env._kernels import array_kernel, inline_kernel, kernel
 from spatula_env.geometry.checks import check_positive
-from spatula_env.sim.lanes import tell_finite
+from spatula_env.sim.lanes import NARROW, WIDE, aligned_zeros, tell_finite
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.soft_body import SWEEPS
 from spatula_env.sim.threads import share_out
@@ -47,15 +47,8 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-WIDE, NARROW = 16, 8
-"""Worlds in a block, when there are many and when there are few. Sixteen numbers in single precision fill the widest
-registers."""
-
 GREATEST_STIFFNESS = 2.0
 """Successive over-relaxation converges below this factor only (Kahan's theorem)."""
-
-CACHE_LINE = 64
-"""Size of a cache line [bytes]; arrays begin at one, so that no vector straddles two."""
 
 
 def _link_kernel(lanes: int) -> Any:
@@ -425,29 +418,22 @@ class BatchBody:
         linked = (body.inverse_masses[body.links] > 0.0).any(axis=1)
         factors = np.column_stack([body.squared_rest_lengths, body.shares()])[linked]
         self.blocks = Blocks(
-            positions=self._zeros(shape),
-            velocities=self._zeros(shape),
-            predicted=self._zeros(shape),
+            positions=aligned_zeros(shape, self._real),
+            velocities=aligned_zeros(shape, self._real),
+            predicted=aligned_zeros(shape, self._real),
             movable=body.inverse_masses > 0.0,
             links=np.ascontiguousarray(body.links[linked]),
             factors=np.ascontiguousarray(factors.astype(self._real)),
-            gravity=self._zeros((blocks, lanes)),
-            stiffness=self._zeros((blocks, lanes)),
+            gravity=aligned_zeros((blocks, lanes), self._real),
+            stiffness=aligned_zeros((blocks, lanes), self._real),
             dt=np.array(self.dt, dtype=self._real)[()],
             inverse_dt=np.array(1.0 / self.dt, dtype=self._real)[()],
-            finite=self._zeros((blocks, lanes)),
+            finite=aligned_zeros((blocks, lanes), self._real),
         )
         self._mass_scale: FloatArray = np.ones(worlds)
         every = np.arange(blocks * lanes)
         _write_worlds(self.blocks.positions, every, np.repeat(body.vertices[None], len(every), axis=0))
         self.set_parameters(gravity=gravity, stiffness=1.0)
-
-    def _zeros(self, shape: tuple[int, ...]) -> NDArray[Any]:
-        """An array of zeros that begins at a cache line."""
-        size = int(np.prod(shape)) * self._real.itemsize
-        memory = np.zeros(size + CACHE_LINE, dtype=np.uint8)
-        start = -memory.ctypes.data % CACHE_LINE
-        return memory[start : start + size].view(self._real).reshape(shape)
 
     def set_parameters(
         self,

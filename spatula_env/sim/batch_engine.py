@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env._kernels import kernel
-from spatula_env.sim.batch_body import NARROW, WIDE, BatchBody, Blocks, advance_block, read_block, write_block
+from spatula_env.sim.batch_body import BatchBody, Blocks, advance_block, read_block, write_block
 from spatula_env.sim.engine import PRECISIONS, Abilities
+from spatula_env.sim.lanes import choose_lanes
 from spatula_env.sim.soft_body import SWEEPS, join, soft_body
 from spatula_env.sim.step import couple_worlds
 
@@ -68,16 +69,13 @@ class BatchEngine:
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`."""
-        lanes = None
-        if worlds > 1:
-            lanes = WIDE if worlds >= WIDE * options.threads else NARROW
         self._body = BatchBody(
             join([soft_body(placed) for placed in scene.organs]),
             worlds,
             dt=scene.dt,
             gravity=scene.gravity,
             dtype=PRECISIONS[options.precision],
-            lanes=lanes,
+            lanes=choose_lanes(worlds, options.threads),
         )
         self.lanes: int = self._body.blocks.positions.shape[3]
 

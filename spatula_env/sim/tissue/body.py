@@ -11,6 +11,7 @@ import numpy as np
 from spatula_env.geometry.tetrahedra import fill_organ
 from spatula_env.geometry.transforms import rotate
 from spatula_env.scenes import Material
+from spatula_env.sim.lanes import aligned_zeros
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.tissue import nodal
 from spatula_env.sim.tissue.held import GIVEN_BACK
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
 
     from spatula_env.arrays import BoolArray, FloatArray, IntArray
     from spatula_env.scenes import PlacedOrgan, Scale, Scene
-
-CACHE_LINE = 64
-"""Size of a cache line [bytes]; arrays begin at one, so that no vector straddles two."""
 
 STABILISER = 0.3
 """Modulus of the stabiliser, by the shear modulus. It resists deformations of elements that the averages at their nodes
@@ -218,10 +216,7 @@ class TissueBody:
 
     def _zeros(self, *shape: int) -> NDArray[Any]:
         """An array of zeros that begins at a cache line."""
-        size = math.prod(shape) * self._real.itemsize
-        memory = np.zeros(size + CACHE_LINE, dtype=np.uint8)
-        start = -memory.ctypes.data % CACHE_LINE
-        return memory[start : start + size].view(self._real).reshape(shape)
+        return aligned_zeros(shape, self._real)
 
     def _real_array(self, values: FloatArray) -> NDArray[Any]:
         array = self._zeros(*values.shape)

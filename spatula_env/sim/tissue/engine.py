@@ -14,6 +14,7 @@ import numpy as np
 from spatula_env._kernels import kernel
 from spatula_env._warnings import warn
 from spatula_env.sim.engine import PRECISIONS, Abilities, Strains
+from spatula_env.sim.lanes import choose_lanes
 from spatula_env.sim.step import couple_worlds
 from spatula_env.sim.tissue.body import LONGEST_PASSAGE, TissueBody
 from spatula_env.sim.tissue.kernels import Blocks, advance_block, advance_blocks, read_block, write_block
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IntArray
     from spatula_env.scenes import Scene
     from spatula_env.sim.engine import EngineOptions
-
-WIDE, NARROW = 16, 8
-"""Worlds in a block, when there are many and when there are few."""
 
 
 class Inner(NamedTuple):
@@ -100,7 +98,7 @@ class TissueEngine:
         Warns:
             SceneWarning: If steps are too long for contact with an organ; see `LONGEST_PASSAGE`.
         """
-        self.lanes: int = 1 if worlds == 1 else WIDE if worlds >= WIDE * options.threads else NARROW
+        self.lanes = choose_lanes(worlds, options.threads)
         self.body = TissueBody(scene, worlds, lanes=self.lanes, dtype=PRECISIONS[options.precision])
         for lump in self.body.lumps:
             passage = lump.passage(scene.dt)
