@@ -94,6 +94,7 @@ def run_episode(
         held_before &= env.pressed
         ended = next((name for name in (QUIT, DISCARD, FINISH) if name in env.pressed - held_before), "")
         done = terminated or truncated or bool(ended) or (end_on_success and info["is_success"])
+    env.let_go()
     return EpisodeSummary(
         steps=steps,
         seed=seed,

@@ -223,7 +223,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """See `gymnasium.Env.reset`. The force is zero, and grip and tool are matched where they are."""
-        self._let_go()
+        self.let_go()
         observation, info = self.env.reset(seed=seed, options=options)
         self._offset, self._due, self._lost, self._track = None, None, False, []
         self._into = np.zeros(3)
@@ -252,7 +252,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         try:
             sample = self._read()
         except DeviceError:
-            self._let_go()
+            self.let_go()
             self._offset = None
             raise
         if self._lost:
@@ -278,21 +278,21 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._tap.install(self._after_physics, pilot)
             observation, reward, terminated, truncated, info = self.env.step(chosen)
         except BaseException:
-            self._let_go()
+            self.let_go()
             raise
         finally:
             self._tap.remove()
         if pilot is not None:
             chosen = np.asarray(mean_of_track(np.array(self._track, dtype=np.float64)), dtype=np.float32)
         if terminated or truncated:
-            self._let_go()
+            self.let_go()
         self._show(observation)
         intervened = acting and self._intervention != "always"
         return observation, reward, terminated, truncated, self._inform(info, by, intervened, chosen)
 
     def close(self) -> None:
         """End the force and close the environment. The device is left open."""
-        self._let_go()
+        self.let_go()
         super().close()
 
     # The operator's commands.
@@ -342,7 +342,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
                 self._sample = self._read()
             except DeviceError:
                 # Finish the control step without the device; the next step raises the error.
-                self._let_go()
+                self.let_go()
                 self._lost = True
         sample = self._sample
         assert sample is not None
@@ -444,7 +444,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         except DeviceError:
             # Finish the control step without the device, so that nothing of the episode is lost; the next step raises
             # it.
-            self._let_go()
+            self.let_go()
         if self._real_time:
             self._wait()
             slow = self._pace.step(self._now(), self._tap.time_step)
@@ -461,7 +461,7 @@ class FalconTeleop(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         # Sleep even without time left, so that other threads, such as the device's, get to run.
         self._sleep(max(ahead, 0.0))
 
-    def _let_go(self) -> None:
+    def let_go(self) -> None:
         """Set the force to zero; the device may be lost or closed."""
         try:
             if isinstance(self.device, HapticDevice):

@@ -195,6 +195,9 @@ class HapticDevice(TeleopDevice):
     def ask(self, question: Callable[[TeleopDevice], Answer]) -> Answer:
         """Call a function with the underlying device, where the loop runs, between two of its cycles.
 
+        The loop waits meanwhile, and a force on the motors stays. In contact, ask only quick questions, or `release`
+        first.
+
         Args:
             question: Function to call. For "process", it and its result have to be picklable.
 

@@ -22,6 +22,8 @@ CLEAR_MOTION = 5e-5
 """Root mean square motion from which on the change of force says something about the stiffness [m]."""
 SOFTEST, STIFFEST = 5.0, 1000.0
 """Bounds of the estimated stiffness on the tool [N/m]."""
+GREATEST_TOLD = 1e4
+"""Components of a reported force beyond this are cut: no device renders them, and squares of them overflow [N]."""
 
 
 class LocalContact:
@@ -35,7 +37,8 @@ class LocalContact:
         direction: Unit vector in which the organ pushes: the direction of the recent mean force, which a sideways
             tremor does not turn.
         shift: Offset that comes from how hand and tool are matched; see `Contact` [m].
-        work: Work of the tool on the organ since contact began, scaled as forces are [J].
+        work: Work of the tool on the organ since contact began, scaled as forces are; with what others had done before
+            the hand was coupled to the tool [J].
     """
 
     def __init__(self, settings: HapticSettings) -> None:
@@ -59,31 +62,44 @@ class LocalContact:
         self._mean_force: Vector = ZERO
         self._variance = self._covariance = self._side_variance = self._side_covariance = 0.0
 
-    def hear(self, contact: Contact) -> None:
+    def hear(self, contact: Contact) -> float:
         """Take the simulation's newest report; does nothing if it is known already.
 
         Args:
             contact: The newest report.
+
+        Returns:
+            Energy that the organ has stored already where the hand is coupled to a tool that presses into it, such as
+            after a policy or a clutch, scaled as forces are; otherwise 0 [J].
         """
         if contact.time == self._told_time:
-            return
+            return 0.0
         step = min(MEMORY, contact.time - self._told_time)
         self._told_time = contact.time
-        force = scaled(self._settings.force_scale, contact.force)
+        x, y, z = contact.force
+        told = _cut(x), _cut(y), _cut(z)
+        force = scaled(self._settings.force_scale, told)
         self.shift = contact.shift
         # The position of the tool itself, however hand and tool are matched.
         place = None if contact.position is None else difference(contact.position, contact.shift)
-        last = self._told_place
-        if place is not None and last is not None:
+        last, brought = self._told_place, 0.0
+        moved = ZERO if place is None or last is None else difference(place, last)
+        if place is not None and (last is None or self._told_force == ZERO):
+            # No organ is so stiff that this motion alone could have loaded it.
+            if dot(told, told) > STIFFEST**2 * dot(moved, moved):
+                stiffness = self._settings.force_scale * max(self.stiffness, self._settings.stiffness)
+                self.work = brought = 0.5 * dot(force, force) / stiffness
+        elif place is not None:
             middle = scaled(
                 0.5, (force[0] + self._told_force[0], force[1] + self._told_force[1], force[2] + self._told_force[2])
             )
-            self.work -= dot(middle, difference(place, last))
-        if place is None or dot(contact.force, contact.force) < SMALL_FORCE**2:
+            self.work -= dot(middle, moved)
+        if place is None or dot(told, told) < SMALL_FORCE**2:
             self._mean_place = None
         else:
-            self._learn(contact.force, place, step)
+            self._learn(told, place, step)
         self._told_force, self._told_place = force, place
+        return brought
 
     def follow(self, step: float, cutoff: float) -> None:
         """Advance the smoothed force and position towards those last reported.
@@ -145,6 +161,10 @@ class LocalContact:
         self.direction = _unit(self._mean_force)
         self.stiffness = _corrected(self.stiffness, self._variance, self._covariance, share, SOFTEST)
         self.side_stiffness = _corrected(self.side_stiffness, self._side_variance, self._side_covariance, share, 0.0)
+
+
+def _cut(component: float) -> float:
+    return min(GREATEST_TOLD, max(-GREATEST_TOLD, component))
 
 
 def _unit(vector: Vector) -> Vector:

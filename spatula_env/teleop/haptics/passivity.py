@@ -7,7 +7,8 @@ millisecond's motion. Here the account is compared with the energy that the orga
 with a force f at a stiffness k stores f^2 / 2k, and no more than the tool's work on it. If the account covers less, the
 organ is rendered softer by that share, on the way in and out alike: a softer spring is as passive as a stiff one and
 just as smooth. In an exact exchange the share stays constant, because account and stored energy rise and fall together;
-only energy made from nothing lowers it. If an organ is held, as after a pause of the simulation in which the hand
+only energy made from nothing lowers it. An organ that others have pressed in, a policy or the hand before a clutch,
+brings what it has stored. If an organ is held, as after a pause of the simulation in which the hand
 moved on, the share recovers slowly, up to twice what the account covers of the whole. If the account is empty, the
 share is zero, so nothing is given beyond the allowance, however much the organ stores.
 """
@@ -58,6 +59,11 @@ class EnergyAccount:
         self.content += energy
         if self.content < 0.0:
             self.content = min(0.0, self.content + self._settings.energy_leak * step)
+
+    def bring(self, energy: float) -> None:
+        """Book energy that an organ has stored before the hand was coupled to it, and may give to the hand [J]."""
+        self.content += energy
+        self._held = max(self._held, energy)
 
     def begin(self) -> None:
         """Drop a surplus, as a new contact begins; a debt remains."""

@@ -114,7 +114,7 @@ class ForceRenderer:
         self._time, self._hand = now, position
         life = self.heartbeat.listen(now, step, None if contact is None else contact.time)
         if contact is not None:
-            self.contact.hear(contact)
+            self.account.bring(self.contact.hear(contact))
         elif life == 0.0:
             self.contact.forget()
         wanted = scaled(life, self._contact_force(step, position, velocity))
