@@ -3,9 +3,9 @@
 For each task and engine, the benchmark reports how often the scripted expert, the expert in haste and a random policy
 succeed, how often they stay within the cost budget, the forces, pressures and costs, and the number of control steps
 per second. An episode ends with success or after 200 steps. Forces, pressures and costs are given as median and maximum
-over the episodes. The speed is that of stepping alone; with Bullet, episodes run in chunks over several processes, with
-the other engines all at once. With `--cheaters`, it compares the returns of policies that evade the tasks with the
-expert's; see `benchmarks.cheaters`.
+over the episodes. The speed is that of stepping alone. With Bullet, episodes run in several processes, one after the
+other in each; with the other engines, all at once. With `--cheaters`, it compares the returns of policies that evade
+the tasks with the expert's; see `benchmarks.cheaters`.
 """
 
 from __future__ import annotations
