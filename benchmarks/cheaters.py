@@ -1,9 +1,10 @@
-"""Does any policy that evades a task earn more than one that does it?
+"""Does any policy that evades a task earn more than one that solves it?
 
-Cheaters are policies that were found to, or could: they stay short of success, damage the organ at once, touch nothing,
-drag, or squeeze as it comes. Each plays the same episodes as the scripted expert, once; what it earns under every
-documented combination of reward, termination and limit is reckoned from what happened, by the package's own rule for
-the ends of episodes, undiscounted and with discounts. None may earn as much as the expert, nor succeed as often.
+Cheaters are policies that were found to do so, or might: they stay just short of success, damage the organ at once,
+touch nothing, drag the tissue, or squeeze to an arbitrary width. Each plays the same episodes as the scripted expert,
+once. Its return under every documented combination of reward, termination and limit is then computed from the recorded
+episodes, with the package's own rule for how episodes end, both undiscounted and discounted. No cheater may earn as
+much as the expert, or succeed as often.
 
 `python -m benchmarks.tasks --cheaters` prints the table.
 """
@@ -25,10 +26,10 @@ from spatula_env.learning.experts.base import Expert
 
 Actions: TypeAlias = NDArray[np.float32]
 Act: TypeAlias = Callable[[Any, int], Actions]
-"""Takes the observations of W worlds, and which control step of an episode it is, and gives actions (W, A)."""
+"""Maps the observations of W worlds and the index of the control step within the episode to actions (W, A)."""
 
 DISCOUNTS = (1.0, 0.99, 0.97)
-"""Under which earnings are compared."""
+"""Discount factors under which returns are compared."""
 
 DAMAGE_LIMITS: Mapping[str, float] = {
     "Press": 60e3,
@@ -37,12 +38,12 @@ DAMAGE_LIMITS: Mapping[str, float] = {
     "Clamp": 2e3,
     "Palpate": 2e3,
 }
-"""Those of the combinations that have one [Pa s]: more than the expert needs who stays to the end of the episode, and
-less than who dives."""
+"""The damage limit of those combinations that have one, by task [Pa s]: more than the dose of an expert that stays to
+the end of the episode, and less than that of a policy that dives into the organ."""
 
 
 def options_of(task: str) -> list[dict[str, Any]]:
-    """The combinations of reward, termination and limit."""
+    """All combinations of reward, termination on success and damage limit, as options of the environment."""
     return [
         {"reward": reward, "terminate_on_success": success, "damage_limit": limit}
         for reward in ("dense", "sparse")
@@ -52,30 +53,31 @@ def options_of(task: str) -> list[dict[str, Any]]:
 
 
 RETREAT_AT, RETREAT_FOR = 0.55, 5
-"""From which progress of the hold on a delaying policy retreats, and for how many control steps."""
+"""The hold progress at which the delaying policy retreats, and for how many control steps it does."""
 
 ASIDE, LOW, PUSHING = 0.03, -0.045, 40
-"""How a hovering policy pushes the sphere of the press aside: from how far [m], at which height [m], for how long."""
+"""How the hovering policy pushes the sphere of the press aside: horizontal distance from which it starts [m], height
+[m], and number of control steps."""
 
 HOVER = 0.008
-"""How far above where the organ's top was it then hovers [m]."""
+"""Height above the top of the organ at rest at which the policy then hovers [m]."""
 
 CREST_SPEED = 0.015
-"""With which the crest of a fold is dragged along [m/s]."""
+"""Greatest speed at which the crest of the fold is dragged along [m/s]."""
 
 FAINT = 1e-6
-"""Earnings that differ by less are the same."""
+"""Returns that differ by no more than this count as equal."""
 
 
 @dataclass(frozen=True)
 class Played:
-    """What happened in some episodes of T control steps; (T, W) each.
+    """Record of one episode of T control steps in each of W worlds; all arrays are (T, W).
 
     Attributes:
-        dense: The dense reward, as it is where nothing ends an episode.
-        sparse: The sparse one.
-        success: Whether the goal had been held.
-        dose: Of the episode so far [Pa s].
+        dense: The dense reward, as paid where nothing ends an episode early.
+        sparse: The sparse reward.
+        success: Whether the task was solved at this step, that is, the goal had been held.
+        dose: Damage dose accumulated in the episode so far [Pa s].
     """
 
     dense: NDArray[np.float64]
@@ -85,7 +87,7 @@ class Played:
 
 
 def make(task: str, worlds: int, engine: str) -> Any:
-    """The environment, in many worlds, whose episodes nothing ends."""
+    """The vectorised environment of a task, with options under which no episode ends early."""
     return gymnasium.make_vec(f"Spatula/{task}-v0", num_envs=worlds, engine=engine, autoreset_mode="disabled")
 
 
@@ -96,17 +98,17 @@ def expert_of(env: Any, task: str) -> Expert:
 
 
 def act_of(expert: Expert) -> Act:
-    """An expert as what `play` takes: it needs no count of steps."""
+    """Wrap an expert for `play`; the expert ignores the step index."""
     return lambda observation, step: expert(observation)
 
 
 def cheaters_of(env: Any, task: str, seed: int) -> dict[str, Act]:
-    """All cheaters that a task knows, by name.
+    """All cheaters for a task, by name.
 
     Args:
-        env: Of the task, in many worlds.
-        task: Its name.
-        seed: Of what they do by chance.
+        env: Vectorised environment of the task.
+        task: Name of the task.
+        seed: Seed of the cheaters' random choices.
     """
     generator = np.random.default_rng([seed, 3])
     size = env.single_action_space.shape[0]
@@ -124,7 +126,7 @@ def cheaters_of(env: Any, task: str, seed: int) -> dict[str, Act]:
 
 
 def _delay(expert: Expert, up: Actions) -> Act:
-    """Do what the expert does, and retreat shortly before success, for ever."""
+    """Act as the expert does, but retreat shortly before success, again and again."""
     retreating = np.zeros(len(up), dtype=np.int64)
 
     def act(observation: Any, step: int) -> Actions:
@@ -139,7 +141,7 @@ def _delay(expert: Expert, up: Actions) -> Act:
 
 
 def _hover(env: Any, generator: np.random.Generator) -> dict[str, Act]:
-    """Push the sphere aside, let go of it, and hover above the place without a touch."""
+    """Push the sphere aside, let go of it, and hover above the goal without touching it."""
     expert = expert_of(env, "Press")
     angle = generator.uniform(0.0, 2.0 * np.pi, env.num_envs)
     away = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -187,21 +189,21 @@ def _drag(env: Any, generator: np.random.Generator) -> dict[str, Act]:
 
 
 def _squeeze(env: Any, generator: np.random.Generator) -> dict[str, Act]:
-    """Grip as the expert does, but to any width."""
+    """Grip as the expert does, but squeeze to a random width."""
     expert: Any = expert_of(env, "Clamp")
     expert.squeeze = generator.uniform(0.125, 0.65, env.num_envs)
     return {"squeeze": act_of(expert)}
 
 
 def _from_half_the_depth(env: Any, generator: np.random.Generator) -> dict[str, Act]:
-    """Open the fissure between its lips."""
+    """Open the fissure as the expert does, but from half its depth, between the lips."""
     expert: Any = expert_of(env, "Fissure")
     expert.low, expert.wall = 0.013, 0.008
     return {"half": act_of(expert)}
 
 
 def _level(env: Any, generator: np.random.Generator) -> dict[str, Act]:
-    """Slide the spatula's middle along the path, and leave it level."""
+    """Slide the spatula's middle along the path without ever tilting it."""
     expert = expert_of(env, "Palpate")
 
     def act(observation: Any, step: int) -> Actions:
@@ -216,7 +218,7 @@ def _level(env: Any, generator: np.random.Generator) -> dict[str, Act]:
 
 
 def play(env: Any, act: Act, seeds: Sequence[int]) -> Played:
-    """Let a policy act in whole episodes, one in each world."""
+    """Play one whole episode in each world with a policy, and record it."""
     observation, _ = env.reset(seed=list(seeds))
     rows: dict[str, list[Any]] = {"dense": [], "sparse": [], "success": [], "dose": []}
     for step in range(env.max_episode_steps):
@@ -229,22 +231,22 @@ def play(env: Any, act: Act, seeds: Sequence[int]) -> Played:
 
 
 def count_successes(task: str, engine: str, name: str, episodes: int, seed: int, worlds: int = 50) -> dict[str, int]:
-    """How often one of the cheaters succeeds.
+    """Count how often one of the cheaters succeeds.
 
     Args:
-        task: Its name.
+        task: Name of the task.
         engine: "batch" or "bullet".
-        name: Of the cheater.
-        episodes: How many.
-        seed: Of the first one.
-        worlds: How many are played together.
+        name: Name of the cheater.
+        episodes: Number of episodes.
+        seed: Seed of the first episode.
+        worlds: Number of episodes played at a time.
 
     Returns:
-        "episodes", "successes", "within", the episodes in which any control step was within tolerance, and "at_reset",
-        those that began so.
+        Counts: "episodes"; "successes"; "within", episodes with any control step within tolerance; and "at_reset",
+        episodes that are within tolerance from the start.
 
     Raises:
-        ValueError: If the task knows no such cheater.
+        ValueError: If the task has no cheater of that name.
     """
     found = {"episodes": 0, "successes": 0, "within": 0, "at_reset": 0}
     for first in range(seed, seed + episodes, worlds):
@@ -266,23 +268,23 @@ def count_successes(task: str, engine: str, name: str, episodes: int, seed: int,
 
 
 def earnings(played: Played, options: Mapping[str, Any], task: Any, horizon: int) -> dict[str, NDArray[Any]]:
-    """What a policy earns where episodes may end.
+    """Returns of a policy where episodes may end early, computed from episodes that did not.
 
     Args:
-        played: What happened without.
-        options: One of `options_of`.
-        task: The environment's, for its weights.
+        played: Record of the episodes, none of which ended early.
+        options: One of the combinations of `options_of`.
+        task: The environment's task, for its reward weights.
         horizon: Control steps of an episode.
 
     Returns:
-        "success" (W,), and under each discount the sum of rewards (W,).
+        "success" (W,), and for each discount, formatted as a string, the discounted sum of rewards (W,).
     """
     settings = EnvSettings(**options)
     incentives = Incentives(settings, task)
     limit = np.inf if settings.damage_limit is None else settings.damage_limit
     badly = played.dose > limit
     over = badly | (played.success & settings.terminate_on_success)
-    # Nothing is paid after the step that ends an episode.
+    # An episode that has ended pays nothing in later steps.
     going = ~np.logical_or.accumulate(np.concatenate([np.zeros((1, over.shape[1]), dtype=np.bool_), over[:-1]]))
     reward = played.sparse if settings.reward == "sparse" else played.dense
     paid = np.where(going, incentives.pay(reward, badly, horizon), 0.0)
@@ -294,11 +296,11 @@ def earnings(played: Played, options: Mapping[str, Any], task: Any, horizon: int
 
 
 def measure(tasks: Sequence[str], engines: Sequence[str], episodes: int, seed: int) -> list[dict[str, Any]]:
-    """Let the expert and all cheaters play.
+    """Play the expert and all cheaters.
 
     Returns:
-        A row for each task, engine and combination of options: means over the episodes of what the expert earns and of
-        what the best cheater does, which that is, and whether the expert is ahead of all.
+        A row for each task, engine and combination of options: the expert's mean success and returns over the episodes,
+        those of the best cheater in each respect, its name, and whether the expert is ahead of all cheaters.
     """
     rows = []
     for task in tasks:
@@ -324,10 +326,10 @@ def measure(tasks: Sequence[str], engines: Sequence[str], episodes: int, seed: i
 
 
 def compared(earned: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """The expert's earnings beside those of the best cheater in each respect.
+    """Compare the expert with the best cheater in each quantity.
 
     Args:
-        earned: By policy, "expert" among them, then by respect.
+        earned: Mean values by policy, "expert" among them, then by quantity: "success" or a discount.
     """
     expert = earned["expert"]
     others = {name: values for name, values in earned.items() if name != "expert"}

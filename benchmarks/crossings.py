@@ -1,4 +1,4 @@
-"""Where organs' surfaces cross themselves or each other: edges that go through triangles."""
+"""Counts where the surfaces of organs intersect themselves or each other: edges that pierce triangles."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 PATCH = 8
-"""Triangles that are near each other are looked at together, so many at most, or `PATCH_SHARE` of the square root of
-their number if that is more."""
+"""Greatest number of neighbouring triangles in a patch, the unit of the broad phase; `PATCH_SHARE` times the square
+root of the number of all triangles if that is more."""
 
 PATCH_SHARE = 0.25
 
 REACH = 0.35
-"""Pairs are kept in mind that are nearer to each other than this, in lengths of an edge."""
+"""Pairs of an edge and a triangle nearer to each other than this are kept as candidates, in median edge lengths."""
 
 ROOM = 8
-"""So many pairs are kept for each edge. Where there are more, all are looked at."""
+"""Candidate pairs that can be stored, for each edge. If there are more, all patches are searched instead."""
 
 SURE = 1.0 - 1e-6
-"""So much of half the reach may be used up: the rest is for rounding."""
+"""Share of half the reach that a vertex may move before its candidates are found anew; the rest is for rounding."""
 
 FLAT = 1e-9
-"""A triangle whose area is less than this, in squares of its sides, has no plane."""
+"""A triangle whose doubled area is at most this, relative to the sum of two squared sides, has no plane."""
 
 TURNS = 2
-"""How often in a step the frame that goes with the vertices is turned towards them."""
+"""Iterations per call that turn the co-rotating frame of the vertices towards them."""
 
 UNKNOWN = -1
-"""Number of pairs where they have not been found, or are too many."""
+"""Stands for the number of candidate pairs where they have not been found, or are too many to store."""
 
 ROUNDING = 1e-13
-"""A height over a plane is in doubt if it is less than this, in the size of what it is computed from."""
+"""A height above a plane that is smaller than this has an uncertain sign; relative to the terms it is computed from."""
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Pairs of an edge and a triangle that it goes through.
+    """Numbers of pairs of an edge and a triangle that it goes through.
 
     Attributes:
-        own: Of one organ.
-        between: Of two.
+        own: Pairs within one organ.
+        between: Pairs of an edge of one organ and a triangle of another.
     """
 
     own: int
@@ -57,21 +57,21 @@ class Crossings:
 
 
 class Net(NamedTuple):
-    """Surfaces, divided into patches, for kernels.
+    """Topology of surfaces, divided into patches, for kernels.
 
     Attributes:
-        triangles: (T, 3) of closed surfaces, counter-clockwise from outside, patch after patch.
-        triangle_starts: (P + 1,) where each patch's begin, and the end.
-        edges: (E, 2) each in the patch of a triangle that has it.
-        edge_starts: (P + 1,) likewise.
+        triangles: (T, 3) of closed surfaces, counter-clockwise from outside, sorted by patch.
+        triangle_starts: (P + 1,) index of the first triangle of each patch, and the number of all.
+        edges: (E, 2) sorted by patch; an edge is in the patch of one of its two triangles.
+        edge_starts: (P + 1,) index of the first edge of each patch, and the number of all.
         triangle_patches: (T,) which patch each triangle is in.
-        edge_patches: (E,) likewise.
+        edge_patches: (E,) which patch each edge is in.
         fan_starts: (V + 1,) where the triangles around each vertex begin in `fans`, and the end.
-        fans: (3 T,) triangles around vertex after vertex.
-        star_starts: (V + 1,) likewise of edges.
-        stars: (2 E,) edges at vertex after vertex.
+        fans: (3 T,) indices of the triangles around each vertex, sorted by vertex.
+        star_starts: (V + 1,) where the edges at each vertex begin in `stars`, and the end.
+        stars: (2 E,) indices of the edges at each vertex, sorted by vertex.
         organs: (V,) which organ each vertex belongs to.
-        shape: (V, 3) the vertices in some state, from their mean [u].
+        shape: (V, 3) the vertices in a reference state, relative to their mean [u].
     """
 
     triangles: NDArray[np.int32]
@@ -89,16 +89,17 @@ class Net(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Which edges and triangles are near each other in each world, for kernels.
+    """Candidate pairs of each world: edges and triangles that are near each other, for kernels.
 
     Attributes:
-        counts: (W,) how many pairs there are, `UNKNOWN` if they have not been found or are too many.
-        pairs: (W, n, 2) an edge and a triangle each.
-        turns: (W, 4) orientation of a frame that goes with the vertices, quaternion xyzw; its origin is their mean.
-        found_at: (W, V, 3) where vertices were in that frame when what is near them was found [u].
-        triangle_boxes: (W, T, 6) around them as they were then, lower corner and upper one, half of the reach wider.
-        edge_boxes: (W, E, 6) likewise.
-        patch_boxes: (W, P, 6) around the boxes of their triangles.
+        counts: (W,) number of candidate pairs, `UNKNOWN` if they have not been found or are too many.
+        pairs: (W, n, 2) indices of an edge and a triangle.
+        turns: (W, 4) orientation of the co-rotating frame of the vertices, quaternion xyzw; its origin is their mean.
+        found_at: (W, V, 3) position of each vertex in that frame when its candidates were last found [u].
+        triangle_boxes: (W, T, 6) bounding boxes of the triangles at `found_at`, lower and upper corner, enlarged by
+            half of the reach on every side.
+        edge_boxes: (W, E, 6) the same for edges.
+        patch_boxes: (W, P, 6) bounding boxes of the boxes of each patch's triangles.
     """
 
     counts: NDArray[np.int64]
@@ -113,15 +114,16 @@ class Near(NamedTuple):
 class CrossingCounter:
     """Counts crossings of surfaces whose vertices move, in one world or in many.
 
-    An edge and a triangle that are farther apart than some reach cannot cross before a vertex has moved by half of it.
-    Those pairs are looked at that were nearer than that when they were found; what is near a vertex is found anew when
-    it has moved so far.
+    An edge and a triangle that are farther apart than a given reach cannot cross before a vertex has moved by half of
+    it. Only the pairs that were within reach when candidates were last found are tested. When a vertex has moved by
+    half of the reach in a frame that follows the organs as a whole, its candidates are found anew.
 
     Args:
-        vertices: (V, 3) of all surfaces in some state: what is near each other then is looked at together [u].
+        vertices: (V, 3) of all surfaces in a reference state, from which the patches are made: triangles that are near
+            each other in this state share one [u].
         triangles: (T, 3) of closed surfaces, counter-clockwise from outside.
-        organs: (V,) which organ each vertex belongs to; all to one by default.
-        worlds: How many there are.
+        organs: (V,) which organ each vertex belongs to; by default, all vertices belong to one.
+        worlds: Number of worlds.
     """
 
     def __init__(
@@ -144,26 +146,26 @@ class CrossingCounter:
         self._every = np.ones(worlds, dtype=np.bool_)
 
     def count(self, vertices: FloatArray) -> Crossings:
-        """Count them in the first world.
+        """Count the crossings in the first world.
 
         Args:
             vertices: (V, 3) finite [u].
 
         Returns:
-            How many there are. An edge does not go through a triangle that it only touches, or shares a vertex with.
+            The counts. An edge that only touches a triangle, or shares a vertex with it, does not cross it.
         """
         own, between = self.count_all(vertices[None], self._every)
         return Crossings(int(own[0]), int(between[0]))
 
     def count_all(self, vertices: FloatArray, active: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Count them in some worlds.
+        """Count the crossings in those worlds that are active.
 
         Args:
-            vertices: (W, V, 3) finite [u].
-            active: (W,) which worlds are looked at.
+            vertices: (W, V, 3) finite in active worlds [u].
+            active: (W,) which worlds to test.
 
         Returns:
-            How many there are of one organ, and how many of two, (W,) each; 0 in the other worlds.
+            Number of crossings within one organ, and number of crossings between two, (W,) each; 0 in inactive worlds.
         """
         counts = np.zeros((len(vertices), 2), dtype=np.int64)
         count_in_worlds(self._net, np.ascontiguousarray(vertices), active, self._reach, self._near, counts)
@@ -171,12 +173,13 @@ class CrossingCounter:
 
 
 def _make_net(vertices: FloatArray, triangles: NDArray[np.int32], organs: NDArray[np.int32]) -> Net:
-    """A `Net` of triangles (T, 3) whose vertices (V, 3) and organs (V,) are given."""
+    """Make the `Net` of triangles (T, 3) with vertices (V, 3) and the organ of each vertex (V,)."""
     patches = _patches(vertices[triangles].mean(axis=1), np.arange(len(triangles)))
     sizes = [len(patch) for patch in patches]
     ordered = np.ascontiguousarray(triangles[np.concatenate(patches)])
     starts = np.cumsum([0, *sizes])
-    # The two triangles of an edge have it in opposite directions: it is of the one that has it upwards.
+    # The two triangles of an edge list its ends in opposite orders. The edge is assigned to the one that has them in
+    # ascending order.
     sides = ordered[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     upwards = sides[:, 0] < sides[:, 1]
     edges = np.ascontiguousarray(sides[upwards])
@@ -200,14 +203,14 @@ def _make_net(vertices: FloatArray, triangles: NDArray[np.int32], organs: NDArra
 
 
 def _around(members: NDArray[np.int32], vertices: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Which edges or triangles (n, k) are at each vertex: where each one's begin, (V + 1,), and their indices."""
+    """Edges or triangles (n, k) at each vertex: where the list of each vertex begins, (V + 1,), and their indices."""
     flat = members.ravel()
     starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=vertices))])
     return starts, np.argsort(flat, kind="stable") // members.shape[1]
 
 
 def _patches(middles: FloatArray, members: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Divide triangles (n,), of which all middles (T, 3) are given, into patches by halving the longest axis."""
+    """Divide triangles (n,) into patches by median splits along the longest axis; `middles` (T, 3) are those of all."""
     if len(members) <= max(PATCH, PATCH_SHARE * len(middles) ** 0.5):
         return [members]
     along = middles[members][:, np.argmax(np.ptp(middles[members], axis=0))]
@@ -228,7 +231,7 @@ def _volume(vertices: np.ndarray, a: int, b: int, c: int, d: int) -> float:
 
 @inline_kernel
 def _goes_through(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int) -> bool:
-    """Whether the edge from p to q goes through the inner of a triangle."""
+    """Whether the edge from p to q passes through the interior of the triangle a, b, c."""
     if p == a or p == b or p == c or q == a or q == b or q == c:
         return False
     before, after = _volume(vertices, a, b, c, p), _volume(vertices, a, b, c, q)
@@ -241,12 +244,12 @@ def _goes_through(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int) 
 
 @inline_kernel
 def _pierces(vertices: np.ndarray, triangles: np.ndarray, s: int, t: int) -> int:
-    """How many edges of triangle s go through triangle t, of those that it is the first of two triangles to have."""
+    """How many of the edges assigned to triangle s go through triangle t; each edge is assigned to one triangle."""
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     count = 0
     for side in range(3):
         p, q = triangles[s, side], triangles[s, (side + 1) % 3]
-        # The two triangles of an edge have it in opposite directions.
+        # The two triangles of an edge list its ends in opposite orders, so that this is true for one of them.
         if p < q and _goes_through(vertices, p, q, a, b, c):
             count += 1
     return count
@@ -254,9 +257,9 @@ def _pierces(vertices: np.ndarray, triangles: np.ndarray, s: int, t: int) -> int
 
 @inline_kernel
 def _is_beside(vertices: np.ndarray, corners: np.ndarray, plane: np.ndarray, others: np.ndarray) -> bool:
-    """Whether a triangle is on one side of another's plane (4,), normal and offset, or touches it.
+    """Whether a triangle lies on one side of another's plane, or only touches it.
 
-    Corners that both have are on the plane.
+    Corners that the two triangles share count as on the plane. The plane (5,) is as `_fill_plane` writes it.
     """
     above, below = False, False
     for k in range(3):
@@ -271,7 +274,7 @@ def _is_beside(vertices: np.ndarray, corners: np.ndarray, plane: np.ndarray, oth
 
 @inline_kernel
 def _fill_plane(vertices: np.ndarray, corners: np.ndarray, plane: np.ndarray) -> None:
-    """Write a triangle's normal, not of unit length, its offset, and how much rounding may change a height by."""
+    """Write a triangle's plane (5,): normal, not of unit length, offset, and bound on the rounding error of heights."""
     a, b, c = corners[0], corners[1], corners[2]
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
@@ -283,7 +286,7 @@ def _fill_plane(vertices: np.ndarray, corners: np.ndarray, plane: np.ndarray) ->
 
 @inline_kernel
 def _are_apart(first: np.ndarray, second: np.ndarray) -> bool:
-    """Whether two boxes (6,), lower corner and upper one, have nothing in common."""
+    """Whether two boxes (6,), each a lower and an upper corner, are disjoint."""
     return (
         (first[0] > second[3]) | (first[3] < second[0])
         | (first[1] > second[4]) | (first[4] < second[1])
@@ -295,16 +298,16 @@ def _are_apart(first: np.ndarray, second: np.ndarray) -> bool:
 def count_crossings(
     vertices: np.ndarray, triangles: np.ndarray, starts: np.ndarray, organs: np.ndarray
 ) -> tuple[int, int]:
-    """Count the pairs of an edge and a triangle that it goes through.
+    """Count the pairs of an edge and a triangle that it goes through, without candidates from earlier calls.
 
     Args:
         vertices: (V, 3) [u].
-        triangles: (T, 3) of closed surfaces, patch after patch.
-        starts: (P + 1,) where each patch begins, and the end.
+        triangles: (T, 3) of closed surfaces, sorted by patch.
+        starts: (P + 1,) index of the first triangle of each patch, and the number of all.
         organs: (V,) which organ each vertex belongs to.
 
     Returns:
-        How many pairs are of one organ, and how many of two.
+        Number of pairs within one organ, and number of pairs between two.
     """
     count, patches = triangles.shape[0], starts.shape[0] - 1
     boxes, around, planes = np.empty((count, 6)), np.empty((patches, 6)), np.empty((count, 5))
@@ -337,7 +340,7 @@ def count_crossings(
                     t = near[k]
                     if (first == second and t <= s) or _are_apart(boxes[s], boxes[t]):
                         continue
-                    # Triangles that meet reach across each other's planes.
+                    # Triangles that intersect straddle each other's planes.
                     if _is_beside(vertices, triangles[s], planes[t], triangles[t]) or _is_beside(
                         vertices, triangles[t], planes[s], triangles[s]
                     ):
@@ -358,9 +361,9 @@ def _share(p: int, q: int, a: int, b: int, c: int) -> bool:
 
 @inline_kernel
 def _fill_frame(vertices: np.ndarray, a: int, b: int, c: int, frame: np.ndarray) -> None:
-    """Write four planes (4, 4) of a triangle, unit normal and offset: its own, and those of its sides, outwards.
+    """Write four planes (4, 4) of a triangle, unit normal and offset: its own, and those of its sides, facing outwards.
 
-    A triangle without an area has planes without a normal.
+    The planes of a degenerate triangle are all zero.
     """
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
     bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
@@ -382,7 +385,7 @@ def _fill_frame(vertices: np.ndarray, a: int, b: int, c: int, frame: np.ndarray)
 def _fill_side(
     vertices: np.ndarray, start: int, end: int, x: float, y: float, z: float, frame: np.ndarray, k: int
 ) -> None:
-    """Write the plane of a triangle's side, upright on the triangle with the normal x, y, z, into a row of `frame`."""
+    """Write the plane of a triangle's side, perpendicular to the triangle of normal x, y, z, into row k of `frame`."""
     sx, sy, sz = vertices[start, 0], vertices[start, 1], vertices[start, 2]
     ex, ey, ez = vertices[end, 0] - sx, vertices[end, 1] - sy, vertices[end, 2] - sz
     length = math.sqrt(ex * ex + ey * ey + ez * ez)
@@ -393,9 +396,9 @@ def _fill_side(
 
 @inline_kernel
 def _are_far(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int, frame: np.ndarray, reach: float) -> bool:
-    """Whether a direction shows that an edge and a triangle are farther apart than some distance.
+    """Whether a separating axis shows that an edge and a triangle are farther apart than `reach`.
 
-    Tried are the normals of the triangle's planes, and what is across the edge and one of the triangle's sides.
+    The axes are the normals of the triangle's four planes and the cross products of the edge with the triangle's sides.
     """
     px, py, pz = vertices[p, 0], vertices[p, 1], vertices[p, 2]
     qx, qy, qz = vertices[q, 0], vertices[q, 1], vertices[q, 2]
@@ -413,7 +416,7 @@ def _are_far(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int, frame
 
 @inline_kernel
 def _are_far_across(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int, reach: float) -> bool:
-    """Whether an edge and a triangle are far from each other along what is across the edge and the side from a to b."""
+    """Whether an edge and a triangle are more than `reach` apart along the cross product of the edge and side ab."""
     px, py, pz = vertices[p, 0], vertices[p, 1], vertices[p, 2]
     dx, dy, dz = vertices[q, 0] - px, vertices[q, 1] - py, vertices[q, 2] - pz
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
@@ -427,7 +430,7 @@ def _are_far_across(vertices: np.ndarray, p: int, q: int, a: int, b: int, c: int
 
 @inline_kernel
 def _fill_box(vertices: np.ndarray, corners: np.ndarray, wider: float, box: np.ndarray) -> None:
-    """Write the box (6,), lower corner and upper one, around an edge or a triangle, wider each way."""
+    """Write the bounding box (6,) of an edge or a triangle, lower and upper corner, enlarged by `wider` each way."""
     for axis in range(3):
         low, high = vertices[corners[0], axis], vertices[corners[0], axis]
         for k in range(1, corners.shape[0]):
@@ -438,7 +441,7 @@ def _fill_box(vertices: np.ndarray, corners: np.ndarray, wider: float, box: np.n
 
 @inline_kernel
 def _boxes_are_apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
-    """Whether a box of some (n, 6) and one of others have nothing in common."""
+    """Whether box i of `boxes` (n, 6) and box j of `others` (m, 6) are disjoint."""
     return (
         (boxes[i, 0] > others[j, 3]) | (boxes[i, 3] < others[j, 0])
         | (boxes[i, 1] > others[j, 4]) | (boxes[i, 4] < others[j, 1])
@@ -448,7 +451,7 @@ def _boxes_are_apart(boxes: np.ndarray, i: int, others: np.ndarray, j: int) -> b
 
 @inline_kernel
 def _list_moved(moved: np.ndarray, starts: np.ndarray, around: np.ndarray, flags: np.ndarray, found: np.ndarray) -> int:
-    """Flag and list the edges or triangles at vertices that have moved; returns how many there are."""
+    """Flag and list the edges or triangles at vertices that have moved, and return their number."""
     count = 0
     for v in range(moved.shape[0]):
         if moved[v]:
@@ -462,14 +465,14 @@ def _list_moved(moved: np.ndarray, starts: np.ndarray, around: np.ndarray, flags
 
 @kernel()
 def find_pairs(net: Net, near: Near, w: int, moved: np.ndarray, reach: float) -> None:
-    """Find anew what is near the vertices that have moved.
+    """Update the candidate pairs of the edges and triangles at vertices that have moved.
 
     Args:
         net: The surfaces.
-        near: Changed.
-        w: The world.
-        moved: (V,) which vertices.
-        reach: What is farther apart is not near [u].
+        near: The candidates; updated in place.
+        w: Index of the world.
+        moved: (V,) which vertices have moved.
+        reach: Greatest distance of a candidate pair [u].
     """
     vertices, pairs = near.found_at[w], near.pairs[w]
     boxes, edge_boxes, around = near.triangle_boxes[w], near.edge_boxes[w], near.patch_boxes[w]
@@ -495,7 +498,7 @@ def find_pairs(net: Net, near: Near, w: int, moved: np.ndarray, reach: float) ->
             count += 1
     triangle_starts, edge_starts, room = net.triangle_starts, net.edge_starts, pairs.shape[0]
     frame = np.empty((4, 4))
-    # An edge that has moved has moved triangles of its patch with it.
+    # If an edge has moved, so has a triangle of its patch: patches without a moved triangle can be skipped.
     for first in range(patches):
         if not patch_moved[first]:
             continue
@@ -558,16 +561,17 @@ def _fill_axes(turn: np.ndarray, axes: np.ndarray) -> None:
 def follow_turn(
     shape: np.ndarray, vertices: np.ndarray, turn: np.ndarray, axes: np.ndarray
 ) -> tuple[float, float, float]:
-    """Let a frame go with vertices as they move, so that they move little in it.
+    """Turn a frame with vertices as they move, so that they move little in it.
 
+    The rotation is extracted from the vertices' moments by `TURNS` iterations, warm-started with the last one.
     M. Müller, J. Bender, N. Chentanez and M. Macklin, A robust method to extract the rotational part of deformations,
     Motion in Games, 2016.
 
     Args:
-        shape: (V, 3) the vertices at rest, from their mean [u].
-        vertices: (V, 3) now [u].
-        turn: (4,) orientation of the frame, quaternion xyzw; changed.
-        axes: (3, 3) is filled: the frame's axes in columns.
+        shape: (V, 3) the vertices in the reference state, relative to their mean [u].
+        vertices: (V, 3) the vertices now [u].
+        turn: (4,) orientation of the frame, quaternion xyzw; updated in place.
+        axes: (3, 3) output: the frame's axes in columns.
 
     Returns:
         Mean of the vertices, the frame's origin [u].
@@ -587,7 +591,7 @@ def follow_turn(
             y += axes[2, m] * moments[0, m] - axes[0, m] * moments[2, m]
             z += axes[0, m] * moments[1, m] - axes[1, m] * moments[0, m]
             along += axes[0, m] * moments[0, m] + axes[1, m] * moments[1, m] + axes[2, m] * moments[2, m]
-        # Half the vector of a small rotation, as a quaternion.
+        # Half the vector of a small rotation: with a scalar part of 1, to first order its quaternion.
         half = 0.5 / (abs(along) + 1e-300)
         x, y, z = half * x, half * y, half * z
         a, b, c, d = turn[0], turn[1], turn[2], turn[3]
@@ -604,10 +608,12 @@ def follow_turn(
 
 @inline_kernel
 def _find_moved(net: Net, near: Near, w: int, vertices: np.ndarray, half: float, moved: np.ndarray) -> bool:
-    """Write which vertices (V, 3) have moved farther than half of the reach in their frame, and where to.
+    """Mark the vertices (V, 3) that have moved farther than `half` in the co-rotating frame, and store where they are.
+
+    Where candidates are `UNKNOWN`, all vertices are marked.
 
     Returns:
-        Whether any have.
+        Whether any vertex is marked.
     """
     axes = np.empty((3, 3))
     x, y, z = follow_turn(net.shape, vertices, near.turns[w], axes)
@@ -630,15 +636,15 @@ def _find_moved(net: Net, near: Near, w: int, vertices: np.ndarray, half: float,
 def count_in_worlds(
     net: Net, vertices: np.ndarray, active: np.ndarray, reach: float, near: Near, crossings: np.ndarray
 ) -> None:
-    """Count the pairs of an edge and a triangle that it goes through, in some worlds.
+    """Count the pairs of an edge and a triangle that it goes through, in the active worlds.
 
     Args:
         net: The surfaces.
         vertices: (W, V, 3) [u].
-        active: (W,) which worlds are looked at.
-        reach: What is farther apart is not near [u].
-        near: Kept from call to call.
-        crossings: (W, 2) is filled: how many pairs are of one organ, and how many of two.
+        active: (W,) which worlds to test.
+        reach: Greatest distance of a candidate pair [u].
+        near: The candidates, kept from call to call; updated in place.
+        crossings: (W, 2) output, zero beforehand: number of pairs within one organ, and number of pairs between two.
     """
     moved = np.empty(vertices.shape[1], np.bool_)
     for w in range(vertices.shape[0]):

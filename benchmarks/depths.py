@@ -1,8 +1,8 @@
-"""How deep a tool and a surface are in each other, for the inspection: exact, and from nothing that contact computes.
+"""Exact penetration depths between a tool and a surface, for the inspection; uses nothing that contact computes.
 
-Points are inside a closed surface by its winding number, and their depth is the distance to the nearest triangle. The
-surface is looked at as a whole, not at its vertices: what of it is deepest in a convex tool may lie anywhere on a
-triangle.
+A point is inside a closed surface if its winding number is positive, and its depth is its distance from the nearest
+triangle. The depth of the surface in a convex tool is taken over the whole surface, not only over its vertices: the
+deepest point may lie anywhere on a triangle.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from benchmarks.probes import Points
 
 GRAZE = 1e-12
-"""A line passes so near an edge that the side is in doubt, if the triangle of edge and line has no more area [u2]."""
+"""A line passes too near an edge to tell the side if the triangle of the two, seen along the line, has a doubled area
+of at most this [u2]."""
 
 DOUBTFUL = -(2**40)
-"""In the place of a winding number: not known."""
+"""Stands for a winding number that could not be determined."""
 
 BAND = 0.1
-"""What is within this distance of a tool is near it [u]."""
+"""Triangles within this distance of a tool count as near it [u]."""
 
 
 @inline_kernel
@@ -108,19 +109,19 @@ def _squared_distance_to_triangle(p: np.ndarray, a: np.ndarray, b: np.ndarray, c
 
 @inline_kernel
 def _height_over(u: float, v: float, seen: np.ndarray, a: int, b: int, c: int) -> tuple[int, float]:
-    """Where a line along w goes through a triangle.
+    """Intersect a line along w with a triangle.
 
     Args:
-        u: Of the line,
-        v: and this.
-        seen: (V, 3) vertices along u, v and w.
-        a: Index of a corner,
-        b: and another,
-        c: and the last.
+        u: First coordinate of the line.
+        v: Second coordinate of the line.
+        seen: (V, 3) coordinates of the vertices along u, v and w.
+        a: Index of the first corner.
+        b: Index of the second corner.
+        c: Index of the third corner.
 
     Returns:
-        1 where it leaves a surface that the triangle is of, -1 where it enters, 0 where it misses, and `DOUBTFUL` if it
-        passes too near an edge to tell; and where that is along w.
+        1 where the line leaves the surface that the triangle is part of, -1 where it enters it, 0 where it misses the
+        triangle, and `DOUBTFUL` if it passes too near an edge to tell; and the intersection's coordinate along w.
     """
     opposite_a = _doubled_area(u, v, seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1])
     opposite_b = _doubled_area(u, v, seen[c, 0], seen[c, 1], seen[a, 0], seen[a, 1])
@@ -138,7 +139,7 @@ def _height_over(u: float, v: float, seen: np.ndarray, a: int, b: int, c: int) -
 
 @inline_kernel
 def see(vertices: np.ndarray, seen: np.ndarray) -> None:
-    """Write vertices (V, 3) along u, v and w of `probes.LINES` into `seen` (V, 3)."""
+    """Write the coordinates of vertices (V, 3) along the axes u, v and w of `probes.LINES` into `seen` (V, 3)."""
     for i in range(vertices.shape[0]):
         x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
         seen[i, 0] = (3.0 * x - 6.0 * y + 2.0 * z) / 7.0
@@ -154,9 +155,9 @@ def is_inside(
 
     Args:
         point: (3,) [u].
-        line: (3,) the point along u, v and w.
+        line: (3,) coordinates of the point along u, v and w.
         vertices: (V, 3) [u].
-        seen: (V, 3) the vertices along u, v and w.
+        seen: (V, 3) coordinates of the vertices along u, v and w.
         triangles: (T, 3), counter-clockwise from outside.
     """
     u, v, w = line[0], line[1], line[2]
@@ -183,18 +184,18 @@ def is_inside(
 def find_inside(
     points: Points, vertices: np.ndarray, seen: np.ndarray, triangles: np.ndarray, inside: np.ndarray
 ) -> bool:
-    """Say which points a closed surface encloses.
+    """Find the points that a closed surface encloses.
 
-    A point's winding number is the number of times that a line from it leaves the surface, less the number of times
-    that it enters. Where the line passes too near an edge to tell, the solid angles decide. Which points a triangle may
-    be over is looked up in the grid of the points.
+    The winding number of a point is the number of times that a ray from it leaves the surface, less the number of times
+    that it enters it. Where the ray passes too near an edge to tell, the solid angles decide. The rays that a triangle
+    may intersect are looked up in the grid of the points.
 
     Args:
         points: The points.
         vertices: (V, 3) of the surface [u].
-        seen: (V, 3) the vertices along u, v and w.
+        seen: (V, 3) coordinates of the vertices along u, v and w.
         triangles: (T, 3), counter-clockwise from outside.
-        inside: (m,) is filled: whether the winding number is positive.
+        inside: (m,) output: whether the winding number is positive.
 
     Returns:
         Whether any point is inside.
@@ -239,7 +240,7 @@ def find_inside(
 
 @inline_kernel
 def _fill_ball(vertices: np.ndarray, corners: np.ndarray, ball: np.ndarray) -> None:
-    """Write the middle of a triangle, and how far its corners are from there at most, into `ball` (4,)."""
+    """Write a triangle's bounding ball, its centroid and its greatest distance to a corner, into `ball` (4,)."""
     radius = 0.0
     for k in range(3):
         ball[k] = (vertices[corners[0], k] + vertices[corners[1], k] + vertices[corners[2], k]) / 3.0
@@ -261,9 +262,9 @@ def _search_nearest(
         point: (3,).
         vertices: (V, 3).
         triangles: (T, 3).
-        chosen: (n,) indices of triangles.
-        balls: (n, 4) around them.
-        nearest: One of them that is likely to be near: the others are then mostly too far.
+        chosen: (n,) indices of the triangles to search.
+        balls: (n, 4) bounding balls of these triangles.
+        nearest: Index into `chosen` of a first guess. If it is near, most other triangles are rejected by their balls.
     """
     t = chosen[nearest]
     best = _squared_distance_to_triangle(
@@ -293,15 +294,16 @@ def measure_depths(
     inside: np.ndarray,
     depths: np.ndarray,
 ) -> None:
-    """Say how deep points are in a surface.
+    """Measure how deep points are inside a surface.
 
     Args:
         points: (m, 3) [u].
         vertices: (V, 3) of the surface [u].
         triangles: (T, 3).
-        near: (n,) all triangles that are within `BAND` of any of the points, and perhaps others.
+        near: (n,) all triangles that are within `BAND` of any of the points, and possibly others. All triangles are
+            searched for a point whose distance from these is greater than `BAND`.
         inside: (m,) which points are inside.
-        depths: (m,) is filled: distance of each point inside from the nearest triangle, 0 for the others [u].
+        depths: (m,) output: distance of each inside point from the nearest triangle, 0 for the others [u].
     """
     balls = np.empty((near.shape[0], 4))
     for k in range(near.shape[0]):
@@ -329,16 +331,16 @@ def measure_depths(
 
 @inline_kernel
 def _clip(polygon: np.ndarray, count: int, heights: np.ndarray, clipped: np.ndarray) -> int:
-    """Cut off what of a convex polygon has a negative height.
+    """Clip the part of a convex polygon where a linear function, the height, is negative.
 
     Args:
-        polygon: (m, 3) weights of a triangle's corners, of which the first `count` are the polygon's.
-        count: How many.
-        heights: (3,) at the triangle's corners.
-        clipped: (m, 3) written.
+        polygon: (m, 3) barycentric coordinates in a triangle; the first `count` rows are the polygon's corners.
+        count: Number of corners.
+        heights: (3,) heights at the triangle's corners.
+        clipped: (m, 3) output: the clipped polygon.
 
     Returns:
-        How many corners are left, one more than there were at most.
+        Number of corners of the clipped polygon, at most `count` + 1.
     """
     left = 0
     for i in range(count):
@@ -363,18 +365,18 @@ def _clip(polygon: np.ndarray, count: int, heights: np.ndarray, clipped: np.ndar
 def _deepest(heights: np.ndarray, known: float, polygons: np.ndarray) -> float:
     """Greatest depth of a triangle's points in a convex body, or `known` if that is more.
 
-    The depth is the least of the heights under the faces: of linear functions, so it is concave, and linear where one
-    face is the nearest. On that part of the triangle, a polygon, it is greatest at a corner.
+    The depth of a point is the least of its depths under the faces' planes, which are linear functions. Where one
+    given face is the nearest, which is a convex polygon of the triangle, the depth is linear and greatest at a corner.
 
     Args:
-        heights: (F, 3) of the triangle's corners under each face.
-        known: A depth that there is elsewhere, not negative.
+        heights: (F, 3) depth of the triangle's corners under the plane of each face.
+        known: Greatest depth found so far, not negative; what is not deeper is clipped away first.
         polygons: (3, F + 4, 3) workspace.
     """
     faces = heights.shape[0]
     difference = np.empty(3)
     whole, first, second = polygons[0], polygons[1], polygons[2]
-    # Only what is deeper than what is known already.
+    # Keep only the part of the triangle that is deeper than `known`.
     for i in range(3):
         for k in range(3):
             first[i, k] = 1.0 if i == k else 0.0
@@ -416,17 +418,17 @@ def _deepest(heights: np.ndarray, known: float, polygons: np.ndarray) -> float:
 def depth_of_surface(
     vertices: np.ndarray, triangles: np.ndarray, near: np.ndarray, normals: np.ndarray, offsets: np.ndarray
 ) -> float:
-    """Greatest depth of any point of a surface in a convex body: its distance from the nearest of the body's faces.
+    """Greatest depth of any point of a surface in a convex body: its distance from the nearest plane of a face.
 
     Args:
         vertices: (V, 3) of the surface, in the body's frame [u].
         triangles: (T, 3).
-        near: (n,) all triangles that meet the body, and perhaps others.
+        near: (n,) all triangles that intersect the body, and possibly others.
         normals: (F, 3) outward unit normals of the body's faces.
         offsets: (F,) of the faces' planes [u].
 
     Returns:
-        The depth, 0 if the surface does not meet the body [u].
+        The depth, 0 if the surface does not intersect the body [u].
     """
     count, faces = near.shape[0], normals.shape[0]
     under = np.empty((count, faces, 3))

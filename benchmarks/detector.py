@@ -1,9 +1,10 @@
-"""What a query of the contact detector costs, beside other ways of casting the same rays, and how it grows.
+"""What does a query of the contact detector cost, how does it grow, and how do other ray casters compare?
 
-The case is the seed's press: a spatula with 72 contact nodes, and the sphere of 652 triangles as it lies under it after
-a real press. The organ's vertices change before every query. All sides are timed in turn, a few queries each, again
-and again, so that whatever disturbs the machine disturbs all of them. Before that every side's answers are compared
-with the detector's; one that answers something else is timed all the same, but not compared.
+The case is the seed's press: a spatula with 72 contact nodes, and the sphere of 652 triangles, deformed by a simulated
+press. The organ's vertices change before every query. The detector and its rivals are timed in turn, a few queries
+each, again and again, so that disturbances of the machine affect all of them alike. Beforehand, the answers of each
+rival are compared with the detector's and with brute force. A rival with different answers is timed too, but excluded
+from the comparison.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ from spatula_env.installing import install_hint
 Key = TypeVar("Key")
 
 SIZE = (1.0, 1.0, 0.125)
-"""Of the spatula [u]."""
+"""Size of the spatula [u]."""
 
 TURN = np.array([0.06, 0.03, 0.25])
-"""How the spatula is tilted and turned, so that nothing is aligned with an axis by chance [rad]."""
+"""Rotation vector of the spatula: a slight tilt and turn, so that nothing is aligned with an axis by chance [rad]."""
 
 SPEED = 2.0
-"""Of the press [u/s]."""
+"""Speed of the press [u/s]."""
 
 PRESS_DEPTH = 0.8
-"""How deep the spatula is pressed, seen from where it first touches [u]."""
+"""How far the spatula is pressed down from the height at which it touches the organ's top [u]."""
 
 ADVANCE = 0.13
-"""How far the spatula is moved on before the query [u].
+"""How far the spatula is moved further down before the query [u].
 
 After a step the contact model leaves the organ's surface just below the lower face; in the next step the organ springs
 back before contacts are detected. Moving the tool instead sets about as many flags as such a step does: some thirty of
@@ -50,29 +51,29 @@ the 36 on the lower face.
 """
 
 SPHERE_DEPTH = 0.115
-"""How deep the lower face is in the spheres of the scaling: all of it, its rim too, is inside [u]."""
+"""Depth of the lower face in the spheres of the scaling measurement: the whole face, rim included, is inside [u]."""
 
 APART = np.array([0.0, 0.0, 10.0])
-"""How far off the tool is for a query that finds nothing: the cost of everything but the rays [u]."""
+"""Offset of the tool for a query without contact, which measures the cost of everything but the rays [u]."""
 
 SHAKE = 1e-4
-"""Standard deviation of what is added to the vertices from query to query [u]."""
+"""Standard deviation of the noise that makes the vertices differ from query to query [u]."""
 
 TIMED_SHAPES = 16
-"""Number of shapes that are queried in turn."""
+"""Number of perturbed shapes that are queried in turn."""
 
 BLOCK, SCALING_BLOCK, WARM_UP = 20, 5, 3
-"""Queries in a row that count for one side before the next has its turn; the same in the scaling, where turns take
-longer; and queries before them that do not count."""
+"""Timed queries in a row before the next side takes its turn; the same in the scaling measurement, where turns take
+longer; and untimed queries before each such block."""
 
 DISTANCE_TOLERANCE = 1e-4
-"""Difference of distances that single precision explains [u]."""
+"""Greatest difference of distances that single precision can explain [u]."""
 
 LEAST_AGREEMENT = 0.98
-"""Share of answers that must agree for a comparison; some rays pass so close to an edge that rounding decides."""
+"""Least share of equal answers of a comparable rival; a few rays pass so close to an edge that rounding decides."""
 
 NODE_COUNTS = (328, 772, 1814, 4262, 10002)
-"""Vertices of the spheres of the scaling, with twice as many triangles less four: 652 to 20,000."""
+"""Numbers of vertices V of the spheres in the scaling measurement; they have 2 V - 4 triangles: 652 to 20,000."""
 
 CURVE_STYLES = {
     "detector": ("this package", "#c0392b", "o", 2.6),
@@ -84,14 +85,14 @@ CURVE_STYLES = {
     "embreex": ("Embree, rebuilt", "#8e44ad", "D", 1.3),
     "pybullet": ("PyBullet", "#d68910", "P", 1.3),
 }
-"""What a side's curve is called and looks like: words, colour, marker, line width."""
+"""Style of each side's curve: label, colour, marker, line width."""
 
 NODES_PER_EDGE = (6, 8, 11, 15, 22)
-"""Of the spatulas of the scaling, with twice the square as contact nodes: 72 to 968."""
+"""Nodes per edge n of the spatulas in the scaling measurement; they have 2 n^2 contact nodes: 72 to 968."""
 
 
 class DetectorSide:
-    """The detector, asked like a rival."""
+    """The detector, with the interface of a rival."""
 
     name = "detector"
 
@@ -119,12 +120,12 @@ def make_question(
     vertices: NDArray[np.float64],
     triangles: NDArray[np.int32],
 ) -> Question:
-    """Put a tool, tilted by TURN and moving downwards, and the shapes of an organ together.
+    """Make a question of a tool, tilted by `TURN` and moving downwards, and an organ.
 
     Args:
         tool: The tool.
         position: (3,) of the tool [u].
-        vertices: (V, 3) of the organ; the shapes are small changes of it [u].
+        vertices: (V, 3) of the organ, which the shapes perturb slightly [u].
         triangles: (T, 3) of the organ.
 
     Returns:
@@ -154,13 +155,13 @@ def turn_quaternion() -> NDArray[np.float64]:
 
 
 def pressed_sphere(nodes_per_edge: Sequence[int] = (6,)) -> list[Question]:
-    """The seed's sphere, pressed by the seed's spatula.
+    """Questions about the seed's sphere, pressed by the seed's spatula.
 
     Args:
-        nodes_per_edge: Of the tools to ask about; the press itself is the same for all.
+        nodes_per_edge: Nodes per edge of the tools to ask about; the press itself is the same for all.
 
     Returns:
-        A question for each.
+        A question for each tool.
     """
     simulation = Simulation(scenes.seed(tool_size=SIZE))
     simulation.reset(seed=0)
@@ -178,30 +179,30 @@ def pressed_sphere(nodes_per_edge: Sequence[int] = (6,)) -> list[Question]:
 
 
 def finer_spheres(node_counts: Sequence[int]) -> list[Question]:
-    """Spheres of the seed's radius and of more and more triangles, with the seed's spatula in them.
+    """Questions about the seed's spatula in spheres of the seed's radius and increasing resolution.
 
     Args:
-        node_counts: Vertices of the spheres.
+        node_counts: Numbers of vertices of the spheres.
 
     Returns:
-        A question for each.
+        A question for each sphere.
     """
     tool, questions = Tool.box(SIZE), []
     for count in node_counts:
         organ = seed_sphere(node_count=count)
-        # Not above the pole, where a vertex is.
+        # Off the pole, where there is a vertex.
         position = np.array([0.031, 0.017, 3.0 - SPHERE_DEPTH + 0.5 * SIZE[2]])
         questions.append(make_question(tool, position, organ.vertices, organ.triangles))
     return questions
 
 
 def flags_from_rays(question: Question, index: int, hits: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """The flags that a detector without memory gives, worked out from where rays meet the organ.
+    """The flags that a detector without earlier flags would set, computed from where rays meet the organ.
 
     Args:
-        question: What was asked.
-        index: Of the shape.
-        hits: (2 n,) the triangle each ray meets first.
+        question: The question.
+        index: Index of the shape.
+        hits: (2 n,) the triangle each ray meets first, -1 for none.
 
     Returns:
         (n,) the flags.
@@ -221,17 +222,17 @@ def flags_from_rays(question: Question, index: int, hits: NDArray[np.int32]) -> 
 
 
 def agreement(question: Question, rival: Rival, index: int) -> tuple[float, float | None]:
-    """How far a rival's answers are those of the detector, and of the brute force.
+    """Compare a rival's answers with those of the detector and of brute force.
 
     Args:
-        question: What is asked.
-        rival: Who is asked.
-        index: Of the shape.
+        question: The question.
+        rival: The rival.
+        index: Index of the shape.
 
     Returns:
-        (rays, nodes): share of the rays whose distance, and triangle if the rival tells it, is the brute force's; and
-        share of the nodes whose flag, and triangle and depth where it is set, is the detector's, or None if the rival
-        does not tell triangles.
+        (rays, nodes): share of the rays whose distance, and triangle if the rival reports triangles, equals that of
+        brute force; and share of the nodes whose flag, and triangle and depth where it is set, equals the detector's,
+        or None if the rival does not report triangles.
     """
     reference, detector = BruteForce(question), DetectorSide(question)
     for side in (reference, detector, rival):
@@ -251,15 +252,15 @@ def agreement(question: Question, rival: Rival, index: int) -> tuple[float, floa
 
 
 def interleaved(queries: Mapping[Key, Callable[[int], None]], repeats: int, block: int = BLOCK) -> dict[Key, float]:
-    """Time several sides in turn.
+    """Time several queries in turn.
 
     Args:
-        queries: What is timed, each called with the index of a shape, another one every time.
-        repeats: How many calls of each count at least.
-        block: How many calls in a row count.
+        queries: Functions to time, by key; each is called with the index of a shape, a different one every time.
+        repeats: Least number of timed calls of each; rounded up to whole blocks.
+        block: Number of timed calls in a row.
 
     Returns:
-        Median time of each [us].
+        Median time of a call of each [us].
     """
     times: dict[Key, list[int]] = {key: [] for key in queries}
     gc.collect()
@@ -280,14 +281,14 @@ def interleaved(queries: Mapping[Key, Callable[[int], None]], repeats: int, bloc
 
 
 def examine(question: Question, kinds: Sequence[type[Rival]]) -> tuple[dict[str, Rival], dict[str, dict[str, Any]]]:
-    """Make the rivals that can be made, and see what they answer.
+    """Construct the rivals whose packages are installed, and check their answers.
 
     Args:
-        question: What they are asked.
-        kinds: Their classes.
+        question: The question.
+        kinds: Classes of the rivals.
 
     Returns:
-        (rivals, rows): the rivals that are there, by name; and what there is to say about each, but its time.
+        (rivals, rows): the rivals that are installed, by name; and the result row of each class, without its time.
     """
     rivals: dict[str, Rival] = {}
     rows: dict[str, dict[str, Any]] = {}
@@ -300,7 +301,7 @@ def examine(question: Question, kinds: Sequence[type[Rival]]) -> tuple[dict[str,
             row["reason"] = f"not installed: {error}"
             continue
         rivals[kind.name] = rival
-        # The last shape is far from the others: who has not followed the vertices there gives himself away.
+        # The last shape is far from the others, which exposes a rival whose search structure did not follow.
         pairs = [agreement(question, rival, index) for index in (0, TIMED_SHAPES, 1)]
         rays = min(pair[0] for pair in pairs)
         nodes = None if pairs[0][1] is None else min(pair[1] for pair in pairs if pair[1] is not None)
@@ -319,13 +320,13 @@ def compare(
     """Time the detector and its rivals on one question.
 
     Args:
-        question: What is asked.
-        repeats: How many queries of each count.
-        kinds: The rivals.
+        question: The question.
+        repeats: Number of timed queries of each.
+        kinds: Classes of the rivals.
 
     Returns:
-        The detector's time in contact and in the air; and of each rival its time, the ratio to the detector's, and how
-        far the answers agree.
+        The detector's time in contact and in the air; and for each rival its time, the ratio to the detector's, and the
+        shares of answers that agree.
     """
     rivals, rows = examine(question, kinds)
     side, apart = DetectorSide(question), DetectorSide(replace(question, position=question.position + APART))
@@ -353,27 +354,27 @@ def compare(
 
 
 def best_of(rows: dict[str, dict[str, Any]]) -> str | None:
-    """The fastest of the rivals that can be compared, None if there is none."""
+    """Name of the fastest comparable rival, None if there is none."""
     times = {name: row["us"] for name, row in rows.items() if row["comparable"]}
     return min(times, key=lambda name: times[name]) if times else None
 
 
 def exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
-    """The power of the size with which a time grows: the slope of its logarithm, by least squares."""
+    """The power of the size with which a time grows: the least-squares slope in logarithmic coordinates."""
     return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
 
 
 def scaling(questions: Sequence[Question], axis: str, repeats: int, kinds: Sequence[type[Rival]]) -> dict[str, Any]:
-    """How the times grow. All sizes are timed in turn, as the sides are.
+    """Measure how times grow with size; all sizes and all sides are timed in turn.
 
     Args:
         questions: From the smallest to the largest.
         axis: What grows, "nodes" or "triangles".
-        repeats: How many queries of each side and size count at least.
-        kinds: The rivals to time beside the detector; those that cannot be compared at every size are left out.
+        repeats: Least number of timed queries of each side and size.
+        kinds: Rivals to time beside the detector; those that are not comparable at every size are left out.
 
     Returns:
-        Sizes, flags, times of each side and the exponents of their growth.
+        Sizes, numbers of flags, times of each side and the exponents of their growth.
     """
     sides = [DetectorSide(question) for question in questions]
     found = [examine(question, kinds) for question in questions]

@@ -1,9 +1,9 @@
 """Reference solutions of solids by an independent finite element code, felupe, with elements of second order.
 
-felupe (https://felupe.readthedocs.io) is installed by who wants to compare: `pip install felupe`. It needs SciPy.
-Only meshes and materials go in, displacements and forces come out: nothing here is computed by this package. Contact
-with a plate without friction is a set of given displacements, which is found by trying: a node is let go that the plate
-would have to pull, and one is held that is beyond it.
+felupe (https://felupe.readthedocs.io) is an optional dependency: `pip install felupe`. It needs SciPy. It receives
+meshes and materials and returns displacements and forces; nothing here is computed by this package. Contact with a
+frictionless plate is modelled by prescribed displacements of an active set of nodes, which is found by iteration: a
+node that the plate would have to pull is released, and one that is beyond the plate is added.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, Int32Array, IntArray
 
 PERMUTATIONS = np.zeros((3, 3, 3))
-"""The signs of permutations: of vector products."""
+"""The Levi-Civita symbol, for vector products."""
 PERMUTATIONS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
 PERMUTATIONS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
@@ -27,20 +27,20 @@ RIM_CELLS = 16
 """Elements along each side of the quarter of a sphere's section."""
 
 RIM_GRADING = 1.5
-"""How much finer these are at the pole, as an exponent."""
+"""Exponent that makes these elements finer towards the pole; 1 would leave them uniform."""
 
 TRIES = 40
-"""Of a set of nodes in contact, at most."""
+"""Greatest number of contact sets that are tried for a depth, and of Newton iterations of a solve."""
 
 TOLERANCE = 1e-6
-"""Of Newton's method."""
+"""Tolerance of Newton's method."""
 
 
 def load_felupe() -> Any:
-    """The module `felupe`.
+    """Import the module `felupe`.
 
     Raises:
-        ImportError: If it is not installed; says what to install.
+        ImportError: If it is not installed; the message says what to install.
     """
     try:
         import felupe
@@ -50,7 +50,7 @@ def load_felupe() -> Any:
 
 
 def felupe_version() -> str | None:
-    """Its version; None where it is not installed."""
+    """Version of felupe; None if it is not installed."""
     try:
         return str(load_felupe().__version__)
     except ImportError:
@@ -58,7 +58,7 @@ def felupe_version() -> str | None:
 
 
 def neo_hookean(shear: float, lame: float) -> Any:
-    """The material G / 2 (I1 - 3) - G (J - 1) + (L + G) / 2 (J - 1)^2, which is the model "neo_hookean", for felupe.
+    """The package's model "neo_hookean" as a felupe material: G / 2 (I1 - 3) - G (J - 1) + (L + G) / 2 (J - 1)^2.
 
     Args:
         shear: Shear modulus G.
@@ -67,7 +67,7 @@ def neo_hookean(shear: float, lame: float) -> Any:
     bulk, unit = lame + shear, np.einsum("ik,jl->ijkl", np.eye(3), np.eye(3))
 
     def cofactors(f: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The cofactors, and J - 1."""
+        """The cofactor matrix of the deformation gradient, and J - 1."""
         found = 0.5 * np.einsum("ikm,jln,kl...,mn...->ij...", PERMUTATIONS, PERMUTATIONS, f, f)
         return found, np.einsum("ij...,ij...->...", found, f) / 3.0 - 1.0
 
@@ -90,9 +90,9 @@ class Body:
     """A meshed solid in felupe.
 
     Attributes:
-        points: (P, d) of the mesh.
-        field: Displacements.
-        solid: Assembles forces and stiffness.
+        points: (P, d) points of the mesh, at rest.
+        field: The displacement field.
+        solid: The felupe body, which assembles forces and stiffness.
     """
 
     points: FloatArray
@@ -101,24 +101,24 @@ class Body:
 
     @classmethod
     def of(cls, mesh: Any, region: Any, kind: Any, material: Any) -> Body:
-        """A body of a mesh, a region's class, a field's class and a material."""
+        """Make a body of a mesh, the class of its region, the class of its field and a material."""
         felupe = load_felupe()
         field = felupe.FieldContainer([kind(region(mesh), dim=mesh.points.shape[1])])
         return cls(mesh.points, field, felupe.SolidBody(material, field))
 
     @property
     def moved(self) -> FloatArray:
-        """(P, d) where the points are."""
+        """(P, d) displaced points."""
         return np.asarray(self.points + self.field[0].values)
 
     def solve(self, given: Mapping[int, float]) -> FloatArray:
-        """Find equilibrium.
+        """Solve for equilibrium, starting from the current displacements.
 
         Args:
-            given: Displacements by degree of freedom: d times the point plus the axis.
+            given: Prescribed displacements by degree of freedom, which is d times the point plus the axis.
 
         Returns:
-            (P, d) what holds the points.
+            (P, d) nodal forces, which are zero but at prescribed degrees of freedom, where they are the reactions.
         """
         held = np.array(sorted(given))
         free = np.setdiff1d(np.arange(self.points.size), held)
@@ -131,18 +131,21 @@ class Body:
 
 
 def press_sphere(shear: float, lame: float, depths: Sequence[float], cells: int = RIM_CELLS) -> FloatArray:
-    """Force on a sphere of radius 1 between two plates without friction, each of which is moved towards its middle.
+    """Force on a sphere of radius 1 between two frictionless plates, both of which move towards its centre.
 
-    A quarter of its section is meshed, with elements of nine nodes that are symmetric about the axis.
+    A quarter of the sphere's section is meshed with axisymmetric elements of nine nodes.
 
     Args:
         shear: Shear modulus.
         lame: Lamé's first parameter.
-        depths: Ascending, how far each plate is moved, by the radius.
-        cells: Elements along each side.
+        depths: How far each plate is moved, relative to the radius, ascending.
+        cells: Elements along each side of the quarter.
 
     Returns:
-        (n,) forces, in units of the modulus.
+        (n,) forces, in the unit of the moduli times the radius squared.
+
+    Raises:
+        RuntimeError: If no consistent set of nodes in contact is found within `TRIES` iterations.
     """
     felupe = load_felupe()
     mesh = felupe.mesh.convert(_quarter(cells), order=2, calc_points=True, calc_midfaces=True)
@@ -168,10 +171,10 @@ def press_sphere(shear: float, lame: float, depths: Sequence[float], cells: int 
 
 
 def _quarter(cells: int) -> Any:
-    """The quarter of a disc of radius 1, as quadrilaterals that are finer at the end of the first axis."""
+    """Mesh a quarter of a disc of radius 1 with quadrilaterals that are finer towards the end of the first axis."""
     along = np.linspace(0.0, 1.0, cells + 1)
     u, v = np.meshgrid(1.0 - (1.0 - along) ** RIM_GRADING, along**RIM_GRADING, indexing="ij")
-    # A square's sides become the disc's: the elliptical map.
+    # The elliptical map takes the outer sides of a square to the arc of the disc.
     points = np.column_stack([(u * np.sqrt(1.0 - 0.5 * v**2)).ravel(), (v * np.sqrt(1.0 - 0.5 * u**2)).ravel()])
     index = np.arange(len(points)).reshape(cells + 1, cells + 1)
     corners = (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
@@ -179,7 +182,7 @@ def _quarter(cells: int) -> Any:
 
 
 def _outline(cells: IntArray) -> IntArray:
-    """Nodes on edges of one element alone, of elements (C, 9) whose edges' middles are nodes 4 to 7."""
+    """Nodes on boundary edges, those of one element only; elements (C, 9) have edge midpoints as nodes 4 to 7."""
     edges: dict[tuple[int, int], list[int]] = {}
     for cell in cells.tolist():
         for a, b, middle in ((0, 1, 4), (1, 2, 5), (2, 3, 6), (3, 0, 7)):
@@ -188,7 +191,7 @@ def _outline(cells: IntArray) -> IntArray:
 
 
 def _on_arc(points: FloatArray, cells: int) -> BoolArray:
-    """(P,) which points are on the arc; middles of its edges are a little within."""
+    """(P,) which points are on the arc; the tolerance includes midpoints of its edges, which are slightly inside it."""
     return np.asarray(np.linalg.norm(points, axis=1) > 1.0 - 1.0 / cells**2)
 
 
@@ -200,20 +203,21 @@ def solve_tetrahedra(
     given: Mapping[tuple[int, int], float],
     increments: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Equilibrium of a solid of tetrahedra, each with ten nodes instead of four.
+    """Solve for equilibrium of a tetrahedral mesh, with quadratic elements of ten nodes in place of four.
 
-    A node in the middle of an edge both of whose ends are given along an axis is given there too.
+    Where both ends of an edge have prescribed displacements along an axis, its midpoint gets their mean.
 
     Args:
         nodes: (N, 3) at rest.
         tetrahedra: (M, 4).
         shear: Shear modulus.
         lame: Lamé's first parameter.
-        given: Displacements, by node and axis.
-        increments: In how many steps they are made.
+        given: Prescribed displacements, by node and axis.
+        increments: Number of steps in which they are applied.
 
     Returns:
-        (N, 3) displacements of the nodes, and (3,) what holds those that are displaced.
+        (N, 3) displacements of the nodes, and (3,) sum of the reactions along each axis at those degrees of freedom
+        whose prescribed displacement is not zero.
     """
     felupe = load_felupe()
     mesh = felupe.mesh.add_midpoints_edges(felupe.Mesh(nodes, tetrahedra, "tetra"))

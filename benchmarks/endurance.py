@@ -1,15 +1,17 @@
-"""Does anything break when nobody is careful?
+"""Does anything break under many steps of careless actions?
 
-Random actions for many control steps in every task: nothing may diverge or become infinite, no tool may be in an organ
-or the other way round, no organ may stay folded through itself without this being told, and memory may not grow. Every
-physics step of every world is looked at by `benchmarks.inspection`, which shares nothing with the contact model that it
-judges.
+Every task is run with random actions for many control steps. Nothing may diverge or become infinite, no tool may be
+inside an organ or the other way round, no organ may stay folded through itself without being reported as tangled, and
+memory may not grow. Every physics step of every world is inspected by `benchmarks.inspection`, which shares no code
+with the contact model that it judges.
 
-Two kinds of random actions, as learners make them: independent in every control step, which gets nowhere, and kept for
-a while, down more often than up, which ploughs. A third kind, `--policy`, is that of a trained policy which still
-explores: noise that is kept for a while on top of what it does.
+There are two kinds of random actions, both as made by learners: independent ones, drawn anew in every control step,
+under which the tool hardly moves on, and kept ones, held for a while and down more often than up, under which it
+ploughs. With `--policy`, trained policies act instead, still exploring: noise that is held for a while is added to
+their actions.
 
-With `--output` each run is added to a file when it is over, and what is there already is not run again.
+With `--output` each run is added to a file as soon as it is over, and runs that the file holds already are not
+repeated.
 """
 
 from __future__ import annotations
@@ -35,63 +37,63 @@ from spatula_env import TASKS
 from spatula_env.policies import load_pretrained
 
 WORLDS = {"batch": 32, "tissue": 32, "bullet": 2}
-"""How many are stepped together."""
+"""Number of worlds stepped together, by engine."""
 
 STEPS = {"batch": 200_000, "tissue": 200_000, "bullet": 20_000}
-"""Control steps in all worlds together."""
+"""Control steps of a run, summed over all worlds, by engine."""
 
 LARGEST_GROWTH = 8.0
-"""Memory may grow by so much from the first quarter of a run to its end [MB]."""
+"""Greatest allowed growth of memory from the first quarter of a run to its end [MB]."""
 
 LONGEST_CROSSED = 0.1
-"""Organs may cross for so long before they are to be reported as tangled [s]."""
+"""How long organs may cross themselves or each other before they must be reported as tangled [s]."""
 
 SELDOM = {"Retract": 1e-4}
-"""Share of the physics steps in contact that may be deep, in tasks where it is not 0."""
+"""Share of the physics steps in contact that may be deep or on the wrong side, in tasks where it is not 0."""
 
 ACTIONS = ("independent", "kept")
-"""Kinds of random actions,"""
+"""Kinds of random actions."""
 
 POLICY = "policy"
-"""and that of a trained policy which explores."""
+"""Kind of the actions of a trained policy that explores."""
 
 EPISODES = 100
-"""Of a trained policy."""
+"""Episodes of a run with a trained policy."""
 
 NOISE = 0.6
-"""Standard deviation of what is added to its actions."""
+"""Standard deviation of the noise that is added to the actions of a trained policy."""
 
 HOLD = 6
-"""A kept action, or kept noise, stays for so many control steps at most."""
+"""Longest time for which a kept action, or kept noise, stays the same [control steps]."""
 
 LEVELS = (0.5, 1.0)
-"""Sizes of a kept action's components."""
+"""Possible magnitudes of the components of a kept action."""
 
 DOWN = 0.7
-"""How often a kept action goes down."""
+"""Probability that a kept action goes down."""
 
 VERTICAL = 2
-"""The component of an action that does."""
+"""Index of the vertical component of an action."""
 
 
 RECORDED = ("deep", "crossed", "wrong_side")
-"""What worst stretches are recorded of."""
+"""Kinds of faults of which the worst stretch of each run is recorded."""
 
 PARTS = 10
-"""How often a run says how far it is."""
+"""How often a run reports its progress."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A run.
+    """One run to be made.
 
     Attributes:
         task: Name of the task.
-        engine: Its engine.
+        engine: Name of the engine.
         actions: One of `ACTIONS`, or `POLICY`.
-        seed: Of the environment and of the actions.
-        length: Control steps in all worlds together; episodes where a policy acts.
-        folder: Where recordings of the worst stretches go; "" for nowhere.
+        seed: Seed of the environment and of the actions.
+        length: Control steps summed over all worlds; number of episodes if a policy acts.
+        folder: Folder for recordings of the worst stretches; "" to record nothing.
     """
 
     task: str
@@ -103,39 +105,39 @@ class Job:
 
     @property
     def name(self) -> str:
-        """For files and people."""
+        """Name of the run, for files and messages."""
         return f"{self.task.lower()}-{self.engine}-{self.actions}-{self.seed}"
 
 
 @dataclass(frozen=True)
 class Endurance:
-    """What was seen in a run. Steps are physics steps of one world, but for `control_steps` and `non_finite`.
+    """What was observed in a run. Steps are physics steps of one world, except in `control_steps` and `non_finite`.
 
     Attributes:
         task: Name of the task.
-        control_steps: In all worlds together.
-        episodes: That came to their end.
-        steps: Looked at.
-        touching: In which a tool felt a force.
-        diverged: Worlds whose physics broke down.
-        non_finite: Control steps with an observation or a reward that is not finite.
-        deep: In which a tool was deeper than `inspection.ALLOWED` in an organ, or an organ's surface in a tool.
-        deep_uncrossed: Deep ones in which organs did not cross.
-        longest_deep: For how long at most without a break [s].
-        depth: Greatest [u].
-        unreported: Deep ones whose residual, as reported, is not more than allowed.
-        residual: Greatest that was reported [u].
-        wrong_side: In which an organ's surface was on the far side of a tool.
-        crossed: In which organs crossed themselves or each other.
-        stretches: How often they began to.
-        tangles: How many of these times lasted longer than `LONGEST_CROSSED`.
-        tangled: In which organs were reported as tangled.
-        untold: In which they had crossed for longer than `LONGEST_CROSSED` and were not reported as tangled.
-        longest_crossed: For how long at most without a break [s].
-        most_crossings: Greatest number of pairs of an edge and a triangle.
-        peak_pressure: Greatest [Pa].
-        memory_growth: From the first quarter of the run to its end [MB].
-        seconds: How long it took, inspections included [s].
+        control_steps: Control steps, summed over all worlds.
+        episodes: Episodes that ended.
+        steps: Steps that were inspected.
+        touching: Steps in which a tool felt a force.
+        diverged: How often the physics of a world diverged.
+        non_finite: Control steps of a world with an observation or a reward that is not finite.
+        deep: Steps in which a tool was deeper than `inspection.ALLOWED` in an organ, or an organ's surface in a tool.
+        deep_uncrossed: Deep steps in which organs did not cross.
+        longest_deep: Longest uninterrupted sequence of deep steps [s].
+        depth: Greatest depth [u].
+        unreported: Deep steps whose reported residual did not exceed the allowed depth.
+        residual: Greatest reported residual [u].
+        wrong_side: Steps in which an organ's surface was on the far side of a tool.
+        crossed: Steps in which organs crossed themselves or each other.
+        stretches: How often organs began to cross.
+        tangles: How many of these stretches lasted longer than `LONGEST_CROSSED`.
+        tangled: Steps in which organs were reported as tangled.
+        untold: Steps in which organs had crossed for longer than `LONGEST_CROSSED` and were not reported as tangled.
+        longest_crossed: Longest uninterrupted sequence of steps with crossings [s].
+        most_crossings: Greatest number of crossings, pairs of an edge and a triangle, in a step.
+        peak_pressure: Greatest contact pressure [Pa].
+        memory_growth: Growth of memory from the first quarter of the run to its end [MB].
+        seconds: Duration of the run, inspections included [s].
     """
 
     task: str
@@ -165,12 +167,12 @@ class Endurance:
 
     @property
     def deep_in_ten_thousand(self) -> float:
-        """How many of ten thousand steps in contact were deep."""
+        """Deep steps per ten thousand steps in contact."""
         return 1e4 * self.deep / max(self.touching, 1)
 
     @property
     def passed(self) -> bool:
-        """Whether nothing broke, and what was amiss was told."""
+        """Whether nothing broke, depths, wrong sides and memory are within limits, and tangles were reported."""
         allowed = SELDOM.get(self.task, 0.0) * self.touching
         broken = self.diverged + self.non_finite + self.untold
         return broken == 0 and max(self.deep, self.wrong_side) <= allowed and self.memory_growth <= LARGEST_GROWTH
@@ -181,22 +183,22 @@ class Endurance:
 
 
 class Watch:
-    """Looks at some worlds after each physics step.
+    """Inspects some worlds after each physics step, and counts what it finds.
 
     Args:
-        worlds: They are watched from now on.
+        worlds: The worlds; they are watched from now on.
 
     Attributes:
-        depths: (W,) greatest in each world since the last `begin_control_step` [u].
-        wrong_sides: (W,) how often surface was on the far side of a tool in each world since then.
-        crossed_for: (W,) for how many physics steps organs have crossed in each world without a break.
+        depths: (W,) greatest depth in each world since the last `begin_control_step` [u].
+        wrong_sides: (W,) number of steps since then with some surface on the far side of a tool, in each world.
+        crossed_for: (W,) number of physics steps for which organs have crossed without a break, in each world.
     """
 
     def __init__(self, worlds: Any) -> None:
         self._worlds = worlds
         count = worlds.count
         self._inspector = WorldsInspector(worlds.scene, count)
-        # Of the sum of time steps, as it is reported, the last digits are not known.
+        # The addend absorbs rounding: the last digits of a reported time, a sum of time steps, are uncertain.
         self._patience = int(LONGEST_CROSSED / worlds.scene.dt + 1e-6)
         self._deep_for, self.crossed_for, self.depths = np.zeros(count, int), np.zeros(count, int), np.zeros(count)
         self.wrong_sides = np.zeros(count, int)
@@ -207,12 +209,12 @@ class Watch:
         look_after_every_step(worlds, self._look)
 
     def forget(self, worlds: Any) -> None:
-        """Begin anew in worlds (n,) that have been reset."""
+        """Start afresh in worlds (n,) that have been reset."""
         self._inspector.reset(worlds)
         self._deep_for[worlds] = self.crossed_for[worlds] = 0
 
     def begin_control_step(self) -> None:
-        """Begin anew with `depths` and `wrong_sides`."""
+        """Clear `depths` and `wrong_sides`."""
         self.depths[:] = self.wrong_sides[:] = 0
 
     def _look(self, loads: Any) -> None:
@@ -248,8 +250,8 @@ class RandomActions:
 
     Args:
         kind: One of `ACTIONS`.
-        shape: Worlds, and components of an action.
-        generator: What they are drawn with.
+        shape: Number of worlds, and number of components of an action.
+        generator: Source of random numbers.
     """
 
     def __init__(self, kind: str, shape: tuple[int, int], generator: np.random.Generator) -> None:
@@ -271,12 +273,12 @@ class RandomActions:
 
 
 class ExploringPolicy:
-    """The actions of a trained policy, with noise that is kept for a while.
+    """A trained policy whose actions get additive noise that is kept for a while.
 
     Args:
-        task: What it is trained for.
-        envs: Where it acts.
-        generator: What the noise is drawn with.
+        task: Task of the pretrained policy.
+        envs: Vector environment in which it acts.
+        generator: Source of random numbers for the noise.
     """
 
     def __init__(self, task: str, envs: Any, generator: np.random.Generator) -> None:
@@ -294,14 +296,14 @@ class ExploringPolicy:
 
 
 def run(job: Job, *, tell: bool = False) -> Endurance:
-    """Make control steps in some worlds of a task.
+    """Make control steps in some worlds of a task, and inspect them.
 
     Args:
-        job: What is to be run.
-        tell: Whether to say on standard error how far it is.
+        job: The run to make.
+        tell: Whether to report progress on standard error.
 
     Returns:
-        What was seen.
+        What was observed.
     """
     count = WORLDS[job.engine]
     envs: Any = gymnasium.make_vec(f"Spatula/{job.task}-v0", num_envs=count, engine=job.engine)
@@ -318,7 +320,7 @@ def run(job: Job, *, tell: bool = False) -> Endurance:
     observation, _ = envs.reset(seed=job.seed)
     recorders = []
     if job.folder:
-        # Made first, so that they are asked for every single physics step.
+        # Made before the watch, whose single physics steps then pass through the recorders.
         recorders = [Recorder(worlds, Path(job.folder) / f"{job.name}-{kind}.npz") for kind in RECORDED]
     watch = Watch(worlds)
     diverged, non_finite, peak_pressure = 0, 0, 0.0
@@ -334,7 +336,7 @@ def run(job: Job, *, tell: bool = False) -> Endurance:
         non_finite += int((~finite).sum())
         diverged += int(infos["diverged"].sum())
         peak_pressure = max(peak_pressure, float(infos["peak_pressure"].max()))
-        # They are reset in the next step, before physics goes on.
+        # Finished worlds are reset in the next step, before their physics goes on.
         over = np.flatnonzero(terminated | truncated).tolist()
         for recorder, badness in zip(
             recorders,
@@ -388,14 +390,14 @@ def run(job: Job, *, tell: bool = False) -> Endurance:
 
 
 def run_job(job: Job) -> Endurance:
-    """Run a job, and say how far it is."""
+    """Run a job, and report its progress on standard error."""
     return run(job, tell=True)
 
 
 def read_output(path: Path | None) -> dict[Job, Endurance]:
-    """What was run before, from a file of a JSON object in each line; nothing if there is none.
+    """Read earlier runs from a file with a JSON object in each line; empty if there is no file.
 
-    A line that was not written to its end, as its process was killed, counts as not run.
+    A line that is incomplete because its process was killed counts as not run.
     """
     known: dict[Job, Endurance] = {}
     if path is None or not path.exists():
@@ -413,7 +415,7 @@ def read_output(path: Path | None) -> dict[Job, Endurance]:
 def add_output(path: Path, job: Job, outcome: Endurance) -> None:
     """Add a run to the file that `read_output` reads."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # A line that was cut off before must not swallow this one.
+    # If the last line is incomplete, end it first, so that the new one is not appended to it.
     with path.open("a+", encoding="utf-8") as file:
         file.seek(max(file.seek(0, 2) - 1, 0))
         cut_off = file.read() not in ("", "\n")
@@ -482,7 +484,7 @@ def main() -> None:
 
 
 def describe(job: Job, outcome: Endurance) -> str:
-    """A run in a line."""
+    """Describe a run in one line."""
     share = 100 * outcome.touching / max(outcome.steps, 1)
     return (
         f"{job.task:8} {job.engine:6} {job.actions:11} seed {job.seed}: {'passed' if outcome.passed else 'FAILED'}; "

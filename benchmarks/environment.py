@@ -1,4 +1,4 @@
-"""How many control steps a second an environment makes, with random actions, and where a step's time goes."""
+"""How many control steps does an environment make in a second, with random actions, and how long does a reset take?"""
 
 from __future__ import annotations
 

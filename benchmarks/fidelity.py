@@ -1,22 +1,22 @@
-"""Do the forces mean something? Weight, momentum, energy, stiffness and frames of reference.
+"""Are the contact forces physical? Checks of weight, momentum, energy, stiffness and frames of reference.
 
-weight         A tool that has lifted the organ feels its weight.
-exchange       What the tool gives the organ's nodes, it feels: impulse and moment, in every step.
+weight         A tool that holds the organ up feels its weight.
+exchange       The tool feels the opposite of the impulse and moment that it gives the organ's nodes, in every step.
 momentum       The organ's momentum changes by the impulses of tool, ground and gravity alone, in every step.
-release        A tool presses, is drawn back or taken away at once, and the organ is let go. Its kinetic energy and its
-               energy of height are never more than the work of the tool and the energy stored in the organ at rest.
+release        A tool presses the organ and is drawn back, or taken away at once. The organ's kinetic energy plus its
+               gain in potential energy never exceeds the work of the tool plus the energy stored in the organ at rest.
 growth         Pressed slowly, the organ pushes back harder the deeper the tool is. The organ is a hollow surface whose
-               facets buckle one by one, and then the force falls for a while, so this is asked of the mean over the
-               organ in several orientations.
-time_step      The same forces with half the time step; beside it with twice.
-node_spacing   The same forces with half the distance between contact nodes; beside it with twice.
-frame          The whole scene turned and moved: the same forces, turned.
+               facets buckle one by one, and the force drops for a while when one does, so this is asked of the mean
+               over several orientations of the organ.
+time_step      Half the time step gives the same forces; twice the time step is shown for comparison.
+node_spacing   Half the distance between contact nodes gives the same forces; twice is shown for comparison.
+frame          The whole scene, rotated and translated, gives the same forces, rotated.
 
 Bullet's soft bodies have no material of their own: their stiffness grows as mass / dt^2. With another time step the
-mass is therefore changed as dt^2, which keeps the stiffness, and gravity as 1 / dt^2, which keeps the weight that the
+mass is therefore scaled as dt^2, which keeps the stiffness, and gravity as 1 / dt^2, which keeps the weight that the
 organ rests with: the same static problem. The tool moves at the same speed and waits for the same time. Forces are
-compared in scene units. The scene of `frame` has neither ground nor gravity, which would name a direction; some nodes
-on the far side of the organ are fixed instead.
+compared in scene units. The scene of `frame` has neither ground nor gravity, which would single out a direction; some
+nodes on the far side of the organ are fixed instead.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ REFERENCE = "reference"
 """Name of the curve that the others are compared with."""
 
 CLEARANCE = 0.05
-"""Between tool and organ before a press [u]."""
+"""Gap between tool and organ before a press [u]."""
 
 CARRIERS = (((8.0, 8.0, 0.5), 17), ((1.0, 1.0, 0.125), 6))
 """Size [u] and nodes along an edge of the plates that lift the organ: a tray, and the seed's spatula."""
 
 LIFT = 0.3
-"""How high they lift it [u]."""
+"""How far the plates move up [u]."""
 
 RELEASE_SPEEDS = (0.5, 2.0, 5.0, 10.0, 16.0, 18.0, 20.0, 25.0, 40.0, 60.0, 100.0, 200.0, 400.0)
 RELEASE_DEPTHS = (0.5, 0.8, 1.1, 1.4)
@@ -70,27 +70,27 @@ SLOWLY = 0.5
 """Speed of the presses that measure force against depth [u/s]."""
 
 REST = 0.5
-"""How long such a press waits at each depth; the force is the mean of the second half [s]."""
+"""How long such a press waits at each depth; the force is averaged over the second half [s]."""
 
 DEPTHS = tuple(np.linspace(0.1, 1.2, 12).round(3).tolist())
-"""At which it waits [u]."""
+"""Depths at which such a press waits [u]."""
 
 ORIENTATIONS = 6
-"""In how many orientations the organ is pressed, for the mean force."""
+"""Number of orientations of the organ whose curves are averaged."""
 
 FRAMES = 3
-"""How many turned and moved scenes are compared with the one that is not."""
+"""Number of rotated and translated scenes that are compared with the original one."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One figure and what it may be at most.
+    """A measured figure and the greatest value that passes.
 
     Attributes:
-        value: What was measured.
+        value: The measured value.
         threshold: The greatest value that passes.
-        unit: Of both; empty for a ratio.
-        details: How it came about.
+        unit: Unit of both; empty for a ratio.
+        details: Further figures, for information.
     """
 
     value: float
@@ -104,19 +104,19 @@ class Check:
         return math.isfinite(self.value) and self.value <= self.threshold
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, where what is not finite becomes None."""
+        """Convert to JSON types; a value that is not finite becomes None."""
         value = self.value if math.isfinite(self.value) else None
         return {**dataclasses.asdict(self), "value": value, "passed": self.passed}
 
 
 def begin_press(simulation: Simulation) -> tuple[Ledger, float]:
-    """Reset, and put the tool over the organ's middle.
+    """Reset the simulation, and place the tool `CLEARANCE` above the top of the organ.
 
     Args:
-        simulation: Of one organ and a box for a tool.
+        simulation: Simulation of one organ and a box as tool.
 
     Returns:
-        Books that begin here, and the height at which the tool would lie on top of the organ [u].
+        A ledger that begins here, and the height at which the tool would touch the top of the organ [u].
     """
     simulation.reset()
     touching = float(simulation.nodes[:, 2].max()) + 0.5 * float(simulation.scene.tools[0].tool.size[2])
@@ -125,15 +125,15 @@ def begin_press(simulation: Simulation) -> tuple[Ledger, float]:
 
 
 def weigh(size: tuple[float, float, float], nodes_per_edge: int) -> tuple[float, Ledger]:
-    """Lift the organ with a plate from beneath, through the ground, and hold it.
+    """Lift the organ with a plate from beneath, and hold it; the plate passes through the ground.
 
     Args:
-        size: (3,) of the plate [u].
-        nodes_per_edge: Of the plate.
+        size: (3,) size of the plate [u].
+        nodes_per_edge: Contact nodes along an edge of the plate.
 
     Returns:
-        Greatest component of the difference between the force on the tool and the organ's weight, relative to the
-        weight; and the books.
+        Greatest component of the difference between the mean force on the tool and the organ's weight, relative to the
+        weight; and the ledger.
     """
     base = scenes.seed()
     tool = Tool.box(size, nodes_per_edge)
@@ -146,7 +146,7 @@ def weigh(size: tuple[float, float, float], nodes_per_edge: int) -> tuple[float,
     ledger = Ledger(simulation)
     steps = round(2.0 / simulation.dt)
     for step in range(steps):
-        # Gently: the speed rises from zero and falls to zero again.
+        # A smooth profile: the speed rises from zero and falls to zero again.
         part = 1.0 - math.cos(2.0 * math.pi * (step + 0.5) / steps)
         ledger.step((0.0, 0.0, LIFT / (steps * simulation.dt) * part))
     ledger.hold(1.0)
@@ -157,7 +157,7 @@ def weigh(size: tuple[float, float, float], nodes_per_edge: int) -> tuple[float,
 
 
 def settled_energy(simulation: Simulation) -> float:
-    """The most energy that can be stored in an organ at rest: what it lost in height when it sagged [kg u2/s2]."""
+    """Bound on the energy stored in the organ at rest: the potential energy it lost when it sagged [kg u2/s2]."""
     masses, heights = simulation.node_masses, simulation.scene.organs[0].vertices[:, 2]
     fall = masses @ (heights - heights.min()) - masses @ (simulation.nodes[:, 2] - simulation.nodes[:, 2].min())
     return max(simulation.scene.gravity * float(fall), 0.0)
@@ -167,14 +167,14 @@ def release(simulation: Simulation, depth: float, speed: float, kind: str) -> Le
     """Press the organ and let it go.
 
     Args:
-        simulation: Of the seed's scene.
-        depth: How deep [u].
-        speed: [u/s].
-        kind: "same": pressed and drawn back at this speed. "at_once": pressed at this speed, then taken away at once.
-            "held": pressed at 5 u/s, held until the organ is calm, and drawn back at this speed.
+        simulation: Simulation of the seed's scene.
+        depth: Depth of the press [u].
+        speed: Speed of the tool [u/s].
+        kind: "same": pressed and drawn back at `speed`. "at_once": pressed at `speed`, then drawn back at `AT_ONCE`.
+            "held": pressed at 5 u/s, held for a quarter of a second to let the organ settle, drawn back at `speed`.
 
     Returns:
-        The books.
+        The ledger of the whole motion.
     """
     ledger, touching = begin_press(simulation)
     ledger.move_to(touching - depth, 5.0 if kind == "held" else speed)
@@ -189,11 +189,11 @@ def measure_releases(speeds: Sequence[float], depths: Sequence[float]) -> tuple[
     """Make releases of all kinds.
 
     Args:
-        speeds: [u/s].
-        depths: [u].
+        speeds: Speeds of the tool [u/s].
+        depths: Depths of the presses [u].
 
     Returns:
-        The check of the energy, and all books.
+        The check of the energy, and the ledgers of all releases.
     """
     simulation = Simulation(scenes.seed(), precision="double")
     stored = settled_energy(simulation)
@@ -219,7 +219,7 @@ def scaled_scene(dt: float, nodes_per_edge: int) -> Scene:
 
     Args:
         dt: Length of a physics step [s].
-        nodes_per_edge: Of the spatula.
+        nodes_per_edge: Contact nodes along an edge of the spatula.
     """
     base = scenes.seed()
     ratio = (dt / base.dt) ** 2
@@ -231,8 +231,8 @@ def force_curve(scene: Scene, depths: Sequence[float] = DEPTHS) -> Curve:
     """Press slowly, wait at each depth, and measure the force.
 
     Args:
-        scene: Of one organ and a box for a tool.
-        depths: Ascending [u].
+        scene: Scene with one organ and a box as tool.
+        depths: Depths to measure at, ascending [u].
 
     Returns:
         The curve.
@@ -250,7 +250,7 @@ def force_curve(scene: Scene, depths: Sequence[float] = DEPTHS) -> Curve:
 
 
 def measure_curves() -> dict[str, Curve]:
-    """The curve of the seed's scene, and of those that should give the same, by name."""
+    """Measure the curve of the seed's scene, and those of scenes that should give the same, by name."""
     dt = scenes.seed().dt
     return {
         REFERENCE: force_curve(scaled_scene(dt, 6)),
@@ -272,19 +272,19 @@ def compare_curves(curves: dict[str, Curve]) -> dict[str, Check]:
     for check, part in (("time_step", "time step"), ("node_spacing", "nodes")):
         found = {name: reference.difference(curve) for name, curve in curves.items() if part in name}
         details = {name: {"difference": value, "depth": depth} for name, (value, depth) in found.items()}
-        # Finer is what is judged. Coarser is told beside it: near a depth where the shell snaps, few nodes can find
-        # another of its shapes.
+        # Only the finer variant is judged. The coarser one is reported for comparison: near a depth where the shell
+        # snaps, few nodes may lead to another of its shapes.
         finer = max(value for name, (value, _) in found.items() if name in FINER)
         checks[check] = Check(finer, 0.05, details=details)
     return checks
 
 
 def mean_curve(reference: Curve, count: int = ORIENTATIONS) -> Curve:
-    """Mean of the curves of the organ in several orientations.
+    """Mean of the curves of several orientations of the organ.
 
     Args:
-        reference: The curve of the seed's scene, which is one of them.
-        count: How many orientations there are in all.
+        reference: Curve of the seed's scene, which counts as the first orientation.
+        count: Total number of orientations.
 
     Returns:
         The mean curve.
@@ -304,11 +304,11 @@ def mean_curve(reference: Curve, count: int = ORIENTATIONS) -> Curve:
 
 
 def free_scene(position: FloatArray, orientation: FloatArray) -> Scene:
-    """The seed's organ and spatula without ground and gravity, turned and moved as a whole.
+    """The seed's organ and spatula without ground and gravity, rotated and translated as a whole.
 
     Args:
-        position: (3,) where the origin of the unmoved scene is [u].
-        orientation: (4,) how it is turned, quaternion xyzw.
+        position: (3,) translation, the image of the original scene's origin [u].
+        orientation: (4,) rotation about that origin, quaternion xyzw.
 
     Returns:
         The scene. The twenty nodes of the organ that are farthest from the tool are fixed.
@@ -343,14 +343,14 @@ def free_scene(position: FloatArray, orientation: FloatArray) -> Scene:
 
 
 def press_free_scene(position: FloatArray, orientation: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Press, slide and turn in a `free_scene`, and tell it in the frame of the unmoved one.
+    """Press, slide and turn in a `free_scene`; results are in the frame of the original scene.
 
     Args:
-        position: (3,) [u].
-        orientation: (4,).
+        position: (3,) translation of the scene [u].
+        orientation: (4,) rotation of the scene, quaternion xyzw.
 
     Returns:
-        (s, 6) force and torque of each step, and the organ's nodes at the end (V, 3) [u].
+        (s, 6) force and torque on the tool in each step, and the organ's nodes at the end (V, 3) [u].
     """
     simulation = Simulation(free_scene(position, orientation), precision="double")
     back = quaternion_conjugate(orientation)
@@ -365,13 +365,13 @@ def press_free_scene(position: FloatArray, orientation: FloatArray) -> tuple[Flo
 
 
 def measure_frames(count: int = FRAMES) -> Check:
-    """Compare turned and moved scenes with the one that is neither.
+    """Compare rotated and translated scenes with the original one.
 
     Args:
-        count: How many.
+        count: Number of random poses of the scene.
 
     Returns:
-        The check: greatest difference of a force or torque, relative to the greatest.
+        The check: greatest difference of a component of force or torque, relative to the greatest force or torque.
     """
     generator = np.random.default_rng(0)
     wrenches, nodes = press_free_scene(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -418,7 +418,7 @@ def main() -> None:
     released, ledgers = measure_releases(RELEASE_SPEEDS, RELEASE_DEPTHS)
     ledgers += [ledger for _, ledger in weighed.values()]
     add("exchange", Check(max(ledger.exchange_error for ledger in ledgers), 1e-9))
-    # Bullet's soft bodies have the time step in single precision: velocities are right to 6e-8.
+    # Bullet's soft bodies keep the time step in single precision, so velocities are accurate only to about 6e-8.
     add("momentum", Check(max(ledger.momentum_error for ledger in ledgers), 1e-6))
     add("release", released)
     curves = measure_curves()

@@ -1,17 +1,18 @@
-"""The haptic loop, from the hand to the hand: emulated Falcon, USB packets, driver, loop, simulation.
+"""Is the haptic loop faithful, stable and on time? Emulated Falcon, USB packets, driver, loop and simulation together.
 
-*holds* and *scenarios*, in simulated time: three hands, steady and with a tremor, hold the tool at depths, rest, press,
-tap, slide, are released, and meet a simulation that stops or is slow (`haptics_scenarios`); with a device that is
-nothing but motors, and with one that has weight, friction and links that bend. Measured are shown over true force, the
-greatest change in a millisecond, energy given to the hand, limit cycles, times; the worst of each is compared with what
-is asked of it (`haptics_matrix`). 792 runs, 3.6 hours of simulated time: about 40 minutes on two cores.
+*holds* and *scenarios*, in simulated time: three model hands, with and without tremor, hold the tool at several depths,
+rest, press, tap, slide, let go, and meet a simulation that stops or is slow (`haptics_scenarios`). The device is either
+ideal, motors alone, or has weight, friction and compliant links. Measured are the ratio of shown to true force, the
+greatest change of force in a millisecond, the energy given to the hand, limit cycles and delays; the worst value of
+each is compared with its limit (`haptics_matrix`). 792 runs, 3.6 hours of simulated time: about 40 minutes on two
+cores.
 
-*stiffness*: the greatest that is stable, by hand, rate and delay (`haptics_stiffness`).
+*stiffness*: the greatest stable stiffness of an organ, by hand, rate and delay (`haptics_stiffness`).
 
-*signals*, in real time: how long after each signal to the program, its group and the loop zeros come to the motors
-(`haptics_signals`).
+*signals*, in real time: how long it takes after a signal to the program, its process group or the loop's process until
+the motors get zeros (`haptics_signals`).
 
-*period*, in real time: how regularly the loop goes round, in a process of its own and in a thread beside the simulation
+*period*, in real time: how regular the loop's period is, in a process of its own and in a thread beside the simulation
 (`haptics_period`). Needs a machine that does nothing else::
 
     python -m benchmarks.haptics --file haptics.jsonl
@@ -35,9 +36,9 @@ from benchmarks.parallel import available_cores
 from spatula_env.engines import ENGINES
 
 PARTS = ("holds", "scenarios", "stiffness", "signals", "period")
-"""What there is to measure."""
+"""The parts of the benchmark."""
 MECHANISMS = {"off": False, "on": True}
-"""Whether the emulated device has weight, friction and bending links."""
+"""Whether the emulated device has weight, friction and compliant links."""
 
 
 def main() -> None:
@@ -83,7 +84,7 @@ def main() -> None:
     if chosen.workers < 1:
         options.error(f"--workers must be 1 or more, got {chosen.workers}")
     result: dict[str, Any] = {}
-    # What is in real time comes first, before other processes use the machine.
+    # Parts in real time come first, before worker processes load the machine.
     if "period" in chosen.parts:
         result["runs"] = [press(where, scale, chosen.seconds) for where in chosen.where for scale in FORCE_SCALES]
         result["step"] = step_response()

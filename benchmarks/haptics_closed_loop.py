@@ -1,8 +1,8 @@
-"""A hand on an emulated Falcon in an environment, in simulated time: what is felt beside what the organ does.
+"""A model hand on an emulated Falcon in an environment, in simulated time: the force it feels beside the true force.
 
-All between the hand and the organ is what an operator uses: mechanism, encoders, USB packets, driver, haptic loop,
-wrapper, physics. The hand is a mass that a spring pulls to where the operator wants it, with a tremor that would move a
-free grip by a given amplitude. Runs are as fast as the machine and the same every time.
+Everything between hand and organ is what an operator uses: mechanism, encoders, USB packets, driver, haptic loop,
+wrapper, physics. The hand is a damped mass that a spring pulls to the place where the operator wants it, with a tremor
+that would move a free grip by a given amplitude. Runs go as fast as the machine allows and are deterministic.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ gymnasium.register_envs(spatula_env)
 
 FloatArray = NDArray[np.float64]
 Path = Callable[[float], float]
-"""Of the hand, along the direction of a touch, against time [m]."""
+"""Target position of the hand over time [s], along the direction of a touch [m]."""
 
 TREMOR = ((8.0, 0.3), (9.3, 1.1), (10.7, 2.9), (12.0, 4.3))
-"""Frequencies [Hz] and phases [rad] of a tremor's parts."""
+"""Frequencies [Hz] and phases [rad] of the components of the tremor."""
 SHIFTS = tuple((math.cos(2.1 * axis), math.sin(2.1 * axis)) for axis in (1, 2))
-"""Cosine and sine of the phases by which the tremor along the second and third axis is ahead of the first's."""
+"""Cosine and sine of the phase leads of the tremor along the second and third axis over that along the first."""
 WAIT = 0.2
-"""So long the hand waits before it moves [s]."""
+"""Time that the hand waits before it moves [s]."""
 TOUCH_SPEED = 0.04
-"""At which a hand goes to a hold [m/s]."""
+"""Greatest speed at which the hand goes to a hold [m/s]."""
 ABOVE = 0.002
-"""So far from the organ it begins [m]."""
+"""Distance of the tool from the organ at the start [m]."""
 
 
 @dataclass(frozen=True)
 class HandModel:
-    """What holds the grip.
+    """Mechanical parameters of a hand that holds the grip.
 
     Attributes:
-        mass: Of hand and grip [kg].
-        stiffness: Of the arm [N/m].
-        damping: Of the arm [N s/m].
+        mass: Mass of hand and grip [kg].
+        stiffness: Stiffness of the arm [N/m].
+        damping: Damping of the arm [N s/m].
     """
 
     mass: float
@@ -59,7 +59,10 @@ class HandModel:
     damping: float
 
     def transmissibility(self, frequency: float) -> float:
-        """How far a free grip moves for a motion of where the operator wants it."""
+        """Amplitude of a free grip over the amplitude of its target, at a frequency [Hz].
+
+        The target acts through the spring alone, the damper on the absolute velocity of the hand.
+        """
         turning = 2.0 * math.pi * frequency
         return self.stiffness / abs(complex(self.stiffness - self.mass * turning**2, self.damping * turning))
 
@@ -73,13 +76,13 @@ HANDS: Mapping[str, HandModel] = {
 
 @dataclass(frozen=True)
 class Touch:
-    """Where a task's tool meets tissue.
+    """A place where a task's tool meets tissue.
 
     Attributes:
-        env_id: Of the environment.
-        start: (3,) of the tool, just off the tissue [m].
-        direction: (3,) into the tissue, unit.
-        depths: How deep it usually goes [m].
+        env_id: Id of the environment.
+        start: (3,) start position of the tool, just off the tissue [m].
+        direction: (3,) unit vector into the tissue.
+        depths: Usual depths of a hold [m].
         keywords: Further arguments of the environment.
     """
 
@@ -97,20 +100,20 @@ TOUCHES: Mapping[str, Touch] = {
     "fissure": Touch("Spatula/Fissure-v0", (0.0063, 0.0083, -0.0055 + ABOVE), depths=(0.008,)),
     "clamp": Touch("Spatula/Clamp-v0", (-0.0073, -0.0077, -0.0217 + ABOVE), depths=(0.006,)),
 }
-"""Found by lowering each task's tool from where it begins with seed 0."""
+"""Touches by task; the starts were found by lowering each task's tool from its initial position with seed 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """What happened, once a millisecond.
+    """Record of a run, sampled once a millisecond.
 
     Attributes:
         time: (n,) [s].
-        position: (n, 3) of the grip, device's frame [m].
-        shown: (n, 3) what the motors do to the hand [N].
-        true: (n, 3) what the organ does to the tool, scaled as it is to be felt [N].
-        energy: (n,) that the motors have given the hand [J].
-        statistics: Of the loop.
+        position: (n, 3) position of the grip, device's frame [m].
+        shown: (n, 3) force of the motors on the hand, without the part that supports the grip [N].
+        true: (n, 3) force of the organ on the tool, times the force scale [N].
+        energy: (n,) energy that the motors have given the hand, without that of the supporting part [J].
+        statistics: Statistics of the haptic loop.
     """
 
     time: FloatArray
@@ -121,13 +124,13 @@ class Trace:
     statistics: LoopStatistics
 
     def between(self, start: float, end: float) -> slice:
-        """Of the rows from one time to another."""
+        """Slice of the rows from one time to another [s]."""
         first, last = np.searchsorted(self.time, [start, end])
         return slice(int(first), int(last))
 
 
 class Watched:
-    """A hand that remembers, once a millisecond, where the encoders were and what the motors did: a `Hand`."""
+    """Wraps a `Hand`, and records the grip's position, motor force, true force and energy once a millisecond."""
 
     def __init__(self, hand: Hand) -> None:
         self.rows: list[tuple[float, ...]] = []
@@ -145,17 +148,17 @@ class Watched:
             self._next += 1e-3
             renderer = self.renderer() if self.renderer is not None else None
             if renderer is not None:
-                # A force goes out with the packet of the cycle after it was made.
+                # A force is sent with the packet of the cycle after the one that computed it.
                 self.acting, self.support = self.support, renderer.support
             place, force = position_to_device(self.position), direction_to_device(motor_force)
             self.rows.append((time + step, *place, *force, *self.true, self.energies.motors, *self.acting))
 
 
 class ClosedLoop:
-    """An environment, a device and a hand that moves along a line.
+    """An environment, a haptic device and a model hand whose target moves along a line.
 
     Attributes:
-        aside: Where the operator wants the hand besides, across that line, against time [m].
+        aside: Target of the hand across that line, over time [m]; zero by default.
     """
 
     def __init__(
@@ -170,17 +173,17 @@ class ClosedLoop:
         mechanism: Mechanism | None = None,
         **keywords: Any,
     ) -> None:
-        """Put it together.
+        """Create environment, device and hand, and reset to the touch's start.
 
         Args:
-            path: Where the operator wants the hand, along the touch's direction, from `start` on [m].
-            hand: What holds the grip.
-            touch: Where the tool begins, and which way the path leads.
-            settings: Of the loop.
-            tremor: Amplitude along each axis, of a free grip [m].
-            speed: Of the simulation, share of real time.
-            mechanism: Between motors and hand.
-            **keywords: Of the environment.
+            path: Target of the hand over time, along the touch's direction, relative to its `start` [m].
+            hand: Model of the hand that holds the grip.
+            touch: Where the tool begins, and the direction of the path; the press by default.
+            settings: Settings of the haptic loop.
+            tremor: Amplitude of the tremor along each axis, of a free grip [m].
+            speed: Speed of the simulation, relative to real time.
+            mechanism: Mechanism between motors and hand; None for an ideal one.
+            **keywords: Further arguments of the environment.
         """
         self.touch = touch if touch is not None else TOUCHES["press"]
         self._direction = self.touch.direction
@@ -218,11 +221,14 @@ class ClosedLoop:
         self.teleop.reset(seed=0, options={"tool_position": self.touch.start})
 
     def run(self, until: float, stall: tuple[float, float] | None = None) -> Trace:
-        """Go on until a time.
+        """Run up to a time.
 
         Args:
-            until: When to end [s].
-            stall: When the simulation stops for once, and for how long [s].
+            until: Device time at which to end [s].
+            stall: Time at which the simulation stops once, and for how long [s].
+
+        Returns:
+            The record of everything so far.
         """
         while self.device.now() < until:
             if stall is not None and self.device.now() >= stall[0]:
@@ -232,17 +238,17 @@ class ClosedLoop:
         return self.trace()
 
     def trace(self) -> Trace:
-        """What has happened so far."""
+        """The record of everything so far."""
         rows = np.array(self.hand.rows)
         position, shown, support = rows[:, 1:4], rows[:, 4:7], rows[:, 11:14]
-        # What bears the grip is no part of what is to be felt, and its work none of the organ's.
+        # The force that supports the grip is not to be felt, and its work is not done by the organ: both are removed.
         borne = np.concatenate([[0.0], np.cumsum((support[1:] * np.diff(position, axis=0)).sum(axis=1))])
         return Trace(
             rows[:, 0], position, shown - support, rows[:, 7:10], rows[:, 10] - borne, self.device.statistics()
         )
 
     def close(self) -> None:
-        """End it."""
+        """Close the device and the environment."""
         self._stop()
         self.device.close()
         self.env.close()
@@ -269,7 +275,7 @@ class ClosedLoop:
 
 
 def ramp(goal: float, speed: float = TOUCH_SPEED, start: float = WAIT) -> Path:
-    """From 0 to a place, smoothly, with a greatest speed."""
+    """Path that goes smoothly from 0 to `goal` [m], with a greatest speed [m/s], beginning at `start` [s]."""
     duration = max(1e-3, 0.5 * math.pi * abs(goal) / speed)
 
     def path(time: float) -> float:
@@ -281,7 +287,7 @@ def ramp(goal: float, speed: float = TOUCH_SPEED, start: float = WAIT) -> Path:
 
 @cache
 def static_force(name: str, depth: float, engine: str) -> float:
-    """What the organ does to a tool that has been held at a depth for a second [N]."""
+    """Force of the organ on a tool that has been held at a depth [m] for a second [N]."""
     touch = TOUCHES[name]
     env = gymnasium.make(touch.env_id, max_episode_steps=10**9, engine=engine, **dict(touch.keywords))
     env.reset(seed=0, options={"tool_position": touch.start})
@@ -299,5 +305,8 @@ def static_force(name: str, depth: float, engine: str) -> float:
 
 
 def hold_target(name: str, depth: float, hand: HandModel, scale: float, engine: str) -> float:
-    """Where an operator has to want a hand for it to stay at a depth, from the start on [m]."""
+    """Target of the hand, relative to the touch's start, with which it comes to rest at a depth [m].
+
+    The target is beyond the depth by what the organ's force, times the force scale, stretches the arm's spring.
+    """
     return depth + ABOVE + scale * static_force(name, depth, engine) / hand.stiffness

@@ -1,7 +1,7 @@
-"""All runs of the haptic loop in simulated time: which there are, in processes of their own, kept, and checked.
+"""The matrix of haptic runs in simulated time: plans them, runs them in several processes, stores and checks results.
 
-Every run is one line of a file as soon as it is over, so that a benchmark that was interrupted goes on where it was. A
-line counts only for the sources it was made with.
+Each run is appended to a file as soon as it is over, so that an interrupted benchmark continues where it stopped. A
+stored line counts only as long as the sources it was made with are unchanged.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ SOURCES = (
     "spatula_env/teleop/falcon/*.py",
     "spatula_env/teleop/haptics/*.py",
 )
-"""What decides what a run finds."""
+"""Source files, as patterns, on which the results of a run depend."""
 Row = Mapping[str, Any]
-"""What a run is, and what was measured of it."""
+"""Parameters of a run and its measurements."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """What is asked of a measure.
+    """A limit on a measurement.
 
     Attributes:
         title: What is measured, with its unit.
-        scenarios: In which.
-        measure: Its name in a row.
-        limit: What it may at most be, or has to be at least.
-        is_least: Whether it has to be at least the limit.
+        scenarios: Scenarios it applies to.
+        measure: Name of the measurement in a row.
+        limit: Greatest allowed value, or least if `is_least`.
+        is_least: Whether the limit is a lower bound.
     """
 
     title: str
@@ -85,7 +85,7 @@ CHECKS = (
     Check("0.1 of speed: told, if 1", ("0.1 of speed",), "is_slow", 1.0, True),
     Check("release: to zero [ms]", ("release",), "to_zero_ms", 50.0),
 )
-"""What is asked of the runs, each for all hands at once."""
+"""The limits; each is checked at the worst of all hands."""
 
 
 def make_cells(
@@ -96,15 +96,15 @@ def make_cells(
     hold_seconds: float = 30.0,
     engine: str = "batch",
 ) -> list[Cell]:
-    """What there is to run, the organ as it is first.
+    """Plan the runs; those of the first force scale come first.
 
     Args:
-        parts: Of "holds" and "scenarios".
+        parts: Any of "holds" and "scenarios"; others are ignored.
         hands: Names in `haptics_closed_loop.HANDS`.
         scales: Force on the hand over force on the tool.
         mechanisms: Whether the emulated device has weight, friction and a structural mode.
         hold_seconds: Length of a hold [s].
-        engine: Of the simulation.
+        engine: Engine of the simulation.
     """
     kinds = [
         Cell("", hand, tremor, scale, mechanism=mechanism, seconds=hold_seconds, engine=engine)
@@ -127,12 +127,12 @@ def make_cells(
 
 
 def run_cells(cells: Sequence[Cell], workers: int, file: Path | None = None) -> list[dict[str, Any]]:
-    """Run what has not been run yet.
+    """Run the cells whose results are not stored yet.
 
     Args:
-        cells: What to run.
+        cells: Runs to make.
         workers: Number of processes.
-        file: Where results are kept, and taken from; None: nowhere.
+        file: File from which stored results are read, and to which new ones are appended; None for neither.
 
     Returns:
         The results, in the order of the cells.
@@ -149,7 +149,7 @@ def run_cells(cells: Sequence[Cell], workers: int, file: Path | None = None) -> 
 
 
 def check(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """The worst of every check, by mechanism and force scale, and where it was found."""
+    """The worst value of every check, by mechanism and force scale, and the run it comes from."""
     lines = []
     for each in CHECKS:
         for mechanism in sorted({row["mechanism"] for row in rows}):
@@ -173,7 +173,7 @@ def check(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def lightest(rows: Sequence[Row]) -> float:
-    """The greatest difference of shown and true force in holds too light for a ratio [mN]."""
+    """Greatest difference between shown and true force in windows of holds that are too light for a ratio [mN]."""
     return max(
         (row["difference_of_light_touch_mn"] for row in rows if row["scenario"] == "hold"),
         default=math.nan,
@@ -199,7 +199,7 @@ def describe(lines: Sequence[Mapping[str, Any]]) -> str:
 
 @cache
 def sources() -> str:
-    """What the sources are now, in short."""
+    """Short hash of the current `SOURCES`."""
     digest = hashlib.sha256()
     for pattern in SOURCES:
         for path in sorted(ROOT.glob(pattern)):
@@ -208,7 +208,7 @@ def sources() -> str:
 
 
 def _kept(file: Path) -> dict[str, dict[str, Any]]:
-    """What a file holds that was made with these sources; a line that broke off is none."""
+    """Stored results that were made with the current sources, by cell; incomplete lines are ignored."""
     found: dict[str, dict[str, Any]] = {}
     if not file.exists():
         return found

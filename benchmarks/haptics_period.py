@@ -1,7 +1,7 @@
-"""The haptic loop in real time: its period, how the force follows a step, how long it lasts without a heartbeat.
+"""The haptic loop in real time: its period, its step response, and how long a force lasts without a heartbeat.
 
-A simulated hand presses the spatula into the organ and draws it back, again and again, for the period and for the
-energy that the motors put into the hand.
+To measure the period, and the energy that the motors put into the hand, a simulated hand presses the spatula into the
+organ and draws it back, again and again.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from spatula_env.teleop.wrapper import FalconTeleop
 gymnasium.register_envs(spatula_env)
 
 CYCLE = 4.0
-"""One press and its release [s]."""
+"""Duration of one press and its release [s]."""
 DEPTH = 0.045
-"""From the highest to the lowest place of the hand's target [m]."""
+"""Distance between the highest and the lowest position of the hand's target [m]."""
 START_HEIGHT = 0.0
-"""Of the tool, workspace frame [m]."""
+"""Initial height of the tool, workspace frame [m]."""
 FORCE_SCALES = (1.0, 5.0)
-"""The organ as it is, and five times as stiff to the hand."""
+"""Forces as they are, and with the organ five times as stiff to the hand."""
 STEP_FORCE = 3.0
-"""[N]."""
+"""Height of the force step [N]."""
 STALL_WATCH = 0.1
-"""For how long a stall is watched [s]."""
+"""Longest time for which a stall is watched [s]."""
 POLL = 5e-4
-"""How often the force is looked at [s]."""
+"""Interval at which the force is read [s]."""
 TRIALS = 20
-"""Steps and stalls."""
+"""Number of force steps, and of stalls."""
 MOVE_START = 1.0
-"""So long the hand waits before it moves [s]."""
+"""Time that the hand waits before it moves [s]."""
 
 
 class PressingMotion:
-    """Down and up again, smoothly, in the Falcon's frame."""
+    """Smooth motion down and up, again and again, in the Falcon's frame."""
 
     def __init__(self, depth: float) -> None:
-        """Say how deep [m]."""
+        """Set the distance between the highest and the lowest position [m]."""
         self._depth = depth
 
     def __call__(self, seconds: float) -> tuple[float, float, float]:
-        """The target at a time."""
+        """The target position at a time [s]."""
         phase = max(0.0, seconds - MOVE_START) / CYCLE
         return position_to_falcon((0.0, 0.0, 0.5 * self._depth * math.cos(2.0 * math.pi * phase)))
 
@@ -71,7 +71,7 @@ def make_held_falcon() -> TeleopDevice:
 
 
 def energies(device: TeleopDevice) -> dict[str, float]:
-    """What has been exchanged with the hand [J]; asked where the device is."""
+    """Energies exchanged with the hand [J]; called in the process or thread that owns the device."""
     assert isinstance(device, EmulatedFalcon)
     found = device.emulator.hand.energies
     return {"motors": found.motors, "arm": found.arm, "dissipated": found.dissipated}
@@ -81,12 +81,12 @@ def press(where: Where, force_scale: float, seconds: float) -> dict[str, Any]:
     """Press and draw back for some time.
 
     Args:
-        where: Where the loop runs.
+        where: Where the loop runs, "process" or "thread".
         force_scale: How much stiffer the organ is to the hand.
-        seconds: For how long.
+        seconds: Duration [s].
 
     Returns:
-        Periods [ms], energies [mJ], forces [N].
+        Arguments and measurements: periods [ms], energies [mJ], force [N] and counts.
     """
     env = gymnasium.make("Spatula/Press-v0", max_episode_steps=10**9)
     settings = HapticSettings(force_scale=force_scale)
@@ -126,10 +126,10 @@ def press(where: Where, force_scale: float, seconds: float) -> dict[str, Any]:
 
 
 def step_response() -> dict[str, float]:
-    """How the force follows a step of the simulation's force, and how long it lasts without a heartbeat.
+    """Measure how the force follows a step of the simulation's force, and how long it lasts without a heartbeat.
 
     Returns:
-        Medians of times to 63 % and 95 % of the step, median and longest time from the last heartbeat to zero [ms].
+        Median times to 63 % and 95 % of the step, median and longest time from the last heartbeat to zero force [ms].
     """
     found: dict[str, list[float]] = {"rise_63": [], "rise_95": [], "stall_to_zero": []}
     with HapticDevice(make_held_falcon, where="process", exchange=True) as device:
@@ -148,7 +148,7 @@ def step_response() -> dict[str, float]:
 
 
 def _beat(device: HapticDevice, force: float, reached: Callable[[float], bool]) -> float:
-    """Tell a force, again and again, until what is felt is as it should be; how long that took [s]."""
+    """Send a force again and again until the shown force satisfies `reached`; returns how long that took [s]."""
     start = time.monotonic()
     while True:
         device.tell(None, (0.0, 0.0, force))

@@ -1,4 +1,4 @@
-"""What a hand does in the benchmark of the haptic loop, and what is measured of it."""
+"""The scenarios of the haptic benchmark: what the hand does in each, and what is measured."""
 
 from __future__ import annotations
 
@@ -28,34 +28,35 @@ from spatula_env.teleop.haptics import HapticSettings
 
 FloatArray = NDArray[np.float64]
 WINDOW = 2.0
-"""In which shown and true force are compared [s]."""
+"""Length of the windows whose mean shown and true force are compared [s]."""
 SETTLING = 1.0
-"""After which a hold is looked at [s]."""
+"""Time for which a hold settles before it is measured [s]."""
 TREMOR = 3e-4
-"""Amplitude of a free grip [m]."""
+"""Amplitude of the tremor of a free grip [m]."""
 BUZZ = (20.0, 300.0)
-"""Band of what a hand feels as roughness [Hz]."""
+"""Band of frequencies that a hand feels as roughness [Hz]."""
 LIGHTEST = 0.01
-"""A touch that is lighter, on average, is a few counts of the motors: shown and true are compared by difference [N]."""
+"""A mean force below this is only a few counts of the motors: shown and true force are then compared by difference, not
+by ratio [N]."""
 FELT = 5e-3
-"""From so much on there is a force, or a difference of forces [N]."""
+"""Smallest force, or difference of forces, that counts [N]."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One run.
+    """Parameters of one run.
 
     Attributes:
-        scenario: Its name in `SCENARIOS`.
-        hand: Its name in `HANDS`.
+        scenario: Name of the scenario in `SCENARIOS`.
+        hand: Name of the hand in `HANDS`.
         tremor: Whether the hand trembles.
         scale: Force on the hand over force on the tool.
-        task: Its name in `TOUCHES`.
-        depth: Of a hold [m].
-        seconds: Of a hold [s].
-        settings: Of the loop, but for the scale.
+        task: Name of the touch in `TOUCHES`.
+        depth: Depth of a hold [m].
+        seconds: Duration of a hold [s].
+        settings: Settings of the haptic loop, whose force scale is replaced by `scale`; None for the default.
         mechanism: Whether the emulated device has weight, friction and a structural mode.
-        engine: Of the simulation.
+        engine: Engine of the simulation.
     """
 
     scenario: str
@@ -70,7 +71,7 @@ class Cell:
     engine: str = "batch"
 
     def but(self, **changes: Any) -> Cell:
-        """Another one, with some things changed."""
+        """A copy with some parameters changed."""
         return replace(self, **changes)
 
 
@@ -78,7 +79,7 @@ def run(cell: Cell) -> dict[str, Any]:
     """Run a cell.
 
     Returns:
-        What the cell is, and what was measured of it.
+        Parameters of the cell, and its measurements.
     """
     found = SCENARIOS[cell.scenario](cell)
     described = {
@@ -119,7 +120,7 @@ def push(cell: Cell) -> dict[str, Any]:
 
 
 def tap(cell: Cell, speed: float) -> dict[str, Any]:
-    """Touch the organ at a speed, and be off again."""
+    """Tap the organ: come down from above, with a given greatest speed [m/s], and lift off again."""
     lift, depth = 0.010, 0.010
     touch = TOUCHES[cell.task]
     x, y, z = (place - (lift - ABOVE) * way for place, way in zip(touch.start, touch.direction, strict=True))
@@ -151,7 +152,7 @@ def slide(cell: Cell) -> dict[str, Any]:
 
 
 def release(cell: Cell) -> dict[str, Any]:
-    """Be deep in the organ when the episode ends."""
+    """Hold the tool deep in the organ when the device releases the force, as at the end of an episode."""
     loop, _, begin = _to_depth(cell)
     loop.run(begin)
     at = loop.device.now()
@@ -168,7 +169,7 @@ def release(cell: Cell) -> dict[str, Any]:
 
 
 def stall(cell: Cell, duration: float) -> dict[str, Any]:
-    """Be deep in the organ while the simulation stops for once."""
+    """Hold the tool deep in the organ while the simulation stops once, for some time [s]."""
     loop, _, begin = _to_depth(cell)
     trace = _run(loop, begin + duration + 4.0, stall=(begin, duration))
     after = begin + duration
@@ -184,7 +185,7 @@ def stall(cell: Cell, duration: float) -> dict[str, Any]:
 
 
 def slow(cell: Cell, speed: float) -> dict[str, Any]:
-    """Hold the tool in the organ while the simulation is slower than time."""
+    """Hold the tool in the organ while the simulation runs slower than real time, at a share `speed` of it."""
     loop, _, begin = _to_depth(cell, speed=speed)
     begin += 1.0
     trace = _run(loop, begin + 4.0)
@@ -217,7 +218,7 @@ SCENARIOS: Mapping[str, Callable[[Cell], dict[str, Any]]] = {
 
 
 def buzz(force: FloatArray) -> float:
-    """What of forces (n, 3), once a millisecond, is within `BUZZ`: root mean square [N]."""
+    """Root mean square of the part of forces (n, 3), sampled once a millisecond, within the band `BUZZ` [N]."""
     spectrum = np.fft.rfft(force - force.mean(axis=0), axis=0)
     frequencies = np.fft.rfftfreq(len(force), 1e-3)
     spectrum[(frequencies < BUZZ[0]) | (frequencies > BUZZ[1])] = 0.0
@@ -243,7 +244,7 @@ def _loop(cell: Cell, path: Path, touch: Touch | None = None, speed: float = 1.0
 
 
 def _to_depth(cell: Cell, speed: float = 1.0) -> tuple[ClosedLoop, Path, float]:
-    """A loop whose hand goes to a depth and stays there, its path, and when it has settled [s]."""
+    """A loop whose hand goes to the cell's depth and stays there, its path, and the time when it has settled [s]."""
     target = hold_target(cell.task, cell.depth, HANDS[cell.hand], cell.scale, cell.engine)
     path = ramp(target)
     return _loop(cell, path, speed=speed), path, WAIT + _duration(target, TOUCH_SPEED) + SETTLING
@@ -279,13 +280,13 @@ def _held(trace: Trace, begin: float, tremor: bool) -> dict[str, Any]:
     last = trace.position[trace.between(max(begin, float(trace.time[-1]) - 3.0), math.inf)]
     found = {**_fidelity(trace, begin, float(trace.time[-1])), "hold_step_n_per_ms": _greatest_step(trace.shown[rows])}
     if not tremor:
-        # What is slow is the organ's creep.
+        # The slow part of the motion, which `_swing` removes, is creep of the organ.
         found["limit_cycle_mm"] = 1e3 * _swing(last)
     return found
 
 
 def _swing(position: FloatArray) -> float:
-    """From peak to peak of places (n, 3), once a millisecond, without what is slower than half a second [m]."""
+    """Peak-to-peak motion of positions (n, 3), sampled once a millisecond, less their mean over half a second [m]."""
     width = 500
     window = np.hanning(width) / np.hanning(width).sum()
     smooth = np.stack([np.convolve(column, window, mode="valid") for column in position.T], axis=1)
@@ -314,7 +315,7 @@ def _ratio(trace: Trace, begin: float, end: float) -> float:
     rows = trace.between(begin, end)
     shown, true = (float(np.linalg.norm(force[rows].mean(axis=0))) for force in (trace.shown, trace.true))
     if abs(shown - true) < FELT:
-        # A count or two of the motors.
+        # The difference is only a count or two of the motors.
         return 1.0
     return shown / max(true, 1e-9)
 
@@ -324,7 +325,7 @@ def _greatest_step(force: FloatArray) -> float:
 
 
 def _latency(trace: Trace, cell: Cell) -> dict[str, float]:
-    """From the hand at the surface to force at the hand, in the first touch and the quicker one."""
+    """Longest time, over the touches, from when the hand reaches the surface until it feels a force [ms]."""
     touch = TOUCHES[cell.task]
     moved = (trace.position - trace.position[0]) @ np.array(touch.direction)
     felt = np.linalg.norm(trace.shown, axis=1) > FELT * cell.scale

@@ -1,7 +1,8 @@
-"""What becomes of the force when a signal comes: to the program, to its group, to the loop's process.
+"""How soon the force ends when a signal arrives at the program, at its process group, or at the loop's process.
 
-A program tells a force of 1 N through the haptic loop in a process of its own to an emulated Falcon in another one, at
-the other end of a socket. After each signal the motor commands that have come over that socket are looked at.
+A program sends a force of 1 N through the haptic loop, which runs in a process of its own, to an emulated Falcon in a
+third process, at the other end of a socket. After each signal, the motor commands that have arrived over that socket
+are examined.
 """
 
 from __future__ import annotations
@@ -26,21 +27,21 @@ SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGSTOP", "SIGK
 KILL = "SIGKILL"
 TARGETS = ("group", "main", "loop")
 FORCE = (0.0, 0.0, 1.0)
-"""That is told all the time [N]."""
+"""Force that the program sends all the time [N]."""
 PATIENCE = 20.0
-"""How long something is waited for [s]."""
+"""Longest wait for anything [s]."""
 WATCHED = 0.2
-"""A force that has ended stays off for so long [s]."""
+"""The force counts as ended after it has been zero for this long [s]."""
 ROOT = str(Path(__file__).parents[1])
 
 
 class Program(NamedTuple):
-    """A program that lets an emulated Falcon push.
+    """A running program that makes an emulated Falcon push.
 
     Attributes:
-        main: Its process and its group.
-        loop: The process of its loop.
-        address: Of the device.
+        main: Id of its main process, and of its process group.
+        loop: Id of the process of its haptic loop.
+        address: Address of the device's socket.
     """
 
     main: int
@@ -49,12 +50,12 @@ class Program(NamedTuple):
 
 
 def make_falcon(address: str) -> Falcon:
-    """The driver on a device behind a socket."""
+    """Make a driver for a device behind a socket."""
     return Falcon(transport=partial(WireTransport, address), threaded=False)
 
 
 def push(address: str) -> None:
-    """Be the program, until something ends it."""
+    """Act as the program: print the loop's process id, then push until something ends the process."""
     device = HapticDevice(partial(make_falcon, address), where="process", exchange=True)
     with device:
         print(device.ask(_own_process), flush=True)
@@ -65,7 +66,7 @@ def push(address: str) -> None:
 
 @contextmanager
 def running() -> Iterator[Program]:
-    """A program that pushes, and its device, for as long as a ``with`` block lasts."""
+    """Context manager that starts the device and a program that pushes, and kills them at the end of the block."""
     with tempfile.TemporaryDirectory() as folder:
         address = str(Path(folder) / "falcon")
         environment = {**os.environ, "PYTHONPATH": ROOT}
@@ -80,13 +81,13 @@ def running() -> Iterator[Program]:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                # A group, and no session: Ctrl-Z does nothing to a group without a shell to continue it.
+                # A process group but no session of its own: SIGTSTP has no effect on an orphaned process group.
                 preexec_fn=os.setpgrp,
             )
             assert main.stdout is not None
             loop = int(main.stdout.readline())
             _check(wait_until(lambda: any(ask(address)[-1][1]), PATIENCE), "there is no force")
-            # In full, and for some time.
+            # Wait until the force has its full size, and has had it for some time.
             time.sleep(0.3)
             yield Program(main.pid, loop, address)
         finally:
@@ -105,15 +106,15 @@ def end_of_force(program: Program, name: str, target: str) -> float:
     """Send a signal, and wait until the force has ended.
 
     Args:
-        program: Who pushes.
-        name: Of the signal.
+        program: The program that pushes.
+        name: Name of the signal.
         target: "group", "main" or "loop".
 
     Returns:
-        How long after the signal the zeros came [s].
+        Time from the signal to the first command of zeros after the last push [s].
 
     Raises:
-        RuntimeError: If it does not end.
+        RuntimeError: If the force does not end within `PATIENCE`.
     """
     number = getattr(signal, name)
     sent = time.monotonic()
@@ -128,14 +129,14 @@ def end_of_force(program: Program, name: str, target: str) -> float:
         return not any(history[-1][1]) and time.monotonic() - pushes[-1] > WATCHED
 
     _check(wait_until(ended, PATIENCE), f"the force goes on after {name} to the {target}")
-    # The last command that pushes acts until the next one comes.
+    # The last pushing command acts until the next command arrives.
     history = ask(program.address)
     last = max(index for index, (_, motors) in enumerate(history) if any(motors))
     return max(0.0, history[last + 1][0] - sent)
 
 
 def measure_signals() -> dict[str, float]:
-    """How long after each signal to each target the zeros came [ms]; nothing where there are no groups of processes."""
+    """Time from each signal to each target until zeros arrive [ms]; empty on systems without process groups."""
     found: dict[str, float] = {}
     if not hasattr(os, "killpg"):
         return found

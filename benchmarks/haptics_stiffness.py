@@ -1,8 +1,8 @@
-"""The greatest stiffness that a hand can hold still: the renderer alone on an organ that is a spring without mass.
+"""The greatest stiffness with which a hand is stable: the force renderer alone, on an organ that is a massless spring.
 
-The tool follows the hand at a rate, with a delay besides, no faster than 0.1 m/s; encoders have steps of 0.04 mm. The
-hand leans on the organ, is kicked, and has to be still again within a quarter of a millimetre. The account of energy is
-off: it would hide what is unstable by softening it.
+The tool follows the hand at a given rate and with an additional delay, no faster than 0.1 m/s; the encoders have steps
+of 0.04 mm. The hand leans on the organ, is kicked, and has to be still again within a quarter of a millimetre. The
+energy limit is in effect switched off, as it would hide an instability by softening the contact.
 """
 
 from __future__ import annotations
@@ -17,23 +17,25 @@ from spatula_env.teleop.haptics import Contact, HapticSettings
 from spatula_env.teleop.haptics.rendering import ForceRenderer
 
 RATES = (240.0, 60.0, 20.0)
-"""At which the tool follows [Hz]."""
+"""Rates at which the tool follows the hand [Hz]."""
 DELAYS = (0.0, 0.01, 0.05)
-"""Besides [s]."""
+"""Additional delays until the renderer learns of the tool and its force [s]."""
 MOST = 3000.0
 """A Falcon's own limit [N/m]."""
 STEP = 1e-3
+"""Period of the loop and of the integration [s]."""
 ENCODER = 4e-5
-"""Of position [m]."""
+"""Step of the encoders, as a position [m]."""
 TOOL_SPEED = 0.1
-"""Greatest [m/s]."""
+"""Greatest speed of the tool [m/s]."""
 LEAN, KICK = 1.0, 0.05
-"""Force on the organ [N], and the kick [m/s]."""
+"""Force with which the hand leans on the organ [N], and change of its velocity by the kick [m/s]."""
 SECONDS, KICKED, LOOKED = 4.0, 1.5, 3.2
-"""Of a trial, when it is kicked, and from when on it has to be still [s]."""
+"""Duration of a trial, time of the kick, and time from which on the hand has to be still [s]."""
 STILL = 2.5e-4
-"""From peak to peak [m]."""
+"""Greatest peak-to-peak motion of a hand that counts as still [m]."""
 GAINS = HapticSettings(energy_allowance=1e3, slew=1e4)
+"""Settings whose limits on energy and rate of change of force are too wide to take effect."""
 
 
 def table(hands: Iterable[str] = tuple(HANDS)) -> dict[str, dict[str, float]]:
@@ -49,7 +51,7 @@ def table(hands: Iterable[str] = tuple(HANDS)) -> dict[str, dict[str, float]]:
 
 
 def greatest_stiffness(hand: HandModel, rate: float, delay: float) -> float:
-    """By halving, to 5 % [N/m]."""
+    """The greatest stable stiffness, by bisection of its logarithm to 5 %, between 10 N/m and `MOST` [N/m]."""
     low, high = 10.0, MOST
     if is_stable(hand, high, rate, delay):
         return high
@@ -63,7 +65,7 @@ def greatest_stiffness(hand: HandModel, rate: float, delay: float) -> float:
 
 
 def is_stable(hand: HandModel, stiffness: float, rate: float, delay: float) -> bool:
-    """Whether the hand is still again after a kick."""
+    """Simulate a trial: whether the hand is still again after the kick."""
     renderer = ForceRenderer(replace(GAINS, longest_stall=0.3, stall_time=0.3), 8.0, MOST, 20.0)
     depth = LEAN / stiffness
     target = -depth - LEAN / hand.stiffness
@@ -87,7 +89,7 @@ def is_stable(hand: HandModel, stiffness: float, rate: float, delay: float) -> b
         velocity = (seen[-1] - seen[0]) / (3.0 * STEP)
         contact = Contact(beat, (0.0, 0.0, there), (0.0, 0.0, pushed))
         felt = renderer.step(now, (0.0, 0.0, seen[-1]), (0.0, 0.0, velocity), contact)[2]
-        # What was made acts from the next packet on.
+        # A computed force acts from the next packet on.
         acceleration = (force + hand.stiffness * (target - place) - hand.damping * speed) / hand.mass
         speed += STEP * acceleration
         place += STEP * speed

@@ -1,9 +1,9 @@
-"""Is what hindsight says true: would the episode have gone so if the relabelled goal had been the goal?
+"""Is hindsight relabelling true: would the episode have gone the same way with the relabelled goal as its goal?
 
-In each task with the goal interface, a noisy expert acts. What was achieved at a step of each episode, drawn from those
-whose goal may be asked for, is made the goal, as hindsight replay does; the same actions are then done again in an
-episode from the same seed with that goal. Each step that `compute_reward` calls a success with the relabelled goal has
-to be within tolerance there, and no other.
+In each task with the goal interface, a noisy expert acts. As in hindsight experience replay, the achieved goal of one
+step of each episode becomes its goal; the step is drawn from those whose achieved goal is a valid goal. The actions are
+then repeated in an episode with the same seed and that goal. Exactly those steps that `compute_reward` counts as a
+success with the relabelled goal must be within tolerance there.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ STEPS = 60
 """Control steps of an episode."""
 
 NOISE = 0.3
-"""Standard deviation of what is added to the expert's actions."""
+"""Standard deviation of the noise that is added to the expert's actions."""
 
 WORLDS = 50
-"""Episodes that are played together."""
+"""Number of episodes that are played at a time."""
 
 
 def tasks_with_hindsight() -> list[str]:
@@ -44,13 +44,14 @@ def compare(env: Any, task: str, seeds: Sequence[int]) -> dict[str, int]:
     """Play episodes, relabel them, and play them again.
 
     Args:
-        env: Of the task, in as many worlds as there are seeds, with `reward="sparse"`.
-        task: Its name.
-        seeds: Of the episodes.
+        env: Vector environment of the task with `reward="sparse"`, of as many worlds as there are seeds.
+        task: Name of the task.
+        seeds: Seeds of the episodes.
 
     Returns:
-        "episodes" that could be relabelled, "claimed" steps that hindsight calls successes, "denied" of them that the
-        environment does not, and "missed" ones that only the environment does.
+        Counts: "episodes" that could be relabelled; "claimed", steps that count as successes in hindsight; "denied",
+        those of them that are not within tolerance in the environment; and "missed", steps within tolerance that
+        hindsight does not count.
     """
     made, generator = env.unwrapped, np.random.default_rng([seeds[0], 4])
     expert = getattr(experts, f"{task}Expert")(env)

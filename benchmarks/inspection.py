@@ -1,12 +1,12 @@
-"""Looks at where tools and organs are, and says how far one is inside the other and where organs cross themselves.
+"""Inspects tools and organs: how deep one is inside the other, and where organs cross themselves or each other.
 
-It shares nothing with the contact detector that it judges: points are inside an organ by the winding number of its
-surface, the depth of the surface in a tool is the greatest of any of its points, wherever on a triangle that is,
-whether the organ has slipped past the tool is decided from the paths of its vertices, and an organ crosses itself where
-an edge goes through a triangle.
+The inspection shares nothing with the contact detector that it judges. Points are inside an organ by the winding number
+of its surface. The depth of the surface in a tool is the greatest over all points of the triangles, not only over
+vertices. Whether the organ has slipped past the tool is decided from the paths of its vertices. An organ crosses itself
+where one of its edges goes through one of its triangles.
 
-As a command it makes a motion in a scene, or repeats a recorded one, and looks after every physics step. What a
-recording holds is said in `benchmarks.recordings`; `benchmarks.endurance --save` writes some.
+As a command it makes a motion in a scene, or repeats a recorded one, and inspects after every physics step.
+`benchmarks.recordings` describes what a recording holds; `benchmarks.endurance --save` writes recordings.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 ALLOWED = 0.01
-"""A depth that is no fault [u]: 0.2 mm in the scenes of the tasks."""
+"""Greatest depth that is not a fault [u]: 0.2 mm in the scenes of the tasks."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +50,19 @@ class Inspection:
     Attributes:
         node_depth: Greatest depth of one of the tool's contact nodes inside the organ [u].
         corner_depth: Greatest depth of one of the tool's corners inside the organ [u].
-        edge_depth: Greatest depth of a point of the tool's edges inside the organ, of those that are `EDGE_SPACING`
-            apart [u].
-        surface_depth: Greatest depth of any point of the organ's surface inside the tool, exactly [u].
+        edge_depth: Greatest depth of a sample point on the tool's edges inside the organ; samples are at most
+            `EDGE_SPACING` apart [u].
+        surface_depth: Greatest depth of any point of the organ's surface inside the tool, exact [u].
         centre_inside: Whether the tool's origin is inside the organ.
-        enclosed: How many of the tool's columns are inside the organ with both ends and the middle. A column runs from
-            a contact node to its opposite; those within `RIM` of another face do not count. A blade that two walls
-            squeeze may have both ends in these by a hair; its middle is outside, and how deep the ends are is told.
-        passages: How many vertices of the organ have gone right through the tool since the inspection before, in by one
-            face and out by the opposite one, the outside of the organ ahead. Their paths are straight in the tool's
-            frame; those that cross one of the two faces within `RIM` of another face do not count.
-        turned: How many have done so with the inside of the organ ahead: an organ that resists neither contact with
-            itself nor inversion may turn inside out over a tool that is rightly outside it. A vertex that goes back the
-            way it came counts neither here nor there.
+        enclosed: How many of the tool's columns have both ends and the middle inside the organ. A column runs from a
+            contact node to its opposite; columns within `RIM` of another face do not count. A blade squeezed between
+            two walls may have both ends slightly inside them, which is measured as a depth; its middle is outside.
+        passages: How many vertices of the organ have gone right through the tool since the last inspection, in by one
+            face and out by the opposite one, with the outside of the organ ahead. Paths are taken as straight in the
+            tool's frame; those that cross one of the two faces within `RIM` of another face do not count.
+        turned: How many vertices have done so with the inside of the organ ahead: an organ that resists neither contact
+            with itself nor inversion may turn inside out over a tool that is rightly outside it. A vertex that goes
+            back the way it came counts neither as a passage nor as turned.
     """
 
     node_depth: float
@@ -86,7 +86,7 @@ class Inspection:
 
 
 APART = Inspection(0.0, 0.0, 0.0, 0.0, centre_inside=False, enclosed=0, passages=0, turned=0)
-"""What is seen of a tool that is far from all organs."""
+"""The inspection of a tool that is far from all organs."""
 
 SEEN = np.dtype(
     [
@@ -101,24 +101,24 @@ SEEN = np.dtype(
     ],
     align=True,
 )
-"""Fields of `Inspection`, for arrays."""
+"""Structured data type with the fields of `Inspection`."""
 
 ROUNDING = 1e-9
-"""Boxes that are nearer than this to each other meet [u]."""
+"""Boxes count as overlapping if the gap between them is at most this [u]."""
 
 DEPTHS = ("node_depth", "corner_depth", "edge_depth", "surface_depth")
-"""Those that are depths."""
+"""The fields that are depths."""
 
 
 class Past(NamedTuple):
-    """What is kept of one tool and the organs of each world from one inspection to the next, for kernels.
+    """State of one tool and the organs of each world, kept from one inspection to the next, for kernels.
 
     Attributes:
-        known: (W,) whether the rest means anything.
-        vertices: (W, V, 3) of the organs, in the tool's frame [u].
-        sides: (W, V) on which outer sides of the tool's box they were, a bit for each.
-        entries: (W, V) by which face each vertex that is inside came in, -1 for the others and where it is not known.
-        strayed: (W, V) by which face those came in that have gone through and not back, -1 for the others.
+        known: (W,) whether the other fields are valid.
+        vertices: (W, V, 3) vertices of the organs, in the tool's frame [u].
+        sides: (W, V) bit set of the sides of the tool's box that each vertex was outside of.
+        entries: (W, V) face by which each vertex inside the tool came in; -1 for other vertices and where unknown.
+        strayed: (W, V) face by which each vertex came in that has gone through and not back; -1 for other vertices.
     """
 
     known: NDArray[np.bool_]
@@ -129,11 +129,11 @@ class Past(NamedTuple):
 
 
 def make_past(worlds: int, vertices: int) -> Past:
-    """A `Past` of which nothing is known.
+    """Make an empty `Past`.
 
     Args:
-        worlds: How many.
-        vertices: How many the organs have in each.
+        worlds: Number of worlds.
+        vertices: Number of vertices of all organs in a world.
     """
     return Past(
         known=np.zeros(worlds, dtype=np.bool_),
@@ -146,7 +146,7 @@ def make_past(worlds: int, vertices: int) -> Past:
 
 @inline_kernel
 def _to_frame(vertices: np.ndarray, position: np.ndarray, orientation: np.ndarray, local: np.ndarray) -> None:
-    """Write vertices (V, 3), in a frame with a position (3,) and an orientation (4,), into `local` (V, 3)."""
+    """Write vertices (V, 3) into `local` (V, 3), relative to a frame with a position (3,) and an orientation (4,)."""
     x, y, z, w = orientation[0], orientation[1], orientation[2], orientation[3]
     xx, xy, xz = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)
     yx, yy, yz = 2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)
@@ -160,7 +160,7 @@ def _to_frame(vertices: np.ndarray, position: np.ndarray, orientation: np.ndarra
 
 @inline_kernel
 def _fill_sides(vertices: np.ndarray, box: np.ndarray, sides: np.ndarray) -> None:
-    """Write on which outer sides of a box (6,), `BAND` wider each way, vertices (V, 3) are, a bit for each."""
+    """Write which sides of a box (6,), enlarged by `BAND`, each vertex (V, 3) is outside of: a bit for each side."""
     for v in range(vertices.shape[0]):
         bits = 0
         for axis in range(3):
@@ -173,7 +173,7 @@ def _fill_sides(vertices: np.ndarray, box: np.ndarray, sides: np.ndarray) -> Non
 
 @inline_kernel
 def _is_off(vertices: np.ndarray, box: np.ndarray, position: np.ndarray, radius: float) -> bool:
-    """Whether a ball is outside of the box around all organs; `box` (6,) is for work."""
+    """Whether a ball is outside the bounding box of all organs; `box` (6,) is workspace."""
     for axis in range(3):
         low, high = np.inf, -np.inf
         for v in range(vertices.shape[0]):
@@ -189,10 +189,10 @@ def _is_off(vertices: np.ndarray, box: np.ndarray, position: np.ndarray, radius:
 def _find_near(
     vertices: np.ndarray, triangles: np.ndarray, sides: np.ndarray, box: np.ndarray, near: np.ndarray
 ) -> tuple[int, bool]:
-    """Write the triangles that are within `BAND` of a box (6,) into `near` (T,).
+    """Write the triangles that may be within `BAND` of a box (6,) into `near` (T,).
 
     Returns:
-        How many there are, and whether the box around any of them meets this box.
+        Number of these triangles, and whether the bounding box of any of them overlaps this box.
     """
     count, touching = 0, False
     for t in range(triangles.shape[0]):
@@ -221,17 +221,17 @@ def inspect_tool(
     past: Past,
     seen: np.ndarray,
 ) -> None:
-    """Look at one tool of some worlds.
+    """Inspect one tool of the active worlds.
 
     Args:
-        probe: Of the tool.
+        probe: Probe of the tool.
         triangles: (T, 3) of the closed surfaces of all organs, counter-clockwise from outside.
         positions: (W, 3) of the tool [u].
         orientations: (W, 4) of the tool.
         vertices: (W, V, 3) of the organs [u].
-        active: (W,) which worlds are looked at.
-        past: Kept from call to call.
-        seen: (W,) `SEEN`, is filled; zero beforehand.
+        active: (W,) which worlds to inspect.
+        past: State kept from call to call; updated in place.
+        seen: (W,) output of type `SEEN`; must be zero beforehand.
     """
     size = vertices.shape[1]
     local, along = np.empty((size, 3)), np.empty((size, 3))
@@ -260,7 +260,7 @@ def inspect_tool(
         past.vertices[w], past.sides[w] = local, sides
         count, touching = _find_near(local, triangles, sides, probe.box, near)
         see(local, along)
-        # Where no surface comes to the tool, all of it is inside if its origin is.
+        # If no part of the surface reaches the tool, the tool is inside as a whole or not at all: its origin decides.
         if not touching and not is_inside(places[origin], probe.points.seen[origin], local, along, triangles):
             continue
         if touching:
@@ -291,7 +291,7 @@ class Inspector:
 
     def __init__(self, tool: Tool, triangles: ArrayLike) -> None:
         self._triangles = np.array(triangles, dtype=np.int32, order="C")
-        # However far the tool gets: it may go right through in one step.
+        # No early exit, however far the tool is: it may go right through the organ in one step.
         self._probe = make_probe(tool)._replace(radius=np.inf)
         self._past: Past | None = None
         self._every = np.ones(1, dtype=np.bool_)
@@ -301,7 +301,7 @@ class Inspector:
         self._past = None
 
     def inspect(self, position: ArrayLike, orientation: ArrayLike, vertices: FloatArray) -> Inspection:
-        """Look at the present state.
+        """Inspect the present state.
 
         Args:
             position: (3,) of the tool [u].
@@ -309,7 +309,7 @@ class Inspector:
             vertices: (V, 3) of the organ, world frame [u], finite.
 
         Returns:
-            What was seen.
+            The inspection.
         """
         if self._past is None:
             self._past = make_past(1, len(vertices))
@@ -328,17 +328,17 @@ class Inspector:
 
 
 def _as_inspection(row: Any) -> Inspection:
-    """One record of `SEEN`."""
+    """Convert one record of type `SEEN`."""
     return Inspection(**dict(zip(SEEN.names or (), row.tolist(), strict=True)))
 
 
 @dataclass(frozen=True)
 class WorldInspection:
-    """What is seen of a world at one instant.
+    """Inspection of a world at one instant.
 
     Attributes:
-        tools: Of each tool, against all organs together.
-        crossings: Of the organs.
+        tools: Inspection of each tool against all organs together.
+        crossings: Crossings of the organs.
     """
 
     tools: tuple[Inspection, ...]
@@ -357,12 +357,12 @@ class WorldInspection:
 
 @dataclass(frozen=True)
 class WorldsInspection:
-    """What is seen of many worlds at one instant. In worlds that are not looked at, nothing is.
+    """Inspection of many worlds at one instant; zero in inactive worlds.
 
     Attributes:
-        tools: (W, N) `SEEN`, of each tool, against all organs together.
+        tools: (W, N) of type `SEEN`: inspection of each tool against all organs together.
         own: (W,) crossings of organs with themselves.
-        between: (W,) of organs with each other.
+        between: (W,) crossings of organs with each other.
     """
 
     tools: Any
@@ -381,7 +381,7 @@ class WorldsInspection:
         return (tools["centre_inside"] | (tools["enclosed"] > 0) | (tools["passages"] > 0)).any(axis=1)
 
     def world(self, index: int) -> WorldInspection:
-        """What is seen of one of them."""
+        """Inspection of the world with this index."""
         return WorldInspection(
             tuple(_as_inspection(row) for row in self.tools[index]),
             Crossings(int(self.own[index]), int(self.between[index])),
@@ -392,8 +392,8 @@ class WorldsInspector:
     """Inspects all tools and organs of many worlds of one scene, step after step.
 
     Args:
-        scene: What is in each.
-        worlds: How many.
+        scene: Scene of each world.
+        worlds: Number of worlds.
     """
 
     def __init__(self, scene: Scene, worlds: int) -> None:
@@ -420,16 +420,16 @@ class WorldsInspector:
         vertices: FloatArray,
         active: NDArray[np.bool_] | None = None,
     ) -> WorldsInspection:
-        """Look at the present state.
+        """Inspect the present state.
 
         Args:
             positions: (W, N, 3) of the tools [u].
             orientations: (W, N, 4) of the tools, unit quaternions xyzw.
-            vertices: (W, V, 3) of all organs, world frame [u], finite where they are looked at.
-            active: (W,) which worlds are looked at; all by default.
+            vertices: (W, V, 3) of all organs, world frame [u], finite in active worlds.
+            active: (W,) which worlds to inspect; all by default.
 
         Returns:
-            What was seen.
+            The inspection.
         """
         active = self._every if active is None else active
         vertices = np.ascontiguousarray(vertices)
@@ -452,7 +452,7 @@ class WorldInspector:
     """Inspects all tools and organs of one world, step after step.
 
     Args:
-        scene: What is in it.
+        scene: Scene of the world.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -463,7 +463,7 @@ class WorldInspector:
         self._worlds.reset([0])
 
     def inspect(self, positions: FloatArray, orientations: FloatArray, vertices: FloatArray) -> WorldInspection:
-        """Look at the present state.
+        """Inspect the present state.
 
         Args:
             positions: (N, 3) of the tools [u].
@@ -471,31 +471,31 @@ class WorldInspector:
             vertices: (V, 3) of all organs, world frame [u], finite.
 
         Returns:
-            What was seen.
+            The inspection.
         """
         return self._worlds.inspect(positions[None], orientations[None], vertices[None]).world(0)
 
 
 @dataclass
 class Tally:
-    """What was seen in the physics steps of a run.
+    """Counts over the physics steps of a run.
 
     Attributes:
-        steps: How many.
-        touching: In which a tool felt a force.
-        depth: Greatest [u].
-        deepest_step: When that was, counted from 0.
-        deep: In which a depth was greater than `ALLOWED`.
-        deep_uncrossed: How many of those had no organ that crossed itself.
-        longest_deep: How many of them followed each other at most.
-        unreported: In which a depth was greater than `ALLOWED` and the report's residual was not.
+        steps: Number of steps.
+        touching: Steps in which a tool felt a force.
+        depth: Greatest depth [u].
+        deepest_step: Step in which that was, counted from 0.
+        deep: Steps in which a depth was greater than `ALLOWED`.
+        deep_uncrossed: Deep steps in which no organ crossed itself.
+        longest_deep: Greatest number of consecutive deep steps.
+        unreported: Deep steps in which the residual of the report was not greater than `ALLOWED`.
         reported: Greatest residual of a report [u].
-        wrong_side: In which some of an organ's surface was on the far side of a tool.
-        crossed: In which an organ crossed itself.
-        longest_crossed: How many of those followed each other at most.
-        most_crossings: Greatest number of crossings of organs with themselves.
-        crossed_between: In which organs crossed each other.
-        diverged: Whether the simulation broke down.
+        wrong_side: Steps in which some of an organ's surface was on the far side of a tool.
+        crossed: Steps in which an organ crossed itself.
+        longest_crossed: Greatest number of consecutive steps in which an organ crossed itself.
+        most_crossings: Greatest number of crossings of organs with themselves in a step.
+        crossed_between: Steps in which organs crossed each other.
+        diverged: Whether the simulation diverged.
     """
 
     steps: int = 0
@@ -518,16 +518,16 @@ class Tally:
 
     @property
     def crossed_now(self) -> int:
-        """For how many steps an organ has crossed itself without a break."""
+        """Number of consecutive steps, up to the latest one, in which an organ has crossed itself."""
         return self._crossed_since
 
     def add(self, seen: WorldInspection, *, touching: bool, reported: float) -> None:
         """Count one physics step.
 
         Args:
-            seen: What was seen after it.
+            seen: Inspection after the step.
             touching: Whether a tool felt a force in it.
-            reported: Its report's residual [u].
+            reported: Residual of the step's report [u].
         """
         depth, own = seen.residual, seen.crossings.own
         if depth > self.depth:
@@ -548,21 +548,21 @@ class Tally:
         self.crossed_between += seen.crossings.between > 0
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The counts, for JSON."""
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
 
 def watch_motion(simulation: Simulation, linear: FloatArray, angular: FloatArray, *, show: bool = False) -> Tally:
-    """Move a simulation's tools, and look after every physics step.
+    """Move a simulation's tools, and inspect after every physics step.
 
     Args:
-        simulation: Where to begin.
-        linear: (S, N, 3) of the tools in each step [u/s].
-        angular: (S, N, 3) world frame [rad/s].
+        simulation: The simulation, in the state to begin from.
+        linear: (S, N, 3) linear velocities of the tools in each step [u/s].
+        angular: (S, N, 3) angular velocities, world frame [rad/s].
         show: Whether to print a line for each step.
 
     Returns:
-        What was seen.
+        Counts over all steps, up to a divergence.
     """
     inspector, tally = WorldInspector(simulation.scene), Tally()
     inspector.inspect(simulation.tool_positions, simulation.tool_orientations, simulation.nodes)
@@ -590,7 +590,7 @@ def watch_motion(simulation: Simulation, linear: FloatArray, angular: FloatArray
 
 
 def main() -> None:
-    """Make a motion, look, and print."""
+    """Make a motion, inspect it, and print."""
     options = parser(__doc__ or "")
     options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("--scene", choices=motions.SCENES, default="seed")

@@ -1,4 +1,4 @@
-"""Books of momentum and energy, kept while a tool works on an organ."""
+"""A ledger of momentum and energy, kept while a tool works on an organ."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 
 
 class Ledger:
-    """Steps a simulation of one tool and of organs without fixed nodes, and adds up what is exchanged.
+    """Steps a simulation of one tool and of organs without fixed nodes, and balances what they exchange.
 
     Attributes:
         simulation: The simulation.
-        work: What the tool has done on the organs since the start [kg u2/s2].
-        greatest_work: The most that `work` has been.
-        excess: Greatest amount by which the organs' kinetic energy and gain in energy of height have exceeded the work
-            done until then [kg u2/s2]. The springs' energy cannot be asked for; it would only add to the left side, so
-            an excess is energy from nothing.
-        exchange_error: Greatest difference between what the tool gave and what the organs' nodes got, force and torque,
-            relative to the sum of the impulses' sizes.
+        work: Work of the tool on the organs since the start [kg u2/s2].
+        greatest_work: Greatest value that `work` has had [kg u2/s2].
+        excess: Greatest amount by which the organs' kinetic energy plus gain in potential energy has exceeded the work
+            done until then [kg u2/s2]. The energy of the springs is not available. It would only add to the organs'
+            energy, so that, but for what the springs stored at the start, an excess is energy from nothing.
+        exchange_error: Greatest difference between what the tool gave and what the organs' nodes received in a step, in
+            impulse and moment, relative to the sum of the impulses' (moments') sizes.
         momentum_error: Greatest difference between the change of the organs' momentum in a step and the impulses of
-            tool, ground and gravity, relative likewise.
-        forces: Of each step, on the tool [kg u/s2].
+            tool, ground and gravity, relative to the sum of the impulses' sizes.
+        forces: Force on the tool in each step [kg u/s2].
     """
 
     def __init__(self, simulation: Simulation) -> None:
-        """Begin with the present state, books at zero."""
+        """Begin at the present state, with all sums at zero."""
         self.simulation = simulation
         self.work = 0.0
         self.greatest_work = 0.0
@@ -44,7 +44,7 @@ class Ledger:
         self._start = self._height_energy()
 
     def step(self, linear: ArrayLike = (0.0, 0.0, 0.0), angular: ArrayLike = (0.0, 0.0, 0.0)) -> Report:
-        """Make one physics step with the tool at these velocities, and enter it.
+        """Make one physics step with the tool at these velocities, and record it.
 
         Args:
             linear: (3,) [u/s].
@@ -58,7 +58,7 @@ class Ledger:
         momentum = masses @ simulation.node_velocities
         report = simulation.step(linear, angular)
         nodes, velocities, impulses = simulation.nodes, simulation.node_velocities, report.nodal_impulses
-        # The weight keeps the size from zero when nothing is touched; so does the one where there is no gravity.
+        # The weight keeps the scale above zero when nothing is touched; without gravity, an acceleration of 1 does.
         size = float(np.abs(impulses).sum() + masses.sum() * max(abs(gravity), 1.0) * dt)
         difference = impulses.sum(axis=0) + report.force * dt
         moments = np.cross(nodes - simulation.tool_position, impulses)
@@ -80,7 +80,7 @@ class Ledger:
         return report
 
     def move_to(self, height: float, speed: float) -> None:
-        """Move the tool straight up or down until its origin is at a height [u], at a speed [u/s]."""
+        """Move the tool straight up or down until its origin is at `height` [u], at most at `speed` [u/s]."""
         simulation = self.simulation
         while abs(height - simulation.tool_position[2]) > 1e-9:
             way = height - simulation.tool_position[2]
@@ -92,10 +92,10 @@ class Ledger:
             self.step()
 
     def mean_force(self, seconds: float) -> FloatArray:
-        """(3,) mean of the force on the tool over the last steps [kg u/s2].
+        """(3,) mean force on the tool over the last steps [kg u/s2].
 
         Args:
-            seconds: How much of the past to take.
+            seconds: Length of the time to average over, up to now [s].
         """
         mean: FloatArray = np.mean(self.forces[-max(round(seconds / self.simulation.dt), 1) :], axis=0)
         return mean

@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing, and how a result is printed."""
+"""Shared helpers of the benchmarks: the machine's state, optional engines, the command line and the printed result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Name = TypeVar("Name", bound=str)
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
+    """Hardware and versions that the figures were measured with."""
     return {
         "processor": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
@@ -31,12 +31,12 @@ def machine() -> dict[str, Any]:
 
 
 def load_average() -> float | None:
-    """How many processes want a core, over the last minute; None where the system does not tell."""
+    """Mean number of processes that run or wait for a core over the last minute; None where it is not available."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def resident_megabytes() -> float:
-    """What this process holds in memory [MB]; 0 where the system does not tell, as only Linux does."""
+    """Resident memory of this process [MB]; 0 where it is not available, which is everywhere but on Linux."""
     file = Path("/proc/self/statm")
     if not file.exists():
         return 0.0
@@ -44,10 +44,10 @@ def resident_megabytes() -> float:
 
 
 def without_bullet(names: Iterable[Name]) -> list[Name]:
-    """Engines or contact models to measure. Bullet is left out where PyBullet is not installed, and that is said.
+    """Engines or contact models to measure: leaves "bullet" out, with a message, if PyBullet is not installed.
 
     Args:
-        names: Of engines or contact models, "bullet" among them.
+        names: Names of engines or contact models.
     """
     wanted = list(names)
     if "bullet" not in wanted or bullet_is_there():
@@ -57,13 +57,13 @@ def without_bullet(names: Iterable[Name]) -> list[Name]:
 
 
 def require_bullet(benchmark: str) -> None:
-    """End a benchmark that has nothing to measure where PyBullet is not installed."""
+    """Exit with a message if PyBullet is not installed; for benchmarks that have nothing to measure without it."""
     if not bullet_is_there():
         raise SystemExit(f"{benchmark} compares with PyBullet, which is not installed. {bullet_hint()}")
 
 
 def parser(description: str) -> argparse.ArgumentParser:
-    """A command line with the options that all benchmarks have."""
+    """Make a command-line parser with the options that all benchmarks have; interruptions then print one word."""
     sys.excepthook = _excepthook
     made = argparse.ArgumentParser(description=description)
     made.add_argument("--json", action="store_true", help="print nothing but the JSON line")
@@ -71,7 +71,7 @@ def parser(description: str) -> argparse.ArgumentParser:
 
 
 def _excepthook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Say in a word that a benchmark was interrupted."""
+    """Print one word, and no traceback, if a benchmark is interrupted."""
     if issubclass(kind, KeyboardInterrupt):
         print("interrupted", file=sys.stderr)
     else:
@@ -79,5 +79,5 @@ def _excepthook(kind: type[BaseException], error: BaseException, trace: Tracebac
 
 
 def finish(result: dict[str, Any]) -> None:
-    """Print a result as the last line."""
+    """Print a result, with the machine it was measured on, as one line of JSON: the last line of a benchmark."""
     print(json.dumps({**result, "machine": machine()}))

@@ -1,4 +1,4 @@
-"""How tools are moved to see whether contact holds: pressed, slid, ploughed, turned, and at random."""
+"""Motions of tools that test whether contact holds: press, slide, plough, turn, and random ones."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ if TYPE_CHECKING:
     Motion = tuple[FloatArray, FloatArray]
 
 SCENES = ("seed", "palpate", "clamp", "fissure", "retract")
-"""Presets of `spatula_env.scenes`."""
+"""Names of the presets of `spatula_env.scenes` to move tools in."""
 
 RECORDED = ("nodes", "velocities", "positions", "orientations", "linear", "angular")
-"""What a recording holds."""
+"""Names of the arrays that every recording holds."""
 
 SPEED = 1.25
-"""Of the motions [u/s]: 25 mm/s in the scenes of the tasks."""
+"""Speed of the motions [u/s]: 25 mm/s in the scenes of the tasks."""
 
 TURNING = 5.0
-"""Of a tool that turns [rad/s]."""
+"""Angular speed of a tool that turns [rad/s]."""
 
 DEPTHS = (0.1, 0.9)
-"""How deep a tool is pressed in before it slides or turns, at least and at most [u]."""
+"""Least and greatest depth that a tool is pressed to before it slides or turns [u]."""
 
 CONTROL_STEP = 0.05
-"""A random motion changes at whole multiples of this [s],"""
+"""Unit of the durations of random velocities [s]."""
 
 HOLD = 6
-"""and stays the same for so many at most."""
+"""Greatest number of these units for which a random velocity is kept."""
 
 BIAS = 0.4
-"""Random motions go down by so much on the average, as a part of `SPEED`: else they do not come to touch."""
+"""Mean downward velocity of random motions, relative to `SPEED`: without it they would not come into contact."""
 
 
 def clearance(simulation: Simulation) -> float:
-    """Between the lowest of the tools' corners and the organs' highest vertex [u]; negative if that is lower."""
+    """Height of the tools' lowest corner above the organs' highest vertex [u]; negative if it is below."""
     lowest = min(
         float((rotate(orientation, placed.tool.vertices) + position)[:, 2].min())
         for placed, position, orientation in zip(
@@ -53,7 +53,7 @@ def clearance(simulation: Simulation) -> float:
 
 
 def _spread(steps: list[tuple[int, FloatArray, FloatArray]], tools: int) -> Motion:
-    """Velocities of all tools in each step, from how many steps they have which ones."""
+    """Linear and angular velocities (S, N, 3) of all tools, from phases: number of steps, linear, angular velocity."""
     counts = [count for count, _, _ in steps]
     linear = np.repeat([v for _, v, _ in steps], counts, axis=0)
     angular = np.repeat([w for _, _, w in steps], counts, axis=0)
@@ -61,45 +61,45 @@ def _spread(steps: list[tuple[int, FloatArray, FloatArray]], tools: int) -> Moti
 
 
 def _press(simulation: Simulation, generator: np.random.Generator) -> tuple[int, FloatArray, FloatArray]:
-    """Down until the tools are as deep as drawn."""
+    """The first phase of a motion: down to a random depth."""
     way = max(clearance(simulation), 0.0) + generator.uniform(*DEPTHS)
     return math.ceil(way / (SPEED * simulation.dt)), np.array([0.0, 0.0, -SPEED]), np.zeros(3)
 
 
 def _level(generator: np.random.Generator) -> FloatArray:
-    """A level direction (3,), of unit length."""
+    """A random horizontal unit vector (3,)."""
     angle = generator.uniform(0.0, 2.0 * math.pi)
     return np.array([math.cos(angle), math.sin(angle), 0.0])
 
 
 def press(simulation: Simulation, seconds: float, generator: np.random.Generator) -> Motion:
-    """Down, and held."""
+    """Move down, and hold still."""
     held = (math.ceil(seconds / simulation.dt), np.zeros(3), np.zeros(3))
     return _spread([_press(simulation, generator), held], len(simulation.scene.tools))
 
 
 def slide(simulation: Simulation, seconds: float, generator: np.random.Generator) -> Motion:
-    """Down, and then sideways."""
+    """Move down, then sideways."""
     sideways = (math.ceil(seconds / simulation.dt), SPEED * _level(generator), np.zeros(3))
     return _spread([_press(simulation, generator), sideways], len(simulation.scene.tools))
 
 
 def plough(simulation: Simulation, seconds: float, generator: np.random.Generator) -> Motion:
-    """Down, and then sideways and further down."""
+    """Move down, then sideways and further down at once."""
     onwards = SPEED * _level(generator) - np.array([0.0, 0.0, 0.3 * SPEED])
     ploughing = (math.ceil(seconds / simulation.dt), onwards, np.zeros(3))
     return _spread([_press(simulation, generator), ploughing], len(simulation.scene.tools))
 
 
 def turn(simulation: Simulation, seconds: float, generator: np.random.Generator) -> Motion:
-    """Down, and then turned about any axis."""
+    """Move down, then turn about a random axis."""
     axis = generator.normal(size=3)
     turning = (math.ceil(seconds / simulation.dt), np.zeros(3), TURNING / np.linalg.norm(axis) * axis)
     return _spread([_press(simulation, generator), turning], len(simulation.scene.tools))
 
 
 def random(simulation: Simulation, seconds: float, generator: np.random.Generator) -> Motion:
-    """What a learner does that knows nothing: velocities that are kept for a while, down more often than up."""
+    """Move as an untrained learner does: random velocities, kept for a while, down more often than up."""
     per_control = max(1, round(CONTROL_STEP / simulation.dt))
     total, tools = math.ceil(seconds / simulation.dt), len(simulation.scene.tools)
     down = max(0, math.ceil(clearance(simulation) / (SPEED * simulation.dt)))
@@ -121,4 +121,4 @@ MOTIONS: dict[str, Callable[[Simulation, float, np.random.Generator], Motion]] =
     "turn": turn,
     "random": random,
 }
-"""By name."""
+"""All motions, by name."""

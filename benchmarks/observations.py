@@ -1,12 +1,12 @@
-"""How much of the bounds of their observations do the tasks use, and how often is something clipped?
+"""How much of the bounds of their observations do the tasks use, and how often are observations clipped?
 
-In each task act the scripted expert with randomised organs and tools, the same in haste without, uniform actions that
-are each kept for a while, and violent ones: each number of an action is -1, 0 or 1, kept likewise, with randomised
-organs and tools. For each part of the
-observation that is measured: which share of the way between its bounds its numbers go through, and in which share of
-the control steps one of them is at a bound. A number that no driver moves is constant: there must be none.
+Four drivers act in each task: the scripted expert, with randomised organs and tools; the expert in haste, without
+randomisation; uniform actions that are kept for a while; and violent actions, whose numbers are -1, 0 or 1 and are kept
+for a while too, with randomised organs and tools. For each measured part of the observation, the benchmark reports the
+share of the range between its bounds that its numbers cover, and the share of the control steps in which one of them is
+at a bound. A number that no driver changes is constant; there must be none.
 
-The parts of the pose and the velocity are not listed: their bounds are those of the workspace and of the control.
+Pose and velocity are not listed: their bounds are those of the workspace and of the control.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from spatula_env.learning import experts
 DRIVERS = ("expert", "hasty", "kept", "violent")
 
 HASTE = 4.0
-"""By how much the hasty driver is faster than the expert, up to what the control allows."""
+"""Factor on the expert's actions for the hasty driver; actions are clipped to the limits of the control."""
 
 KEPT_FOR = (5, 40)
-"""Control steps for which chance keeps an action: this many, and fewer than that."""
+"""Least number of control steps for which a random action is kept, and the greatest number plus one."""
 
 MOVED = ("tool_position", "tool_velocity", "tool_orientation", "tool_rotation_rate", "jaw_opening", "jaw_speed")
-"""Parts whose bounds the workspace and the control set."""
+"""Parts whose bounds are set by the workspace and the control."""
 
 TOLD = ("goal", "error", "hold_progress")
-"""Parts that follow from what is asked."""
+"""Parts that follow from the task's goal."""
 
 FELT = ("contact_force", "contact_torque", "contact_depth", "normal_force")
-"""Parts that no driver may leave the bounds of, or hardly any. Pressures of tissue that cannot give way, and places on
-an organ that is pushed away, have no bounds that would be of use: how often they are clipped is told."""
+"""Parts that may hardly ever reach their bounds under any driver. Pressures of tissue that cannot give way, and places
+on an organ that is pushed away, have no useful bounds: how often they are clipped is reported only."""
 
 LEAST_USED = 0.05
-"""Of the way between the bounds of each measured part, by the expert or in haste."""
+"""Least share of the range between the bounds of each measured part that the expert or the hasty driver must cover."""
 
 MOST_CLIPPED = 0.005
-"""Of the control steps of those who keep random actions, in any of `FELT`."""
+"""Greatest share of the control steps in which a part in `FELT` may be clipped; for the expert and in haste it is 0."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What a driver saw in some episodes.
+    """Statistics of the observations of a driver in some episodes.
 
     Attributes:
-        low: (D,) least of each number.
-        high: (D,) greatest.
-        clipped: (D,) in how many control steps each was at a bound that is not zero.
-        any_clipped: By part, in how many control steps any of its numbers was.
-        steps: Control steps, of all worlds.
+        low: (D,) least value of each number.
+        high: (D,) greatest value of each number.
+        clipped: (D,) number of control steps in which each number was clipped: at a bound, lower bounds of 0 excepted.
+        any_clipped: By part, number of control steps in which any of its numbers was clipped.
+        steps: Control steps, summed over all worlds.
     """
 
     low: NDArray[np.float64]
@@ -70,13 +70,13 @@ class Seen:
 
 
 def chance(kind: str, shape: tuple[int, int], generator: np.random.Generator) -> NDArray[np.float32]:
-    """Actions (W, A) of "kept" or "violent"."""
+    """Draw actions (W, A) of the driver "kept" or "violent"."""
     drawn = generator.uniform(-1.0, 1.0, shape) if kind == "kept" else generator.integers(-1, 2, shape)
     return np.asarray(drawn, dtype=np.float32)
 
 
 def ranges_without_noise(env_id: str) -> dict[str, Any]:
-    """What is drawn at random by default, but for errors of measurement, which would move every number."""
+    """The default randomisation of an environment without sensor noise, which would change every number."""
     entry_point = gymnasium.spec(env_id).vector_entry_point
     assert entry_point is not None
     definition: Any = load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
@@ -87,15 +87,15 @@ def drive(task: str, driver: str, worlds: int, steps: int, seed: int, **options:
     """Let a driver act.
 
     Args:
-        task: Its name.
+        task: Name of the task.
         driver: One of `DRIVERS`.
-        worlds: How many, each for one episode.
-        steps: Control steps of an episode.
-        seed: Of the first world.
-        **options: Of the environment.
+        worlds: Number of worlds.
+        steps: Control steps in each world; a world whose episode ends earlier is reset and goes on.
+        seed: Seed of the first world.
+        **options: Further options of the environment.
 
     Returns:
-        What was seen, and the builder of the observations.
+        Statistics of the observations, and the builder of the observations.
     """
     env_id = f"Spatula/{task}-v0"
     if driver in ("expert", "violent"):
@@ -121,7 +121,7 @@ def drive(task: str, driver: str, worlds: int, steps: int, seed: int, **options:
                 left = np.where(fresh, generator.integers(*KEPT_FOR, worlds), left) - 1
             observation, _, terminated, truncated, _ = env.step(actions)
             low, high = np.minimum(low, observation.min(axis=0)), np.maximum(high, observation.max(axis=0))
-            # Nothing is clipped at a bound of zero, which is where there is no contact.
+            # A lower bound of zero does not count: parts of contact are zero where there is no contact.
             at_bound = ((observation <= space.low) & (space.low < 0.0)) | (observation >= space.high)
             clipped += at_bound.sum(axis=0)
             for name, part in builder.slices.items():
@@ -138,9 +138,9 @@ def measure(task: str, worlds: int, steps: int, seed: int) -> dict[str, Any]:
     """Let all drivers act in a task.
 
     Returns:
-        "parts": by name, "used" by the one of the expert and the hasty driver that uses more, the share of the way
-        between the bounds that the number which goes farthest does; "clipped" by driver, shares of the control steps.
-        "constant": names and places of numbers that no driver moves.
+        "parts": for each part by name, "used", the share of the range between its bounds that its most variable number
+        covers under the expert or in haste, whichever is greater; and "clipped", by driver, the share of the control
+        steps in which it was clipped. "constant": names and indices of numbers that no driver changes.
     """
     seen: dict[str, Seen] = {}
     builder: Any = None
@@ -169,7 +169,7 @@ def measure(task: str, worlds: int, steps: int, seed: int) -> dict[str, Any]:
 
 
 def passed(table: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Whether every part uses its bounds, is hardly ever clipped and no number is constant."""
+    """Whether every part uses its bounds and is hardly ever clipped, and no number is constant."""
     return all(
         not row["constant"]
         and all(

@@ -1,4 +1,4 @@
-"""Many independent runs over several processes, with the results as they come and a sign of progress."""
+"""Many independent runs in several processes, with results as they become ready and a sign of progress."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 PLAIN_STEPS = 20
-"""How often a plain counter says something."""
+"""How often the plain counter prints something in all."""
 
 
 def results(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int, label: str
 ) -> Generator[tuple[Item, Result], None, None]:
-    """Do some work for each item, show progress on standard error, and yield each result when it is there.
+    """Do some work for each item, show progress on standard error, and yield each result as soon as it is ready.
 
     Closing the iterator, as an exception in the loop around it does, ends the processes at once.
 
     Args:
-        work: What to do; a function that other processes can import.
-        items: What to do it for.
-        workers: Number of processes; with 1 the work is done in this one, in order.
-        label: What to call the work.
+        work: The function to call; other processes must be able to import it.
+        items: Its arguments, one for each call.
+        workers: Number of processes; with 1 the work is done in this process, in order.
+        label: Name of the work, shown with the progress.
 
     Yields:
         Each item with its result, in the order in which they become ready.
 
     Raises:
         ValueError: If `workers` is not positive.
-        WorkerDied: If a process crashes; the message names the item that may have been the reason.
+        WorkerDied: If a process crashes; the message names the item that may have caused it.
     """
     if workers < 1:
         raise ValueError(f"workers must be at least 1, got {workers}")
@@ -54,7 +54,7 @@ def results(
 
 @contextmanager
 def _progress(total: int, label: str) -> Iterator[Callable[[], None]]:
-    """A progress bar where there is a terminal and Rich, a plain counter elsewhere; yields what advances it."""
+    """Show a progress bar, or a plain counter without Rich or a terminal; yields the function that advances it."""
     try:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -1,16 +1,16 @@
 """Does the batch engine do what PyBullet does?
 
-free_body      The seed's sphere, pulled by twenty nodal forces as it falls. How far any node is from where PyBullet has
-               it, at most, in any step.
-rest           The sphere falls half a unit onto the ground, sways and rolls, in all of which ground and friction act;
-               and it lies there at rest. Both engines start from the same nodes.
-press          The spatula comes down on the sphere, presses it a unit deep, waits and goes back. Nodes, and the force
-               that the tool feels relative to the greatest one. Each engine has let its sphere settle by itself. Beside
-               that, a world among others in `BatchSimulation` must be `Simulation(engine="batch")` to the last bit.
+free_body      The seed's sphere, pulled by twenty nodal forces while it falls. Compares the positions of all nodes in
+               all steps with PyBullet's.
+rest           The sphere falls half a unit onto the ground, sways and rolls under ground contact and friction; and, in
+               a second run, lies there at rest. Both engines start from the same nodes.
+press          The spatula comes down on the sphere, presses it a unit deep, waits and goes back. Compares the nodes,
+               and the force on the tool relative to the greatest one. Each engine lets its sphere settle by itself. In
+               addition, one of many worlds in `BatchSimulation` must equal `Simulation(engine="batch")` bit for bit.
 
-Double precision must follow PyBullet; single precision, which is for learning, is shown beside it. A soft body
-magnifies what it starts with. The row of PyBullet itself tells how much: it starts from nodes rounded to single
-precision.
+Double precision must follow PyBullet; single precision, which is meant for learning, is shown for comparison. A soft
+body amplifies differences of the initial state. The row of PyBullet itself shows by how much: it starts from nodes
+rounded to single precision.
 """
 
 from __future__ import annotations
@@ -36,20 +36,22 @@ if TYPE_CHECKING:
 
 
 FREE_BODY_LIMIT = 1e-6
-"""Greatest difference of a free body in double precision [u]."""
+"""Greatest allowed difference of a node's coordinate, free body in double precision [u]."""
 
 REST_LIMIT = 1e-3
-"""Greatest difference of a body on the ground in double precision [u]."""
+"""Greatest allowed difference of a node's coordinate, body on the ground in double precision [u]."""
 
 PRESS_LIMIT, FORCE_LIMIT = 0.02, 0.02
-"""Greatest difference of a pressed body [u], and of the force on the tool relative to the greatest one."""
+"""Greatest allowed difference of a node's coordinate in a press [u], and of the force on the tool relative to the
+greatest one, both in double precision."""
 
 ROUNDING = 1e-12
-"""Forces of a world and of a simulation may differ by so much of the greatest one: they are averaged in another way."""
+"""Allowed difference of the forces of a world and of a simulation, relative to the greatest one: they are averaged in
+different ways."""
 
 PULLED_NODES = 20
 PULL = 5.0
-"""Standard deviation of each component of the forces [kg u/s2]: a twentieth of the organ's weight."""
+"""Standard deviation of each component of the nodal forces [kg u/s2]: a twentieth of the organ's weight."""
 
 SHOWN_STEPS = (1, 10, 50, 100, 200, 300, 400, 480, 960, 1920)
 
@@ -57,14 +59,15 @@ DROP = 0.5
 """Height of the fall [u]."""
 
 OUT_OF_REACH = 50.0
-"""How far the tool is put away from a body that falls [u]."""
+"""How far the tools are moved up in the runs without a press [u]."""
 
 CLEARANCE, ASIDE, DEPTH, SPEED, HOLD = 0.1, 0.1, 1.0, 2.0, 0.5
-"""Of the press: how far above the organ and beside its axis it begins, and how deep it goes [u]; speed [u/s]; and how
+"""Parameters of the press: initial height above the organ and offset from its axis [u]; depth [u]; speed [u/s]; and how
 long the tool waits [s]."""
 
 WORLDS, SPREAD = 19, 0.02
-"""Of `BatchSimulation`: more than a block and no whole number of blocks. From one to the next the tool is moved [u]."""
+"""Number of worlds in `BatchSimulation`, more than a block and not a whole number of blocks; and offset of the tool
+from each world to the next [u]."""
 
 REFERENCE, ROUNDED = "bullet", "bullet_rounded"
 
@@ -74,19 +77,19 @@ SIDES: dict[str, dict[str, Any]] = {
     "double": {"engine": "batch", "precision": "double"},
     "single": {"engine": "batch", "precision": "single"},
 }
-"""What is compared, and the arguments of `Simulation` that it has."""
+"""The sides that are compared, and their arguments of `Simulation`."""
 
 
 @dataclass(frozen=True)
 class Path:
-    """What happened in S steps.
+    """Record of S steps of a simulation.
 
     Attributes:
-        nodes: (S, V, 3) [u].
-        node_velocities: (S, V, 3) [u/s].
-        tool_positions: (S, N, 3) [u].
-        forces: (S, 3) on the first tool [kg u/s2].
-        ground_forces: (S, 3) on the organs [kg u/s2].
+        nodes: (S, V, 3) positions of the organs' nodes [u].
+        node_velocities: (S, V, 3) velocities of the organs' nodes [u/s].
+        tool_positions: (S, N, 3) positions of the tools [u].
+        forces: (S, 3) force on the first tool [kg u/s2].
+        ground_forces: (S, 3) force of the ground on the organs [kg u/s2].
     """
 
     nodes: FloatArray
@@ -100,13 +103,13 @@ def free_body(scene: Scene, steps: int, seed: int = 0) -> dict[str, Any]:
     """Pull a free body by constant nodal forces, in PyBullet and in the batch engine.
 
     Args:
-        scene: Its first organ is pulled.
-        steps: How many steps.
-        seed: Of the nodes and forces.
+        scene: Scene whose first organ is pulled.
+        steps: Number of steps.
+        seed: Seed of the choice of nodes and forces.
 
     Returns:
-        Greatest difference of a node in any step [u], by engine; the same by step; how far PyBullet's nodes move apart
-        from falling, at most [u].
+        Greatest difference of a node from PyBullet in any step [u], by side; the same by step; the greatest deformation
+        of the organ in PyBullet, relative to its mean position [u]; the limit; and whether it has passed.
     """
     generator = np.random.default_rng(seed)
     placed = scene.organs[0]
@@ -136,15 +139,15 @@ def rest(scene: Scene, steps: int, height: float, batch_scene: Scene | None = No
     """Let the organs fall onto the ground, or lie there.
 
     Args:
-        scene: With ground; its tools are put out of reach.
-        steps: How many steps.
-        height: From where the organs are dropped, above where they rest [u].
-        batch_scene: What the batch engine gets instead, to see that a difference shows.
+        scene: Scene with ground; its tools are put out of reach.
+        steps: Number of steps.
+        height: Height from which the organs are dropped, above where they rest; 0 to let them lie [u].
+        batch_scene: Scene for the batch engine in place of `scene`, to test that a difference is detected.
 
     Returns:
-        Greatest difference of a node [u], by engine, in any step, by step and in the end; PyBullet's greatest force of
-        the ground [kg u/s2], the share of steps with such a force, and its greatest velocity of a node in the end
-        [u/s].
+        Greatest difference of a node from PyBullet [u], by side, in any step, by step and at the end; of PyBullet's
+        run, the greatest force of the ground [kg u/s2], the share of steps with such a force, and the greatest velocity
+        component of a node at the end [u/s]; the limit; and whether it has passed.
     """
     up = np.array([0.0, 0.0, 1.0])
     start = _at_rest(scene).nodes + height * up
@@ -176,11 +179,11 @@ def rest(scene: Scene, steps: int, height: float, batch_scene: Scene | None = No
 
 
 def press_velocities(dt: float, way: float = CLEARANCE + DEPTH, hold: float = HOLD) -> FloatArray:
-    """How the tool moves in a press: down, not at all, and up again.
+    """Velocities of the tool in a press: down, still, and up again.
 
     Args:
         dt: Length of a step [s].
-        way: How far it goes down [u].
+        way: Distance that it goes down [u].
         hold: How long it waits there [s].
 
     Returns:
@@ -201,16 +204,16 @@ def press(
     """Press the organ and go back.
 
     Args:
-        scene: Its first tool presses from above.
-        depth: How deep [u].
+        scene: Scene whose first tool presses from above.
+        depth: Depth of the press [u].
         hold: How long the tool waits there [s].
-        worlds: Of `BatchSimulation`.
-        batch_scene: What the batch engine gets instead, to see that a difference shows.
+        worlds: Number of worlds of `BatchSimulation`.
+        batch_scene: Scene for the batch engine in place of `scene`, to test that a difference is detected.
 
     Returns:
-        Greatest difference of a node [u] and of the force relative to PyBullet's greatest, by engine; of the force also
-        the mean over all steps and the greatest in the hold; the share of steps in contact; and how a world among
-        others compares with a simulation, by precision.
+        Greatest difference from PyBullet, by side, of a node [u], and of the force relative to PyBullet's greatest; of
+        the force also the mean over all steps and the greatest during the hold; the share of steps in contact; how a
+        world among others compares with a simulation, by precision; the limits; and whether it has passed.
     """
     velocities = press_velocities(scene.dt, CLEARANCE + depth, hold)
     holding = ~velocities.any(axis=1)
@@ -257,15 +260,15 @@ def press(
 
 
 def place_above(scene: Scene, nodes: FloatArray, clearance: float = CLEARANCE) -> FloatArray:
-    """From where the first tool presses: lying flat, its underside above the organ's top.
+    """Initial position of the first tool for a press: lying flat, its underside above the organ's top.
 
     Args:
-        scene: With the organ and the tool.
-        nodes: (V, 3) at rest [u].
-        clearance: Between the tool's underside and the organ's top [u].
+        scene: Scene with the organ and the tool.
+        nodes: (V, 3) of the organ at rest [u].
+        clearance: Gap between the tool's underside and the organ's top [u].
 
     Returns:
-        (3,) [u]. It is a little off the organ's axis, so that nothing is symmetric.
+        (3,) position [u], a little off the organ's axis, to break the symmetry.
     """
     x, y, _ = scene.organs[0].position
     underside = nodes[:, 2].max() + clearance
@@ -275,7 +278,7 @@ def place_above(scene: Scene, nodes: FloatArray, clearance: float = CLEARANCE) -
 def _compare_world(
     scene: Scene, place: FloatArray, velocities: FloatArray, worlds: int, dtype: type, alone: Path
 ) -> dict[str, Any]:
-    """Whether the last of many worlds does what a simulation did."""
+    """Compare the last of many worlds with the record of a simulation."""
     batch = BatchSimulation(scene, worlds, dtype=dtype)
     positions = np.repeat(batch.tool_positions[:1], worlds, axis=0)
     positions[:, 0] = place
@@ -306,7 +309,7 @@ def _scene_of(arguments: dict[str, Any], scene: Scene, batch_scene: Scene | None
 
 
 def _at_rest(scene: Scene) -> SimulationState:
-    """The scene as PyBullet settles it."""
+    """State of the scene after PyBullet has let it settle."""
     simulation = Simulation(scene, **SIDES[REFERENCE])
     try:
         return simulation.save()
@@ -315,7 +318,7 @@ def _at_rest(scene: Scene) -> SimulationState:
 
 
 def _follow(simulation: Simulation, velocities: FloatArray) -> Path:
-    """Move the tools as told (S, 3) and record."""
+    """Move the tool with the given velocities (S, 3), and record."""
     rows = []
     for velocity in velocities:
         report = simulation.step(velocity)
@@ -339,7 +342,7 @@ def _distances(path: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 def _summary(differences: dict[str, FloatArray]) -> dict[str, Any]:
-    """Differences (S,) of each side: the greatest, and by step the greatest so far."""
+    """From the differences (S,) of each side: the greatest, and the greatest up to each of `SHOWN_STEPS`."""
     return {
         "difference_u": {name: float(values.max()) for name, values in differences.items()},
         "difference_by_step_u": {
@@ -385,15 +388,15 @@ def _record(step: Callable[[], np.ndarray], steps: int) -> np.ndarray:
 
 
 def run(scene: Scene, steps: int, rest_steps: int) -> dict[str, Any]:
-    """All parts.
+    """Run all parts.
 
     Args:
-        scene: The seed's, or one like it.
-        steps: Of the free body.
-        rest_steps: Of falling, and of lying.
+        scene: The seed's scene, or a similar one.
+        steps: Steps of the free body.
+        rest_steps: Steps of the fall, and as many of lying at rest.
 
     Returns:
-        What each part found, and whether all have passed.
+        Results of each part, and whether all have passed.
     """
     falling, lying = (rest(scene, rest_steps, height) for height in (DROP, 0.0))
     parts: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Whether an organ's surface has gone right through a tool, from the paths of its vertices in the tool's frame."""
+"""Finds where an organ's surface has gone right through a tool, from the paths of vertices in the tool's frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from spatula_env._kernels import inline_kernel, kernel
 
 PARALLEL = 1e-6
-"""Normals are opposite when their dot product is less than this above -1."""
+"""Unit normals count as opposite if their dot product is within this of -1, and as parallel likewise."""
 
 
 @kernel()
@@ -25,19 +25,19 @@ def find_passages(
     """Find the vertices that have gone right through a convex body, on straight paths in its frame.
 
     Args:
-        before: (V, 3) where they were, in the body's frame [u].
-        after: (V, 3) where they are [u].
-        sides_before: (V,) on which outer sides of a box around the body they were, a bit for each,
-        sides_after: (V,) and on which they are. What stays on one of them is not looked at.
+        before: (V, 3) positions of the vertices at the last call, in the body's frame [u].
+        after: (V, 3) positions now [u].
+        sides_before: (V,) bit set of the sides of a box around the body that each vertex was outside of.
+        sides_after: (V,) the same for now. A vertex that stays outside one of the sides is skipped.
         normals: (F, 3) outward unit normals of the body's faces.
         offsets: (F,) of the faces' planes [u].
-        rim: Where a path crosses one of the two faces, it must be this far under the other ones [u].
-        entries: (V,) by which face each vertex that is inside came in, -1 for the others and where it is not known;
-            kept from call to call.
-        ways: (V,) is filled: by which face each vertex came in that came out by the opposite one, -1 for the others.
+        rim: Least distance of a path, where it crosses the two faces, from all faces that are not parallel to them [u].
+        entries: (V,) face by which each vertex inside the body came in, -1 for other vertices and where unknown; kept
+            from call to call.
+        ways: (V,) output: face by which each vertex came in that left by the opposite one, -1 for other vertices.
 
     Returns:
-        Whether there are any.
+        Whether any vertex has gone through.
     """
     faces = normals.shape[0]
     found = False
@@ -95,7 +95,7 @@ def find_passages(
 
 @inline_kernel
 def _outward(vertices: np.ndarray, triangles: np.ndarray, v: int, way: np.ndarray) -> float:
-    """Component along a way (3,) of the outward normal at a vertex, the sum of area vectors of the triangles around."""
+    """Component along `way` (3,) of the outward normal at vertex v, not normalised: the sum over adjacent triangles."""
     x, y, z = 0.0, 0.0, 0.0
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -121,15 +121,17 @@ def _outward(vertices: np.ndarray, triangles: np.ndarray, v: int, way: np.ndarra
 def count_passages(
     before: np.ndarray, triangles: np.ndarray, normals: np.ndarray, ways: np.ndarray, strayed: np.ndarray
 ) -> tuple[int, int]:
-    """Count vertices that have come through, the outside and the inside of their surface ahead.
+    """Count the vertices that have gone through, with the outside and with the inside of their surface ahead.
+
+    A vertex that goes back through the body is not counted.
 
     Args:
-        before: (V, 3) where they were, in the body's frame [u].
+        before: (V, 3) positions of the vertices at the last call, in the body's frame [u].
         triangles: (T, 3) of the surface, counter-clockwise from outside.
         normals: (F, 3) outward unit normals of the body's faces.
-        ways: (V,) by which face they came in, -1 for those that have not come through.
-        strayed: (V,) by which face those came in that have come through and not back, -1 for the others; kept from
-            call to call.
+        ways: (V,) face by which each vertex came in, -1 for vertices that have not gone through.
+        strayed: (V,) face by which each vertex came in that has gone through and not back, -1 for other vertices; kept
+            from call to call.
     """
     passages, turned = 0, 0
     for v in range(ways.shape[0]):

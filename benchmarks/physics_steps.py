@@ -1,4 +1,4 @@
-"""Worlds whose control steps are taken one physics step at a time, so that each can be looked at."""
+"""Makes worlds take their control steps one physics step at a time, so that each step can be inspected."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from spatula_env.sim.worlds import Loads
 
 
 def look_after_every_step(worlds: Any, look: Callable[[Loads], None]) -> None:
-    """Have some worlds' `advance` make its physics steps one by one.
+    """Replace the `advance` of some worlds by one that makes physics steps one by one.
 
-    Everything comes out as before but for the mean pressures, of which a single step tells only the greatest.
+    Its results are as before, except for the mean pressures, of which a single step reports only the greatest.
 
     Args:
-        worlds: They are changed.
+        worlds: The worlds; changed in place.
         look: Called after each physics step with its loads.
     """
     advance = worlds.advance
 
-    # Nobody steers these worlds, or listens to them.
+    # The further arguments, callbacks that steer these worlds or listen to them, are always None here.
     def advance_and_look(
         linear: Any, angular: Any, steps: int, pressure_limits: Any, force_limits: Any, *nobody: None
     ) -> Loads:
@@ -35,10 +35,11 @@ def look_after_every_step(worlds: Any, look: Callable[[Loads], None]) -> None:
 
 
 def join_loads(parts: list[Loads]) -> Loads:
-    """The loads of a control step from those of its physics steps.
+    """Combine the loads of physics steps into those of a control step.
 
     Args:
-        parts: One at least. A world that has diverged in one is zero in all that follow, and comes out as zero.
+        parts: Loads of the physics steps, at least one. A world that has diverged in one of them is zero in all later
+            ones, and in the result.
     """
     last = parts[-1]
     stacked = {name: np.array([getattr(part, name) for part in parts]) for name in (*MEANS, *GREATEST)}
@@ -51,7 +52,7 @@ def join_loads(parts: list[Loads]) -> Loads:
 
 
 MEANS = ("forces", "torques", "ground_forces", "mean_pressures", "restrained")
-"""What is averaged over a control step,"""
+"""Fields that are averaged over a control step."""
 
 GREATEST = ("peak_forces", "residuals", "peak_pressures")
-"""and of what the greatest counts. Overpressures are added up; of the rest the last step tells."""
+"""Fields whose greatest value is taken. Overpressures are summed; all other fields are those of the last step."""

@@ -1,4 +1,4 @@
-"""The pictures of the benchmarks, drawn with Matplotlib, which is needed for nothing else here."""
+"""Pictures of the benchmarks' results, drawn with Matplotlib, which the benchmarks need for nothing else."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from benchmarks.plunges import Outcome
 
 CONTACTS = {"bullet": "Bullet's own contact", "second_step": "second step alone", "flags": "flags method"}
-"""Panels, from left to right, and what they are called."""
+"""Contact models in the order of their panels, from left to right, and the panels' titles."""
 
 CELLS = (7, 5)
-"""Cells along speed and thickness."""
+"""Number of cells along speed and thickness."""
 
 RESIDUALS = (1e-4, 2.0)
 """Ends of the colour scale of residuals [u]."""
 
 COLOURS = "cividis"
-"""Looks the same, nearly, to people with and without colour vision deficiency, and orders by lightness."""
+"""A colour map that looks nearly the same with and without colour vision deficiency, and is ordered by lightness."""
 
 LINES = (
     ("#0072b2", "o", "-"),
@@ -45,7 +45,7 @@ LINES = (
 
 
 def require_matplotlib() -> None:
-    """Raise ImportError that says what to do if there is no Matplotlib."""
+    """Raise an ImportError that says what to install if Matplotlib is not installed."""
     try:
         import_module("matplotlib")
     except ImportError as error:
@@ -64,8 +64,8 @@ def draw_failures(outcomes: Mapping[str, Sequence[Outcome]], path: Path) -> None
     """Draw how many plunges failed, and how deep the worst was, over speed and thickness.
 
     Args:
-        outcomes: By contact model.
-        path: File to write; its ending says the format.
+        outcomes: Outcomes of the plunges, by contact model.
+        path: File to write; its suffix determines the format.
 
     Raises:
         ImportError: If Matplotlib is not installed.
@@ -121,13 +121,13 @@ def _sort_into_cells(
 
 
 def _count_failed(members: Sequence[Outcome]) -> tuple[float, str]:
-    """Share of a cell's plunges that failed, and its text."""
+    """Share of a cell's plunges that failed, and the text to write into the cell."""
     failed = sum(member.failed for member in members)
     return failed / len(members), f"{failed}/{len(members)}"
 
 
 def _find_deepest(members: Sequence[Outcome]) -> tuple[float, str]:
-    """Greatest residual of a cell, within the ends of the colour scale, and its text."""
+    """Greatest residual of a cell, clipped to the colour scale, and the text to write into the cell."""
     deepest = max(math.inf if member.non_finite else member.residual for member in members)
     colour = min(max(deepest, RESIDUALS[0]), RESIDUALS[1])
     if math.isinf(deepest):
@@ -145,7 +145,7 @@ def _write_into_cells(
     speeds: np.ndarray,
     thicknesses: np.ndarray,
 ) -> None:
-    """Write a text into the middle of each cell, light on dark and dark on light."""
+    """Write a text into the middle of each cell, light on dark cells and dark on light ones."""
     for (row, column), text in texts.items():
         panel.text(
             math.sqrt(speeds[column] * speeds[column + 1]),
@@ -159,7 +159,7 @@ def _write_into_cells(
 
 
 def _set_up_panel(panel: Axes, *, first: bool, last: bool, top: bool, bottom: bool) -> None:
-    """Logarithmic axes in scene units, and in millimetres on the other side."""
+    """Set up logarithmic axes in scene units, with scales in millimetres on the opposite sides."""
     millimetres = 1e3 * scenes.seed().scale.length
     panel.set_xscale("log")
     panel.set_yscale("log")
@@ -190,9 +190,9 @@ def draw_curves(curves: Mapping[str, Curve], mean: Curve, path: Path) -> None:
     """Draw force against depth, and how far the curves are from the first one.
 
     Args:
-        curves: By name; the first is the one that the others are compared with.
-        mean: Over several orientations of the organ.
-        path: File to write; its ending says the format.
+        curves: Curves by name; the first is the reference that the others are compared with.
+        mean: Mean curve over several orientations of the organ.
+        path: File to write; its suffix determines the format.
 
     Raises:
         ImportError: If Matplotlib is not installed.
@@ -225,7 +225,7 @@ def draw_curves(curves: Mapping[str, Curve], mean: Curve, path: Path) -> None:
 
 
 def _add_scale(add: Callable[..., Any], side: str, factor: float, label: str) -> Any:
-    """Put a scale in another unit on the far side of a panel; `add` is the panel's method for that axis."""
+    """Add a scale in another unit, on the opposite side of a panel; `add` is the panel's method for that axis."""
 
     def there(value: Any) -> Any:
         return np.asarray(value) * factor

@@ -1,6 +1,6 @@
-"""Random plunges of the seed's spatula into the seed's organ: one case of the tunnelling benchmark.
+"""Random plunges of the seed's spatula into the seed's organ: the cases of the tunnelling benchmark.
 
-A case is made from two integers, a seed and a number, and from nothing else.
+A case depends on two integers only, a seed and a number, and can be repeated from them.
 """
 
 from __future__ import annotations
@@ -34,29 +34,31 @@ if TYPE_CHECKING:
 SPEEDS = (0.1, 2000.0)
 THICKNESSES = (0.02, 0.5)
 STEPS = (1.0 / 480.0, 1.0 / 60.0)
-"""Least and greatest speed [u/s], thickness [u] and length of a physics step [s]; drawn evenly in their logarithms."""
+"""Least and greatest speed [u/s], thickness [u] and length of a physics step [s]; their logarithms are drawn
+uniformly."""
 
 DEPTHS = (0.2, 2.0)
-"""How far beyond the undeformed surface the foremost point of the tool gets [u]."""
+"""Least and greatest depth of the foremost point of the tool beyond the undeformed surface [u]."""
 
 TILT = math.pi / 9.0
 """Greatest tilt of the tool [rad]."""
 
 GAP = 0.05
-"""Between the organ's surface and the foremost point of the tool at the start [u]. Small, because at 0.1 u/s a wide one
-would take seconds."""
+"""Gap between the organ's surface and the foremost point of the tool at the start [u]. Small, because at 0.1 u/s a wide
+one would take seconds."""
 
 HOLD = 0.25
-"""How long the tool stays where it has got to [s]."""
+"""How long the tool is held at the end of its way [s]."""
 
 FEWEST_HELD = 8
-"""Steps of holding at least."""
+"""Least number of steps for which it is held."""
 
 BACKWARDS = 0.5
-"""A face looks back where its normal and the way the tool moves have a cosine below minus this."""
+"""A face is on the trailing side if the cosine of the angle between its normal and the tool's motion is below minus
+this."""
 
 ENTRIES = tuple((x, y, z) for y, x, z in product((-1, 0, 1), repeat=3) if 1 <= np.count_nonzero((x, y, z)) <= 2)
-"""What of the box goes first: its 6 faces and 12 edges, as the signs of the axes that look ahead."""
+"""The parts of the box that may go first: its 6 faces and 12 edges, as signs of the tool's axes that point ahead."""
 
 
 @dataclass(frozen=True)
@@ -64,15 +66,15 @@ class Plunge:
     """One case.
 
     Attributes:
-        seed: It was drawn with this seed,
-        number: and is the one of this number.
-        direction: (3,) from the organ to where the tool comes from, of unit length.
-        entry: (3,) which face or edge of the tool goes first, in signs of the tool's axes.
+        seed: Seed that the case was drawn with.
+        number: Number of the case.
+        direction: (3,) unit vector from the organ to where the tool comes from.
+        entry: (3,) face or edge of the tool that goes first, as signs of the tool's axes.
         orientation: (4,) of the tool, quaternion xyzw.
-        speed: [u/s].
-        thickness: Of the tool [u].
+        speed: Speed of the tool [u/s].
+        thickness: Thickness of the tool [u].
         dt: Length of a physics step [s].
-        depth: [u].
+        depth: Depth of the foremost point of the tool beyond the undeformed surface at the end [u].
     """
 
     seed: int
@@ -87,12 +89,12 @@ class Plunge:
 
     @property
     def moving_steps(self) -> int:
-        """Physics steps until the tool is where it is to get to."""
+        """Number of physics steps until the tool has reached its depth."""
         return math.ceil((self.depth + GAP) / (self.speed * self.dt) - 1e-9)
 
     @property
     def held_steps(self) -> int:
-        """Physics steps for which it then stays."""
+        """Number of physics steps for which it is then held."""
         return max(int(HOLD / self.dt), FEWEST_HELD)
 
     def as_dict(self) -> dict[str, Any]:
@@ -102,26 +104,27 @@ class Plunge:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened in one case. The counts are of inspected steps, and every step is inspected.
+    """Result of one case. Counts are numbers of steps, all of which are inspected.
 
     Attributes:
         plunge: The case.
         contact: The contact model.
-        missed: In which a contact node was deeper than `ALLOWED` in the organ, or the tool's centre was inside, and no
-            flag was set.
-        enclosed: In which the tool's centre was inside the organ, or a column of it with both ends; see `Inspection`.
-        passages: In which a vertex of the organ had gone right through the tool, the organ's outside ahead.
-        turned: In which one had, the organ's inside ahead. Not a failure of contact: the organ turned inside out.
-        pairs: In which both nodes of an opposite pair were flagged.
-        trailing: How many nodes on faces that look back were flagged when the plunge ended. Not a failure by itself: an
+        missed: Steps in which a contact node was deeper than `ALLOWED` in the organ, or the tool's centre was inside,
+            and no flag was set.
+        enclosed: Steps in which the tool's centre or a whole column of it was inside the organ; see `Inspection`.
+        passages: Steps in which a vertex of the organ went right through the tool, with the organ's outside ahead.
+        turned: Steps in which one did with the organ's inside ahead. Not a failure of contact: the organ turned inside
+            out.
+        pairs: Steps in which both nodes of an opposite pair were flagged.
+        trailing: Number of flagged nodes on trailing faces when the tool reached its depth. Not a failure by itself: an
             organ may fold over a tool.
-        residual: Greatest depth of a contact node or corner of the tool in the organ, or of a vertex of the organ in
-            the tool, over all steps [u].
+        residual: Greatest of the inspection's depths of the tool in the organ and of the organ in the tool, over all
+            steps [u].
         final_residual: The same in the last step [u].
-        shaking: Root mean square speed of the organ's nodes about their mean velocity in the last step, when the tool
-            has been at rest for a while; NaN if it diverged [u/s]. For information.
+        shaking: Root mean square speed of the organ's nodes about their mean velocity in the last step, after the tool
+            has been at rest for a while; NaN if the simulation diverged [u/s]. For information.
         non_finite: Whether the simulation diverged.
-        steps: Steps made.
+        steps: Number of steps made.
     """
 
     plunge: Plunge
@@ -156,11 +159,11 @@ class Outcome:
 
 @dataclass
 class Tally:
-    """Adds up what the inspected steps of one case show.
+    """Accumulates the inspections of one case.
 
     Attributes:
-        opposite: (n,) of the tool.
-        missed: See `Outcome`; so are the others.
+        opposite: (n,) index of the opposite of each contact node of the tool.
+        missed: See `Outcome`, as for the other attributes.
     """
 
     opposite: NDArray[np.int32]
@@ -176,8 +179,8 @@ class Tally:
         """Count one step.
 
         Args:
-            flags: (n,) of the contact nodes.
-            seen: What the inspection after the step showed.
+            flags: (n,) flags of the contact nodes.
+            seen: Inspection after the step.
         """
         self.missed += bool((seen.node_depth > ALLOWED or seen.centre_inside) and not flags.any())
         self.enclosed += seen.centre_inside or seen.enclosed > 0
@@ -189,14 +192,14 @@ class Tally:
 
 
 def draw(seed: int, number: int) -> Plunge:
-    """Make a case.
+    """Draw a case.
 
     Args:
-        seed: Of the benchmark.
-        number: Of the case.
+        seed: Seed of the benchmark.
+        number: Number of the case.
 
     Returns:
-        The case; always the same for the same two integers.
+        The case, which is always the same for the same two integers.
     """
     generator = np.random.default_rng([seed, number])
     direction = generator.normal(size=3)
@@ -239,18 +242,18 @@ def run(
     time, the mean less than two.
 
     Args:
-        plunge: What to do.
+        plunge: The case.
         contact: The contact model.
         watch: Called after each step with its index, the simulation, its report and the inspection.
-        engine: What integrates the organ; None: the default.
+        engine: Engine that integrates the organ; None for the default.
 
     Returns:
-        What happened.
+        The result.
     """
     scene = scenes.seed(tool_size=(1.0, 1.0, plunge.thickness), dt=plunge.dt, faces="all")
     tool = scene.tools[0].tool
     with warnings.catch_warnings():
-        # At other time steps than the seed's its sphere rolls on, which changes nothing here.
+        # With other time steps than the seed's the sphere keeps rolling, which triggers a warning but is harmless here.
         warnings.simplefilter("ignore", SceneWarning)
         simulation = Simulation(scene, engine=engine, contact=contact, precision="double")
     inspector = Inspector(tool, simulation.triangles)
@@ -304,7 +307,7 @@ def run(
 
 
 def _draw_logarithmic(generator: np.random.Generator, limits: tuple[float, float]) -> float:
-    """A number whose logarithm is drawn evenly."""
+    """Draw a number between two limits whose logarithm is uniformly distributed."""
     low, high = limits
     return math.exp(generator.uniform(math.log(low), math.log(high)))
 

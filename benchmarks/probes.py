@@ -1,4 +1,4 @@
-"""What of a tool the inspection looks at: points, columns and faces, arranged so that it is quick about them."""
+"""The points, columns and faces of a tool that the inspection examines, arranged for fast queries."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ if TYPE_CHECKING:
     IntArray = NDArray[np.int64]
 
 RIM = 0.1
-"""So near to the rim of a face [u] a surface may slip round it between two inspections: what it does there is a matter
-of depth and not of sides."""
+"""Within this distance of the rim of a face [u], a surface may slip round the rim between two inspections. There only
+depth is judged, not on which side of the tool the surface is."""
 
 EDGE_SPACING = 0.1
-"""The tool's edges are looked at in points no farther apart than this [u]."""
+"""Greatest distance between the sample points on the tool's edges [u]."""
 
 LINES = np.array([(3.0, -6.0, 2.0), (6.0, 2.0, -3.0), (2.0, 3.0, 6.0)]) / 7.0
-"""All lines run along the third of these axes u, v and w, a direction that no face or lattice of a box lies along:
-surfaces that rest on a face are met at an angle."""
+"""Orthonormal axes u, v and w, one per row. All test lines run along w, which is parallel to no face and no lattice
+line of a box, so that they meet a surface that rests on a face at an angle."""
 
 CELLS_PER_POINT = 1.0
-"""Cells of the grid over u and v, for each point."""
+"""Number of cells of the grid over u and v, per point."""
 
 
 class Points(NamedTuple):
-    """Points that are looked at together, arranged so that those under a triangle are found quickly, for kernels.
+    """Points in a grid over u and v, in which those under a triangle are found quickly, for kernels.
 
     Attributes:
-        places: (m, 3) [u].
-        seen: (m, 3) along u, v and w.
-        grid: (4,) least u and least v, and how many cells there are for a unit of length each way.
-        cells: How many cells there are each way.
-        starts: (cells**2 + 1,) where the points of each cell begin in `order`, cell after cell along v.
-        order: (m,) points cell by cell.
+        places: (m, 3) positions [u].
+        seen: (m, 3) coordinates along u, v and w [u].
+        grid: (4,) least u and least v [u], and number of cells per unit of length along u and along v.
+        cells: Number of cells along u, and along v.
+        starts: (cells**2 + 1,) where the points of each cell begin in `order`; consecutive cells are neighbours in v.
+        order: (m,) indices of the points, sorted by cell.
     """
 
     places: FloatArray
@@ -52,17 +52,17 @@ class Points(NamedTuple):
 
 
 class Probe(NamedTuple):
-    """What of a tool is looked at, in its own frame [u], for kernels.
+    """The parts of a tool that the inspection examines, in the tool's frame [u], for kernels.
 
     Attributes:
-        points: Contact nodes, corners, points of edges, middles of columns, and the origin.
-        ends: (5,) where each of these groups ends.
-        columns: (c, 3) points: opposite contact nodes whose connection keeps `RIM` from all faces but theirs, and the
-            middle between them.
+        points: Contact nodes, corners, sample points on edges, middles of columns, and the origin, in this order.
+        ends: (5,) index in `points` at which each of these groups ends.
+        columns: (c, 3) indices of points: two opposite contact nodes, whose connection is at least `RIM` away from all
+            faces but theirs, and the middle between them.
         normals: (F, 3) outward unit normals of the faces, each plane once.
-        offsets: (F,) of the planes.
-        box: (6,) lower corner and upper corner.
-        radius: Of a ball about the origin that holds the tool.
+        offsets: (F,) offsets of these planes.
+        box: (6,) lower and upper corner of the tool's bounding box.
+        radius: Radius of a ball about the origin that contains the tool.
     """
 
     points: Points
@@ -75,7 +75,7 @@ class Probe(NamedTuple):
 
 
 def arrange_points(places: FloatArray) -> Points:
-    """Arrange points (m, 3), one at least."""
+    """Arrange points (m, 3), at least one, in a grid."""
     seen = places @ LINES.T
     cells = max(1, round((CELLS_PER_POINT * len(places)) ** 0.5))
     low, high = seen[:, :2].min(axis=0), seen[:, :2].max(axis=0)
@@ -92,7 +92,7 @@ def arrange_points(places: FloatArray) -> Points:
 
 
 def make_probe(tool: Tool) -> Probe:
-    """A `Probe` of a tool."""
+    """Make the `Probe` of a tool."""
     normals, offsets = _distinct_planes(*tool.planes)
     edges, opposite = _edge_points(tool, normals, offsets), _inner_columns(tool, normals, offsets)
     groups = (tool.nodes, tool.vertices, edges, tool.nodes[opposite].mean(axis=1), np.zeros((1, 3)))
@@ -116,13 +116,13 @@ def _distinct_planes(normals: FloatArray, offsets: FloatArray) -> tuple[FloatArr
 
 
 def _edge_points(tool: Tool, normals: FloatArray, offsets: FloatArray) -> FloatArray:
-    """Points (m, 3) of a tool's edges, ends left out, no farther apart than `EDGE_SPACING`."""
+    """Sample points (m, 3) on a tool's edges, without their ends, no farther apart than `EDGE_SPACING`."""
     corners = tool.vertices
     on_plane = np.abs(corners @ normals.T - offsets) < PARALLEL * tool.bounding_radius
     pairs = np.unique(np.sort(tool.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     points = []
     for first, second in pairs.tolist():
-        # A triangle's side within a face lies on one plane, an edge of the tool on two.
+        # A triangle's side inside a face lies on one plane, an edge of the tool on two.
         if (on_plane[first] & on_plane[second]).sum() >= 2:
             parts = int(np.ceil(np.linalg.norm(corners[second] - corners[first]) / EDGE_SPACING))
             points += [corners[first] + k / parts * (corners[second] - corners[first]) for k in range(1, parts)]
@@ -130,7 +130,7 @@ def _edge_points(tool: Tool, normals: FloatArray, offsets: FloatArray) -> FloatA
 
 
 def _inner_columns(tool: Tool, normals: FloatArray, offsets: FloatArray) -> NDArray[np.int64]:
-    """Pairs of opposite contact nodes (c, 2) whose connection keeps `RIM` from all faces but theirs."""
+    """Pairs of opposite contact nodes (c, 2) whose connection is at least `RIM` away from all faces but theirs."""
     columns = []
     for node, other in enumerate(tool.opposite.tolist()):
         if node > other:

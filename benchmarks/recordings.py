@@ -1,8 +1,8 @@
-"""Recordings of what went wrong: a state, and how the tools moved from there, to be repeated step by step.
+"""Recordings of faults: a state, and the motion of the tools from there, to be repeated step by step.
 
-A recording is an .npz file of `nodes` (V, 3) and `velocities` (V, 3) of the organs, `positions` (N, 3) and
-`orientations` (N, 4) of the tools, and `linear` and `angular` (S, N, 3), how they move in each of S physics steps. It
-may also hold what contact remembers: see `REMEMBERED`.
+A recording is an .npz file with `nodes` (V, 3) and `velocities` (V, 3) of the organs, `positions` (N, 3) and
+`orientations` (N, 4) of the tools, and `linear` and `angular` (S, N, 3), the tools' velocities in each of S physics
+steps. It may also hold the memory of the contact model; see `REMEMBERED`.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 REMEMBERED = ("names", "features", "rows", "ledger", "wrenches", *(f"near_{name}" for name in NearMemory._fields))
-"""What contact remembers, beside the flags of each tool and organ, `flags_0_0` and so on."""
+"""Names of the arrays of the contact model's memory, besides the flags of each tool and organ, `flags_0_0` etc."""
 
 BEFORE = 4
-"""A recording begins so many control steps before the stretch that it is of,"""
+"""Number of control steps before the faulty stretch at which a recording begins."""
 
 LONGEST = 24
-"""and has no more than so many."""
+"""Greatest number of control steps in a recording."""
 
 
 def write_recording(path: Path, state: SimulationState, linear: FloatArray, angular: FloatArray) -> None:
     """Write a recording.
 
     Args:
-        path: Of the .npz file.
-        state: Where it begins.
-        linear: (S, N, 3) of the tools in each physics step [u/s].
-        angular: (S, N, 3) [rad/s].
+        path: Path of the .npz file.
+        state: Initial state.
+        linear: (S, N, 3) linear velocities of the tools in each physics step [u/s].
+        angular: (S, N, 3) angular velocities [rad/s].
     """
     moved = (state.nodes, state.node_velocities, state.tool_positions, state.tool_orientations, linear, angular)
     contact = state.contact
@@ -59,14 +59,14 @@ def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, F
     """Put a simulation into the state of a recording.
 
     Args:
-        simulation: Of the scene that was recorded.
-        path: Of the .npz file.
+        simulation: A simulation of the scene that was recorded.
+        path: Path of the .npz file.
 
     Returns:
-        How the tools move: linear and angular velocities, (S, N, 3) each.
+        Linear [u/s] and angular [rad/s] velocities of the tools in each physics step, (S, N, 3) each.
 
     Raises:
-        ValueError: If the file lacks something, or does not fit the scene.
+        ValueError: If the file lacks an array, or does not fit the scene.
     """
     with np.load(path) as recorded:
         missing = [name for name in RECORDED if name not in recorded]
@@ -102,7 +102,7 @@ def restore_recording(simulation: Simulation, path: Path) -> tuple[FloatArray, F
 
 @dataclass
 class _ControlStep:
-    """A control step of all worlds: where it began, and how the tools moved in each physics step, (W, N, 3) each."""
+    """A control step of all worlds: initial state, and velocities of the tools in each physics step, (W, N, 3) each."""
 
     state: Any
     linear: list[FloatArray]
@@ -110,19 +110,19 @@ class _ControlStep:
 
 
 class Recorder:
-    """Keeps the worst stretch of control steps in which something is amiss in a world, and writes it.
+    """Records the worst stretch of consecutive control steps with a fault in a world.
 
     Args:
-        worlds: They are watched from now on. Afterwards `look_after_every_step` is to see to it that physics steps are
-            made one by one.
-        path: Of the .npz file, written whenever there is something worse than before.
+        worlds: The worlds; they are watched from now on. Call `look_after_every_step` afterwards, so that physics steps
+            are made one by one.
+        path: Path of the .npz file, written whenever a stretch is worse than all before.
     """
 
     def __init__(self, worlds: Any, path: Path) -> None:
         self._worlds, self._path = worlds, path
         self._kept: deque[_ControlStep] = deque(maxlen=LONGEST)
         self._forces = np.zeros(worlds.tool_positions.shape)
-        # Control steps since an episode began, since a stretch did, and how bad it is.
+        # For each world: control steps since its episode began and since its stretch began, and how bad the latter is.
         self._age, self._length = np.zeros(worlds.count, dtype=int), np.zeros(worlds.count, dtype=int)
         self._badness = np.zeros(worlds.count)
         self.worst = 0.0
@@ -142,7 +142,7 @@ class Recorder:
         worlds.advance = advance_and_keep
 
     def begin_control_step(self) -> None:
-        """Look where everything is; called before every control step."""
+        """Save the state of all worlds; to be called before every control step."""
         state = self._worlds.save(np.arange(self._worlds.count))
         self._kept.append(_ControlStep(state, [], []))
         self._forces = np.array(
@@ -151,10 +151,10 @@ class Recorder:
         self._age += 1
 
     def end_control_step(self, badness: FloatArray) -> None:
-        """Called after every control step.
+        """Extend or end the stretches of all worlds; to be called after every control step.
 
         Args:
-            badness: (W,) how bad it was in each world, 0 if nothing was amiss.
+            badness: (W,) how bad the control step was in each world, 0 if there was no fault.
         """
         bad = badness > 0.0
         self._length[bad] += 1
@@ -164,10 +164,10 @@ class Recorder:
             self._finish(world)
 
     def forget(self, worlds: Any) -> None:
-        """End what goes on in worlds (n,): they are reset."""
+        """End the stretches of worlds (n,) that are about to be reset."""
         for world in worlds:
             self._finish(world)
-            # The next control step is that in which it is reset.
+            # The reset happens in the next control step.
             self._age[world] = -1
 
     def _keep(self, linear: FloatArray, angular: FloatArray) -> None:
@@ -175,7 +175,7 @@ class Recorder:
         self._kept[-1].angular.append(np.array(angular))
 
     def _restrained(self, linear: FloatArray, angular: FloatArray, limits: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is left of velocities (W, N, 3) where forces in the physics step before were too great."""
+        """Velocities (W, N, 3) after `drive.restrain`: limited where forces in the last physics step were too great."""
         linear, angular = np.array(linear, dtype=np.float64), np.array(angular, dtype=np.float64)
         slower, turning = np.empty_like(linear), np.empty_like(angular)
         positions = self._worlds.tool_positions
@@ -192,13 +192,13 @@ class Recorder:
         return slower, turning
 
     def _finish(self, world: int) -> None:
-        """Write a stretch that is over, if it is the worst so far."""
+        """End the stretch of a world, and write it if it is the worst so far."""
         length, badness = int(self._length[world]), float(self._badness[world])
         self._length[world], self._badness[world] = 0, 0.0
         if badness <= self.worst:
             return
         self.worst = badness
-        # The last control step may have been the first one without anything amiss.
+        # The last control step may be the first one without a fault, which is not counted in the length.
         count = min(length + 1 + BEFORE, int(self._age[world]), len(self._kept))
         kept = list(self._kept)[-count:]
         write_recording(

@@ -1,8 +1,8 @@
-"""Does training that is killed at any moment go on as if nothing had happened?
+"""Can training that is killed at any moment be resumed as if nothing had happened?
 
-A small run of `python -m agents.train` is killed with SIGKILL at random moments, and each time gone on with by
-`--resume`. After every kill all files of the run are read; at the end the run must have gone all the way, with one
-evaluation for each that was planned, in order, and nothing half written left behind.
+A small run of `python -m agents.train` is killed with SIGKILL at random moments, and continued each time with
+`--resume`. After every kill all files of the run are read. In the end the run must be complete, with exactly the
+planned evaluations, in order, and without temporary files left behind.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from benchmarks.measure import finish, parser
 from spatula_env.learning.saving import MODEL, checkpoints_in, read_curve
 
 STEPS, EVALUATE_EVERY, CHECKPOINT_EVERY = 8_000, 800, 320
-"""Of the run, in environment steps."""
+"""Length of the run and intervals of its evaluations and checkpoints, in environment steps."""
 
 CONFIG: dict[str, Any] = {
     "environment": {
@@ -65,13 +65,13 @@ def measure(folder: Path, kills: int, generator: np.random.Generator, *, quiet: 
     """Train with interruptions.
 
     Args:
-        folder: An empty one.
+        folder: An empty folder to work in.
         kills: How often the run is killed.
-        generator: Of the moments.
-        quiet: Whether to say nothing meanwhile.
+        generator: Source of random numbers for the moments of the kills.
+        quiet: Whether to print no progress.
 
     Returns:
-        What is printed.
+        The figures, with "passed".
     """
     config, run = folder / "config.yaml", folder / "run"
     config.write_text(yaml.safe_dump(CONFIG), encoding="utf-8")
@@ -117,7 +117,7 @@ def measure(folder: Path, kills: int, generator: np.random.Generator, *, quiet: 
 
 
 def _kill_in_the_middle(command: list[str], run: Path, generator: np.random.Generator) -> dict[str, float]:
-    """Start training, and kill it at a random moment after it has written one to five checkpoints more."""
+    """Start training, and kill it at a random moment after it has written one to five further checkpoints."""
     place = run / "seed-0" / "checkpoints"
     wanted = _last_step(place) + CHECKPOINT_EVERY * int(generator.integers(1, 6))
     wait = generator.uniform(0.0, 2.0)
@@ -128,7 +128,7 @@ def _kill_in_the_middle(command: list[str], run: Path, generator: np.random.Gene
         while process.poll() is None and time.perf_counter() - start < PATIENCE:
             if first is None and _last_step(place) >= wanted:
                 first = time.perf_counter()
-            # Long enough for steps, gradients, an evaluation or a checkpoint: the kill falls into any of these.
+            # The random wait is long enough for the kill to fall into steps, gradients, an evaluation or a checkpoint.
             if first is not None and time.perf_counter() - first >= wait:
                 break
             time.sleep(0.005)
@@ -144,13 +144,13 @@ def _last_step(place: Path) -> int:
 
 
 def readable(run: Path) -> dict[Path, str]:
-    """Read every file of a run; what is hidden was being written and is no part of it.
+    """Try to read every file of a run; hidden files were still being written and do not count.
 
     Args:
-        run: Its folder.
+        run: Folder of the run.
 
     Returns:
-        For each file what is wrong with it, an empty text if nothing is.
+        For each file a description of the problem with it, empty if there is none.
     """
     files = [file for file in sorted(run.rglob("*")) if file.is_file() and not _is_hidden(file, run)]
     return {file: _problem(file) for file in files}
@@ -183,7 +183,7 @@ def _problem(file: Path) -> str:
         else:
             return "nobody knows what it is"
     except Exception as error:
-        # Whatever is wrong, the file cannot be read.
+        # Any exception means that the file cannot be read.
         return f"{type(error).__name__}: {error}"
     return ""
 

@@ -1,9 +1,9 @@
-"""Other ways of asking what the detector asks: which triangle does each contact node's ray meet first?
+"""Alternatives to the contact detector's ray casting: which triangle does each contact node's ray meet first?
 
-Every contact node has two rays on one line, inwards against its face's normal and outwards along it. Each rival is
-given rays, triangles and vertices ready made in the form that it takes them in, untimed. Timed is what any of them
-must do whenever the organ has moved: take the vertices in, bring its search structure up to date, cast all rays.
-Rivals answer in rays: ray 2 i is node i's inward one, 2 i + 1 its outward one.
+Every contact node has two rays on one line, inwards against its face's normal and outwards along it. Each rival gets
+rays, triangles and vertices in its own input format, prepared untimed. The timed part is what every rival has to do
+whenever the organ has moved: take in the vertices, update its search structure, and cast all rays. Answers are per ray:
+ray 2 i is node i's inward ray, ray 2 i + 1 its outward ray.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from spatula_env.geometry import Tool
 
 FAR = 1e30
-"""Farther than any hit, yet finite, because fast arithmetic may assume that there are no infinities [u]."""
+"""Farther than any hit, yet finite, because fast-math code may assume that there are no infinities [u]."""
 
 LANES = 8
-"""Triangles that the brute force by lanes rejects with one branch."""
+"""Number of triangles that the brute force by lanes rejects with one branch."""
 
 RAY_LENGTH = 20.0
-"""Length of a ray where a rival's rays must end [u]: more than any organ here is wide."""
+"""Length of rays for rivals whose rays must be finite [u]: more than the width of any organ here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class Question:
         orientation: (4,) of the tool, quaternion xyzw.
         linear_velocity: (3,) of the tool [u/s].
         triangles: (T, 3) int32 of the organ.
-        shapes: The organ's vertices, each (V, 3) float64 [u]. The last is far from the others, and serves to see
-            whether a rival's search structure follows; it is not timed.
+        shapes: Vertices of the organ in several shapes, each (V, 3) float64 [u]. The last is far from the others, to
+            test whether a rival's search structure follows; it is not timed.
         nodes: (n, 3) the contact nodes in the world [u].
         normals: (n, 3) the nodes' outward normals in the world.
     """
@@ -62,12 +62,12 @@ class Question:
 
     @property
     def origins(self) -> NDArray[np.float64]:
-        """(2 n, 3) where the rays begin [u]."""
+        """(2 n, 3) origins of the rays [u]."""
         return np.repeat(self.nodes, 2, axis=0)
 
     @property
     def directions(self) -> NDArray[np.float64]:
-        """(2 n, 3) where the rays go, unit vectors."""
+        """(2 n, 3) unit directions of the rays."""
         return np.stack([-self.normals, self.normals], axis=1).reshape(-1, 3)
 
 
@@ -75,36 +75,36 @@ class Rival:
     """One way of answering a question.
 
     Attributes:
-        name: What it is called in the results.
-        version: Of the package that does the work.
+        name: Name in the results.
+        version: Name and version of the package that does the work.
     """
 
     name = ""
     version = ""
 
     def __init__(self, question: Question) -> None:
-        """Lay out what the question is made of; an ImportError or OSError says that the package is not there."""
+        """Prepare the inputs from the question; raises ImportError or OSError if the package is not installed."""
 
     def query(self, index: int) -> None:
         """Take in shape `index` and cast all rays; this is timed."""
         raise NotImplementedError
 
     def answer(self) -> tuple[NDArray[np.int32] | None, NDArray[np.float64]]:
-        """What the last query found.
+        """Results of the last query.
 
         Returns:
             (triangles, distances): (2 n,) the triangle that each ray meets first, -1 where it meets none, or None for
-            a rival that does not tell; and (2 n,) how far away that is, infinite where there is none [u].
+            a rival that does not report triangles; and (2 n,) its distance, infinite where there is none [u].
         """
         raise NotImplementedError
 
     def close(self) -> None:
-        """Let go of what the operating system or a server holds."""
+        """Release resources of the operating system or a server."""
 
 
 @numba.njit(cache=True, fastmath=True, error_model="numpy")
 def fill_edges(vertices: np.ndarray, triangles: np.ndarray, edges: np.ndarray) -> None:
-    """Write each triangle's first corner and its two edges from there into a row of nine numbers."""
+    """Write each triangle's first corner and the two edges from it into a row (9,) of `edges`."""
     for k in range(triangles.shape[0]):
         a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
         for j in range(3):
@@ -123,19 +123,19 @@ def cast_lines(
     hits: np.ndarray,
     distances: np.ndarray,
 ) -> None:
-    """Both rays of every node by Möller and Trumbore's test of its line against every triangle.
+    """Cast both rays of every node: Möller and Trumbore's test of the node's line against every triangle.
 
-    The edges are prepared once for all nodes, one test serves both rays of a line, and the division is left for the
-    few triangles that the line meets.
+    The edges are prepared once for all nodes, one test serves both rays of a line, and the division is done only for
+    the few triangles that the line meets.
 
     Args:
-        nodes: (n, 3) where both rays of a node begin [u].
+        nodes: (n, 3) common origin of both rays of each node [u].
         normals: (n, 3) direction of the outward ray.
         vertices: (V, 3) [u].
         triangles: (T, 3).
         edges: (T, 9) workspace.
-        hits: (n, 2) result, the triangle each ray meets first; -1 where it meets none.
-        distances: (n, 2) result [u].
+        hits: (n, 2) output: the triangle each ray meets first, inward ray first; -1 where it meets none.
+        distances: (n, 2) output: distances of these triangles, `FAR` where there is none [u].
     """
     fill_edges(vertices, triangles, edges)
     for i in range(nodes.shape[0]):
@@ -181,9 +181,9 @@ def cast_rays(
     hits: np.ndarray,
     distances: np.ndarray,
 ) -> None:
-    """Both rays of every node, each by Möller and Trumbore's test of it against every triangle, as published.
+    """Cast both rays of every node: Möller and Trumbore's test, as published, of each ray against every triangle.
 
-    The arguments are those of `cast_lines`.
+    Arguments are as in `cast_lines`.
     """
     fill_edges(vertices, triangles, edges)
     for i in range(nodes.shape[0]):
@@ -227,11 +227,12 @@ def cast_lines_by_lanes(
 ) -> None:
     """As `cast_lines`, in a form that the compiler turns into vector instructions.
 
-    For each line a first loop without branches finds on which side of a triangle's edges it passes, for many
-    triangles at once; a second one looks for the triangles that it meets, and finishes those.
+    For each line, a first loop without branches tests on which side of each triangle's edges it passes, many triangles
+    at a time. A second loop picks out the triangles that the line meets, and computes their distances.
 
-    The arguments are those of `cast_lines`, but for these: `edges` is (T, 9) in Fortran order, so that the same number
-    of many triangles lies side by side, and `inside` (T or a few more, a multiple of LANES) is negative beyond T.
+    Arguments are as in `cast_lines`, with two differences: `edges` is (T, 9) in Fortran order, so that the same
+    component of consecutive triangles is contiguous; and `inside` is a workspace whose length is T rounded up to a
+    multiple of `LANES`, and which must be negative beyond T.
     """
     fill_edges(vertices, triangles, edges)
     for i in range(nodes.shape[0]):
@@ -275,13 +276,13 @@ def cast_lines_by_lanes(
 
 
 class BruteForce(Rival):
-    """Every ray against every triangle, one after the other, in Numba and double precision: the method as published."""
+    """Tests every ray against every triangle, one after the other, with Numba in double precision: as published."""
 
     name = "brute_force"
     precision: type[np.floating[Any]] = np.float64
 
     def __init__(self, question: Question) -> None:
-        """Lay the arrays out."""
+        """Prepare the arrays."""
         super().__init__(question)
         self.version = f"numba {version('numba')}"
         self._nodes = question.nodes.astype(self.precision)
@@ -305,7 +306,7 @@ class BruteForce(Rival):
 
 
 class BruteForceByLines(BruteForce):
-    """Both rays of a node by one test of their common line, and divisions only where a line meets a triangle."""
+    """Tests both rays of a node at once by their common line, and divides only where the line meets a triangle."""
 
     name = "brute_force_by_lines"
 
@@ -317,7 +318,7 @@ class BruteForceByLines(BruteForce):
 
 
 class BruteForceByLanes(BruteForce):
-    """The same for several triangles at once by vector instructions, in single precision as the libraries work."""
+    """Tests a line against several triangles at once with vector instructions, in single precision as libraries do."""
 
     name = "brute_force_by_lanes"
     precision = np.float32
@@ -344,7 +345,7 @@ class BruteForceByLanes(BruteForce):
 
 
 class WarpMesh(Rival):
-    """Warp on the processor: `Mesh.refit` and a kernel of `mesh_query_ray`, its launch recorded beforehand."""
+    """Warp on the CPU: `Mesh.refit`, then a kernel that calls `mesh_query_ray`, whose launch is recorded beforehand."""
 
     name = "warp"
 
@@ -374,7 +375,7 @@ class WarpMesh(Rival):
         self._shapes = [shape.astype(np.float32) for shape in question.shapes]
         points = warp.array(self._shapes[0], dtype=warp.vec3, device="cpu")
         indices = warp.array(question.triangles.ravel(), dtype=warp.int32, device="cpu")
-        # "sah" was the fastest of the constructors that there are for a processor.
+        # "sah" was the fastest of the BVH constructors that are available on the CPU.
         self._mesh = warp.Mesh(points=points, indices=indices, bvh_constructor="sah")
         self._points = points.numpy()
         hits = warp.zeros(count, dtype=warp.int32, device="cpu")
@@ -405,7 +406,7 @@ class WarpMesh(Rival):
 
 
 class Open3DScene(Rival):
-    """Open3D's `RaycastingScene`, which must be built anew for every shape."""
+    """Open3D's `RaycastingScene`, which has to be rebuilt for every shape."""
 
     name = "open3d"
 
@@ -429,12 +430,12 @@ class Open3DScene(Rival):
 
     def answer(self) -> tuple[NDArray[np.int32] | None, NDArray[np.float64]]:
         """See `Rival.answer`."""
-        # The number that stands for "none" is the greatest there is, which is -1 when read as signed.
+        # "No hit" is the greatest unsigned number, which is -1 as a signed one.
         return self._found["primitive_ids"].numpy().astype(np.int32), self._found["t_hit"].numpy().astype(np.float64)
 
 
 class EmbreeScene(Rival):
-    """Embree through embreex's own interface; a scene must be built anew for every shape."""
+    """Embree through embreex's own interface; the scene has to be rebuilt for every shape."""
 
     name = "embreex"
 
@@ -464,11 +465,11 @@ class EmbreeScene(Rival):
 
 
 class BulletRays(Rival):
-    """PyBullet's `rayTestBatch` at a soft body whose vertices `resetMeshData` has set.
+    """PyBullet's `rayTestBatch` on a soft body whose vertices are set by `resetMeshData`.
 
-    It does not say which triangle was hit. And it answers for another shape than the one set: the tree of faces and
-    their normals follow the vertices only in `stepSimulation`, which costs several times as much as the rays and
-    moves the vertices. So it is timed, but found not comparable.
+    It does not report which triangle was hit. It also answers for an earlier shape than the one set: the tree of faces
+    and their normals are updated only in `stepSimulation`, which costs several times as much as the rays and moves the
+    vertices. It is therefore timed, but not comparable.
     """
 
     name = "pybullet"

@@ -1,9 +1,10 @@
-"""Does contact hold while a tool slides, ploughs and turns? Random slides, looked at after every physics step.
+"""Does contact hold while a tool slides, ploughs and turns? Random slides, inspected after every physics step.
 
-Each case presses the spatula into the seed's organ or into the one of palpation, 0.1 to 0.9 u deep (2 to 18 mm), slides
-it level for 2.5 u (50 mm) in any direction, in two of three cases turning about any axis, at up to 50 rad/s, and holds
-it there. Friction is between 0 and 2. No force keeps the tool from going on. A case can be repeated from its number.
-What is counted is found by `benchmarks.inspection`, not by the contact model that is judged.
+Each case presses the spatula into the seed's organ or into that of the palpation scene, 0.1 to 0.9 u deep (2 to 18 mm),
+slides it horizontally for 2.5 u (50 mm) in a random direction and, in two of three cases, turns it meanwhile about a
+random axis, at up to 50 rad/s. Then the tool is held. Friction is between 0 and 2. The tool's motion is prescribed: no
+force slows it down. A case can be repeated from its number. Faults are found by `benchmarks.inspection`, not by the
+contact model that is judged.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 SEED = 20261128
-"""Of the cases, unless another one is given."""
+"""Default seed of the cases."""
 
 SCENES = ("seed", "palpate")
 DEPTHS = (0.1, 0.9)
@@ -41,22 +42,23 @@ WAY = 2.5
 SPEEDS = (0.5, 12.5)
 TURNING = (0.5, 50.0)
 FRICTION = (0.0, 2.0)
-"""Scenes; how deep [u], how far [u], at which speeds [u/s] and how fast turning [rad/s]; friction."""
+"""Scenes; range of depths [u]; length of a slide [u]; ranges of speeds [u/s], of angular speeds [rad/s] and of
+coefficients of friction."""
 
 TURNED = 2.0 / 3.0
 """Share of the cases in which the tool turns."""
 
 PRESS_SPEED = 2.5
-"""Of the press before [u/s]."""
+"""Speed of the press before the slide [u/s]."""
 
 HOLD = 0.25
-"""How long the tool stays where it has got to [s]."""
+"""How long the tool is held at the end of the slide [s]."""
 
 LONGEST_CROSSED = 0.1
-"""An organ may cross itself for so long [s]."""
+"""Longest time for which an organ may cross itself [s]."""
 
 WORST = 10
-"""How many of the worst cases are named."""
+"""Number of the worst cases that are listed."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +66,14 @@ class Slide:
     """One case.
 
     Attributes:
-        seed: It was drawn with this seed,
-        number: and is the one of this number.
-        scene: Preset.
-        depth: [u].
-        direction: Angle in the level plane [rad].
-        speed: [u/s].
+        seed: Seed that the case was drawn with.
+        number: Number of the case.
+        scene: Name of the preset scene.
+        depth: Depth of the press [u].
+        direction: Angle of the slide in the horizontal plane [rad].
+        speed: Speed of the slide [u/s].
         turning: (3,) angular velocity while sliding [rad/s].
-        friction: Between tool and organ.
+        friction: Coefficient of friction between tool and organ.
     """
 
     seed: int
@@ -86,12 +88,12 @@ class Slide:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened in one case.
+    """Result of one case.
 
     Attributes:
         slide: The case.
-        seen: In all of its physics steps.
-        crossed_at_end: Whether an organ crossed itself in the last one.
+        seen: Counts over all of its physics steps.
+        crossed_at_end: Whether an organ crossed itself in the last step.
         dt: Length of a physics step [s].
     """
 
@@ -107,16 +109,16 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """Whether contact was lost or an organ tangled."""
+        """Whether contact was lost, an organ tangled, or the simulation diverged."""
         return bool(self.seen.deep or self.seen.wrong_side or self.seen.diverged or self.tangled)
 
 
 def draw(seed: int, number: int) -> Slide:
-    """Make a case; always the same for the same two integers.
+    """Draw a case, which is always the same for the same two integers.
 
     Args:
-        seed: Of the benchmark.
-        number: Of the case.
+        seed: Seed of the benchmark.
+        number: Number of the case.
     """
     generator = np.random.default_rng([seed, number])
     axis = generator.normal(size=3)
@@ -135,11 +137,11 @@ def draw(seed: int, number: int) -> Slide:
 
 
 def motion(slide: Slide, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
-    """How the tool moves in each physics step.
+    """Velocities of the tool in each physics step of a case.
 
     Args:
         slide: The case.
-        simulation: Before it.
+        simulation: The simulation in its initial state.
 
     Returns:
         Linear [u/s] and angular [rad/s] velocities, (S, 1, 3) each.
@@ -156,15 +158,15 @@ def motion(slide: Slide, simulation: Simulation) -> tuple[FloatArray, FloatArray
 
 
 def run(slide: Slide, engine: str = "batch", *, show: bool = False) -> Outcome:
-    """Make one slide and look after every physics step.
+    """Make one slide, and inspect after every physics step.
 
     Args:
         slide: The case.
-        engine: What integrates the organ.
+        engine: Engine that integrates the organ.
         show: Whether to print a line for each step.
 
     Returns:
-        What happened.
+        The result.
     """
     scene = getattr(scenes, slide.scene)()
     scene = replace(scene, tools=(replace(scene.tools[0], friction=slide.friction),))
@@ -179,7 +181,7 @@ def run(slide: Slide, engine: str = "batch", *, show: bool = False) -> Outcome:
 
 
 def summarise(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Count what happened in some cases, at least one."""
+    """Summarise the outcomes of cases, at least one."""
     worst = sorted((outcome for outcome in outcomes if outcome.failed), key=lambda each: -each.seen.depth)[:WORST]
     depths = [outcome.seen.depth for outcome in outcomes]
     return {
@@ -205,9 +207,9 @@ class Job:
     """A case to run.
 
     Attributes:
-        seed: Of the benchmark.
-        number: Of the case.
-        engine: What integrates the organ.
+        seed: Seed of the benchmark.
+        number: Number of the case.
+        engine: Engine that integrates the organ.
     """
 
     seed: int
@@ -216,7 +218,7 @@ class Job:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run one case; errors say which."""
+    """Run one case; errors name the case."""
     try:
         return run(draw(job.seed, job.number), job.engine)
     except Exception as error:
@@ -224,7 +226,7 @@ def run_job(job: Job) -> Outcome:
 
 
 def _draw_logarithmic(generator: np.random.Generator, limits: tuple[float, float]) -> float:
-    """A number whose logarithm is drawn evenly."""
+    """Draw a number between two limits whose logarithm is uniformly distributed."""
     low, high = limits
     return math.exp(generator.uniform(math.log(low), math.log(high)))
 

@@ -1,7 +1,7 @@
-"""Solids for checks of tissue: blocks of tetrahedra, spheres, and where a solid is in equilibrium.
+"""Solids for checks of tissue: blocks of tetrahedra, spheres, and the equilibrium of a solid.
 
-The energy is written here once more from `docs/tissue.md`, and stresses are its differences, so that what the package
-computes is not checked against itself.
+The energy density is implemented here a second time, from `docs/tissue.md`, and stresses are its finite differences, so
+that the package is not checked against itself.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ if TYPE_CHECKING:
     from spatula_env.sim.tissue.hyperelastic import Hyperelastic
 
 JITTER = 0.15
-"""By how much of a cell inner nodes of a block are moved, so that its tetrahedra are irregular."""
+"""Greatest random displacement of a block's inner nodes along each axis, in cells, to make its tetrahedra irregular."""
 
 DIFFERENCE = 1e-5
-"""Of a stretch, for slopes of the energy."""
+"""Step in stretch or shear of the finite differences of the energy."""
 
 SETTLED = 1e-6
-"""Greatest force on a free node in equilibrium, by the greatest on a held one."""
+"""Residual of an equilibrium, the greatest force on a free node relative to that on a held one; a solve fails at more
+than a hundred times this."""
 
 
 def block(size: FloatArray, cells: tuple[int, int, int]) -> Solid:
-    """A block of so many cells, each divided into six tetrahedra, its inner nodes moved at random.
+    """A block of cells, each divided into six tetrahedra, with randomly displaced inner nodes.
 
     Args:
-        size: (3,) edges [u]; one corner is the origin.
-        cells: Along each of them.
+        size: (3,) lengths of the edges [u]; one corner is the origin.
+        cells: Number of cells along each edge.
     """
     counts = np.array(cells) + 1
     grid = np.stack(np.meshgrid(*[np.arange(n) for n in counts], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -43,7 +44,7 @@ def block(size: FloatArray, cells: tuple[int, int, int]) -> Solid:
     moved = grid + inner[:, None] * np.random.default_rng(0).uniform(-JITTER, JITTER, grid.shape)
     corners = grid[(grid < counts - 1).all(axis=1)]
     tetrahedra = []
-    # After H. W. Kuhn: along three edges from one corner to the opposite one, in each of the six orders.
+    # H. W. Kuhn's subdivision: paths along three edges from one corner to the opposite one, in each of the six orders.
     for order in itertools.permutations(range(3)):
         steps = np.cumsum(np.concatenate([np.zeros((1, 3), dtype=np.int64), np.eye(3, dtype=np.int64)[list(order)]]), 0)
         path = corners[:, None] + steps
@@ -54,12 +55,12 @@ def block(size: FloatArray, cells: tuple[int, int, int]) -> Solid:
 
 
 def graded_sphere(radius: float, subdivisions: int, grading: float = 0.0) -> Organ:
-    """A sphere of triangles that are smaller at both poles of its z axis.
+    """A sphere whose triangles are smaller at both poles of its z axis.
 
     Args:
-        radius: [u].
+        radius: Radius [u].
         subdivisions: See `icosphere`.
-        grading: 0: all alike; below 0.5. Near the poles edges are shorter by the factor 1 - 2 grading.
+        grading: From 0, uniform, to less than 0.5. Edges near the poles are shorter by the factor 1 - 2 grading.
     """
     sphere = icosphere(radius, subdivisions)
     x, y, z = sphere.vertices.T
@@ -72,21 +73,21 @@ def graded_sphere(radius: float, subdivisions: int, grading: float = 0.0) -> Org
 def equilibrium(
     solid: Solid, law: Hyperelastic, start: FloatArray, free: BoolArray, iterations: int = 4000
 ) -> tuple[FloatArray, FloatArray]:
-    """Where a solid rests, some coordinates of its nodes being given.
+    """Find the equilibrium of a solid with some prescribed coordinates, by minimising its energy.
 
     Args:
         solid: The solid.
-        law: What it is made of.
-        start: (N, 3) where nodes are at first; those coordinates that are not free stay [u].
+        law: Its material.
+        start: (N, 3) initial positions of the nodes; coordinates that are not free keep these values [u].
         free: (N, 3) which coordinates are free.
-        iterations: At most.
+        iterations: Greatest number of iterations.
 
     Returns:
-        (N, 3) positions [u], and (N, 3) what the solid does to its nodes there, zero for free coordinates.
+        (N, 3) positions [u], and (N, 3) forces of the solid on its nodes there, nearly zero for free coordinates.
 
     Raises:
         ImportError: If SciPy is not installed.
-        RuntimeError: If it does not come to rest.
+        RuntimeError: If the minimisation does not come to rest.
     """
     from scipy.optimize import minimize
 
@@ -102,7 +103,7 @@ def equilibrium(
         return stored, -forces[free]
 
     options = {"maxiter": iterations, "maxfun": 2 * iterations, "maxcor": 30, "ftol": 0.0, "gtol": 0.0}
-    # It ends where rounding lets energy fall no more.
+    # With zero tolerances, it ends where rounding lets the energy decrease no further.
     minimize(energy, start[free], jac=True, method="L-BFGS-B", options=options)
     forces = solid.forces(law.stress(solid.deformations(nodes)), nodes, stabiliser)
     left, greatest = np.abs(forces[free]).max(initial=0.0), np.abs(forces[~free]).max()
@@ -112,7 +113,7 @@ def equilibrium(
 
 
 def documented_energy(material: Material, deformation: FloatArray) -> float:
-    """The energy by volume at rest, as `docs/tissue.md` has it [Pa].
+    """Energy per volume at rest, by the formula in `docs/tissue.md` [Pa].
 
     Args:
         material: The material.
@@ -127,7 +128,7 @@ def documented_energy(material: Material, deformation: FloatArray) -> float:
     i2, j = 0.5 * (i1**2 - float((c * c).sum())), float(np.linalg.det(deformation))
     y = i1 + i2 - 6.0 * j
     bulk = material.lame_parameter + 2.0 * c1
-    # Where 2 c3 y would exceed -c1 it stays there.
+    # The slope 2 c3 y is capped at -c1.
     most = -c1 / (2.0 * c3) if c3 > 0.0 else np.inf
     of_square = c3 * y**2 if y <= most else c3 * most**2 - c1 * (y - most)
     linear = 2.0 * c1 + 4.0 * c2
@@ -135,7 +136,7 @@ def documented_energy(material: Material, deformation: FloatArray) -> float:
 
 
 def uniaxial_stress(material: Material, stretch: float) -> float:
-    """Nominal stress of a bar whose sides are free: the slope of the least energy of all widths [Pa]."""
+    """Nominal stress of a bar with free sides: the slope of its energy, minimised over the lateral stretch [Pa]."""
     from scipy.optimize import minimize_scalar
 
     def least(along: float) -> float:

@@ -1,8 +1,8 @@
-"""How much of the processor does it take until something can be done?
+"""How much processor time does it take to start up?
 
-Each script runs in processes of its own, the kernels compiled already. What a process costs is its CPU time, which
-other work on the machine hardly changes; the least of several counts. Beside each stand the imports that it cannot do
-without.
+Each script runs in new processes, with the kernels compiled already. The cost of a process is its CPU time, which other
+work on the machine hardly changes; the least of several runs counts. Scripts are compared with the imports that they
+cannot do without.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ SCRIPTS = {
         "envs.reset(seed=0); envs.step(envs.action_space.sample())"
     ),
 }
-"""What is run, by name."""
+"""The scripts, by name."""
 
 RATIOS = {
     "spatula envs": "import gymnasium",
     "make": "import numba, gymnasium",
     "make, reset, step": "import numba, gymnasium",
 }
-"""What is compared with what."""
+"""For each script that is compared, the script of the imports that it cannot do without."""
 
 
 def main() -> None:
@@ -50,14 +50,14 @@ def main() -> None:
 
 
 def measure(repeats: int, quiet: bool = True) -> dict[str, Any]:
-    """Measure all scripts, in turn, so that what changes meanwhile changes for all.
+    """Measure all scripts in turn, so that changes of the machine's state affect all of them.
 
     Args:
-        repeats: Processes for each.
-        quiet: Print nothing.
+        repeats: Number of processes for each script.
+        quiet: Whether to print nothing.
 
     Returns:
-        `seconds` of CPU by script, and `ratios`.
+        "seconds" of CPU time by script, and "ratios".
     """
     for script in SCRIPTS.values():
         _run(script)
@@ -75,7 +75,7 @@ def measure(repeats: int, quiet: bool = True) -> dict[str, Any]:
 
 
 def _run(script: str) -> float:
-    """CPU time of a process, from its beginning to its end [s]."""
+    """CPU time of a process that runs a script, from its start to the end of the script [s]."""
     code = f"{script}\nimport sys, time\nprint(time.process_time(), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return float(done.stderr.splitlines()[-1])

@@ -1,6 +1,7 @@
-"""What a physics step costs with the Bullet engine, and what part of it the contact model is.
+"""What does a physics step cost with the Bullet engine, and what share of it is the contact model?
 
-The contact model's share is everything but Bullet's own step: reading the nodes, detection, response, writing back.
+The share of the contact model is everything but Bullet's own step: reading the nodes, detection, response, writing
+back.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ MOTIONS: dict[str, Callable[[int], tuple[float, float, float]]] = {
     "pressing": lambda index: (0.0, 0.0, 0.05 * np.sin(0.1 * index)),
     "sliding": lambda index: (0.5 * np.sin(0.02 * index), 0.0, 0.5 * np.sin(0.05 * index)),
 }
-"""How the tool moves: velocity [u/s] by step. From "held" on it is pressed 1.2 u into the organ."""
+"""Velocity of the tool [u/s] by step, for each motion. From "held" on, the tool is pressed about 1.2 u into the
+organ."""
 
 
 class _Watch:
-    """PyBullet's step, with the time spent in it added up."""
+    """Wraps PyBullet's step, and records the time of each call."""
 
     def __init__(self, bullet: Any) -> None:
         self._step = bullet.stepSimulation
@@ -42,10 +44,10 @@ def measure(faces: str, steps: int) -> dict[str, Any]:
 
     Args:
         faces: Which faces of the spatula carry contact nodes.
-        steps: How many of each motion.
+        steps: Number of steps of each motion.
 
     Returns:
-        Microseconds and share, by motion.
+        Times [us] and shares, by motion.
     """
     simulation = Simulation(scenes.seed(faces=faces), engine="bullet")
     engine: Any = simulation.worlds.engine
@@ -66,7 +68,7 @@ def measure(faces: str, steps: int) -> dict[str, Any]:
             start = time.perf_counter()
             simulation.step(velocity)
             wholes.append(time.perf_counter() - start)
-        # Medians of what belongs together: the machine's pauses fall into both alike.
+        # The share is taken step by step before the median, as pauses of the machine affect a step and its part alike.
         shares = 1.0 - np.array(watch.times) / np.array(wholes)
         result[name] = {
             "step_us_median": 1e6 * float(np.median(wholes)),

@@ -1,10 +1,11 @@
 """Can the tasks be solved, and not by chance, by haste or by evasion?
 
-For each task and engine: how often the scripted expert, the same in haste and a random policy succeed, how often
-within the budget of cost, with which forces and pressures, what it costs, and how many control steps a second are made.
-An episode ends with success or after 200 steps. Figures of an episode are medians and maxima over the episodes; speed
-is that of stepping alone, where Bullet's episodes run one after the other in each process and the other engines' all at
-once. With `--cheaters`: what policies earn that evade the tasks, beside the expert; see `benchmarks.cheaters`.
+For each task and engine, the benchmark reports how often the scripted expert, the expert in haste and a random policy
+succeed, how often they stay within the cost budget, the forces, pressures and costs, and the number of control steps
+per second. An episode ends with success or after 200 steps. Forces, pressures and costs are given as median and maximum
+over the episodes. The speed is that of stepping alone. With Bullet, episodes run in several processes, one after the
+other in each; with the other engines, all at once. With `--cheaters`, it compares the returns of policies that evade
+the tasks with the expert's; see `benchmarks.cheaters`.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ ENGINES = ("batch", "tissue", "bullet")
 POLICIES = ("expert", "hasty", "random")
 
 EXPERT_LIMIT, RANDOM_LIMIT = 0.95, 0.05
-"""Least success of the expert, and greatest of the random policy."""
+"""Least rate of success of the expert, and greatest of the random policy."""
 
 CAREFUL_LIMIT, HASTY_LIMIT = 0.95, 0.2
-"""Least share of the expert's episodes within the budget, and greatest of the hasty policy's."""
+"""Least share of the expert's episodes within the cost budget, and greatest share of the hasty policy's."""
 
 HASTE = 4.0
-"""By how much the hasty policy is faster than the expert, up to what the control allows."""
+"""Factor on the expert's actions for the hasty policy; actions are clipped to the limits of the control."""
 
 CHUNK = 10
-"""Episodes with Bullet that are one piece of work."""
+"""Number of episodes of a job with Bullet."""
 
 TOGETHER = ("batch", "tissue")
-"""Engines that step all worlds together, on all cores by themselves."""
+"""Engines that step all worlds together and use all cores by themselves."""
 
 QUANTITIES = {
     "peak_force": ("episode_peak_force", "N"),
@@ -48,7 +49,7 @@ QUANTITIES = {
     "cost": ("episode_cost", "s"),
     "dose": ("episode_dose", "Pa s"),
 }
-"""What is told of the episodes: the key in `info` at an episode's end, and the unit."""
+"""Quantities reported for the episodes: key in `info`, read at the end of an episode, and unit."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,10 @@ class Job:
     """Some episodes of a task.
 
     Attributes:
-        task: Its name.
+        task: Name of the task.
         engine: "batch", "tissue" or "bullet".
         policy: "expert", "hasty" or "random".
-        seeds: Of the episodes.
+        seeds: Seeds of the episodes.
     """
 
     task: str
@@ -70,16 +71,16 @@ class Job:
 
 @dataclass(frozen=True)
 class Episodes:
-    """The result of some episodes.
+    """Results of some episodes; lists have an item for each episode.
 
     Attributes:
-        success: Whether each succeeded.
-        steps: Control steps until success, or in all.
-        diverged: Whether physics broke down.
-        violated: Whether pressure was above the limit in any step.
+        success: Whether it succeeded.
+        steps: Control steps until success, or until its end.
+        diverged: Whether the physics diverged.
+        violated: Whether the pressure was above the limit in any step.
         careful: Whether the cost was within the task's budget.
-        quantities: The last value of each of `QUANTITIES`.
-        step_count: Control steps that were timed.
+        quantities: Final value of each of `QUANTITIES`.
+        step_count: Number of timed control steps, of all worlds, those that have finished included.
         seconds: How long they took [s].
     """
 
@@ -134,7 +135,7 @@ def _run(envs: Any, job: Job) -> Episodes:
             last[name][going] = infos[key][going]
         over |= success | terminated | truncated
         if (terminated | truncated).any() and not over.all():
-            # A world that broke down begins anew so that the others can go on; it does not count any more.
+            # A world whose episode is over is reset so that the others can go on; it does not count any more.
             observation, _ = envs.reset(options={"reset_mask": terminated | truncated})
     careful = last["cost"] <= envs.unwrapped.task.cost_budget
     return Episodes(
@@ -144,7 +145,7 @@ def _run(envs: Any, job: Job) -> Episodes:
 
 
 def summarize(parts: Iterable[Episodes]) -> dict[str, Any]:
-    """The figures of all episodes of a task, an engine and a policy."""
+    """Summarise all episodes of a task, an engine and a policy."""
     chunks = list(parts)
     success = np.concatenate([part.success for part in chunks])
     steps = np.concatenate([part.steps for part in chunks])
@@ -164,7 +165,7 @@ def summarize(parts: Iterable[Episodes]) -> dict[str, Any]:
 
 
 def plan(tasks: Iterable[str], engines: Iterable[str], policies: Iterable[str], episodes: int, seed: int) -> list[Job]:
-    """The work: engines in `TOGETHER` take all episodes of a task at once, others' come in pieces."""
+    """Plan the jobs: engines in `TOGETHER` run all episodes of a task in one job, others in chunks of `CHUNK`."""
     jobs = []
     for task in tasks:
         for engine in engines:
@@ -176,7 +177,7 @@ def plan(tasks: Iterable[str], engines: Iterable[str], policies: Iterable[str], 
 
 
 def measure(jobs: list[Job], workers: int) -> dict[str, dict[str, dict[str, Any]]]:
-    """Run all jobs: task -> engine -> policy -> figures."""
+    """Run all jobs; returns the figures by task, engine and policy."""
     found: dict[tuple[str, str, str], list[Episodes]] = {}
     together = [job for job in jobs if job.engine in TOGETHER]
     others = [job for job in jobs if job.engine not in TOGETHER]
@@ -195,7 +196,7 @@ def measure(jobs: list[Job], workers: int) -> dict[str, dict[str, dict[str, Any]
 
 
 def passed(table: dict[str, dict[str, dict[str, Any]]]) -> bool:
-    """Whether every expert is good and careful enough, the others are not, and nothing has diverged."""
+    """Whether every expert is good and careful enough, the other policies are not, and nothing has diverged."""
 
     def is_as_it_should_be(policy: str, row: dict[str, Any]) -> bool:
         if row["non_finite"]:
@@ -234,7 +235,7 @@ def show(table: dict[str, dict[str, dict[str, Any]]]) -> None:
 
 
 def report_cheaters(tasks: Sequence[str], engines: Sequence[str], episodes: int, seed: int, *, quiet: bool) -> None:
-    """Measure and print what cheaters earn."""
+    """Measure and print the returns of cheaters."""
     start = time.perf_counter()
     rows = cheaters.measure(tasks, engines, episodes, seed)
     if not quiet:

@@ -1,20 +1,21 @@
-"""How many steps a second: many worlds in compiled code against PyBullet, in one run on one machine.
+"""How many steps a second? Many worlds in compiled code against PyBullet, in one run on one machine.
 
 body           PyBullet's own `stepSimulation` of the seed's sphere, nothing else, and `BatchBody.step` of the same
                body.
 press          A press with ground, contact and report, a quarter of it in the air: `Simulation` with both engines, and
                `BatchSimulation` with its tools at slightly different places.
-environment    Control steps of Spatula/Press-v0 in contact: of PyBullet's environment alone and in a process per core,
-               of the batch engine's alone, and of `make_vec`. In half of the worlds a script presses towards the goal;
-               in the others it does so at first, untimed, and chance from then on.
-episodes       The same environments through whole episodes, resets and all: under a random policy, which is mostly in
+environment    Control steps of Spatula/Press-v0 in contact: a single environment with PyBullet, one with PyBullet in a
+               process per core, a single one with the batch engine, and `make_vec`. In half of the worlds a script
+               presses towards the goal; in the others it does so in the first, untimed steps, and actions are random
+               from then on.
+episodes       The same environments through whole episodes, resets included: under a random policy, which is mostly in
                the air, and under the expert, which goes to the place, presses, and holds until the episode is over.
 parts          Where the time of 64 environments on one thread goes.
 
-All sides take turns, and do the same work in every turn: the time of a call is the median over the turns. More than 64
-worlds have one turn only. Times are those of one thread unless said. PyBullet computes in double precision and the
-batch engine in single; a row of 64 worlds in double precision tells what that makes. "sim s/s" is simulated seconds in
-a second, and "spread" the difference of the slowest and the fastest turn.
+All sides take turns, and do the same work in every turn; the time of a call is the median over the turns. Sides with
+more than 64 worlds have one turn only. Times are for one thread unless stated otherwise. PyBullet computes in double
+precision and the batch engine in single; rows of 64 worlds in double precision show the effect. "sim s/s" is simulated
+seconds per second, and "spread" the difference between the slowest and the fastest turn, relative to the median.
 """
 
 from __future__ import annotations
@@ -58,34 +59,34 @@ gym.register_envs(spatula_env)
 ENVIRONMENT = "Spatula/Press-v0"
 
 POLICIES = ("random", "expert")
-"""Who acts in whole episodes."""
+"""Policies that act in whole episodes."""
 
 CONTROL_STEP = 12
 """Physics steps in a timed call of a body or a press, as in a control step of the environment by default."""
 
 MANY = 64
-"""Worlds of which most is asked."""
+"""Number of worlds that most limits apply to."""
 
 SHAKE = 0.1
-"""Standard deviation of the velocities that a body starts with [u/s]."""
+"""Standard deviation of each component of a body's initial nodal velocities [u/s]."""
 
 PRESS_CLEARANCE = 0.5
-"""Way of a press above the organ [u]."""
+"""Height above the organ at which a press begins [u]."""
 
 PLACE_RADIUS = 0.5
-"""Within this distance of the parity benchmark's place the tools of a press come down [u]."""
+"""Radius, around the position in the parity benchmark, within which the tools of a press come down [u]."""
 
 GOAL_RADIUS, GOAL_DEPTHS = 0.015, (0.005, 0.018)
-"""Of the environments' goals, as the task draws them [m]."""
+"""Greatest distance from the middle, and range of depths, of the environments' goals, as the task draws them [m]."""
 
 START_HEIGHT = 0.004
-"""Of the spatula's middle above the organ's top when an episode begins [m]."""
+"""Initial height of the spatula's middle above the organ's top in an episode [m]."""
 
 PLACE_GAIN, DEPTH_GAIN, FREE_SPEED = 8.0, 6.0, 0.06
-"""Of the script: speed per distance [1/s], sideways and downwards, and speed of the descent in the air [m/s]."""
+"""Gains of the script, speed per distance [1/s], sideways and downwards; and its speed of descent in the air [m/s]."""
 
 WARM_UP_CALLS = 2
-"""Of each side, before the first turn: all is then compiled and all memory touched."""
+"""Untimed calls of each side before the first turn, after which everything is compiled and all memory touched."""
 
 LIMITS = {
     "body_64_worlds": 10.0,
@@ -97,7 +98,7 @@ LIMITS = {
     "expert_episodes_64_worlds": 10.0,
     "two_threads": 1.7,
 }
-"""How many times as fast as PyBullet, or as one thread."""
+"""Least speed-up over PyBullet, or of two threads over one."""
 
 STRETCH = {
     "body_64_worlds": 20.0,
@@ -107,10 +108,10 @@ STRETCH = {
     "expert_episodes_64_worlds": 20.0,
     "simulated_seconds": 100.0,
 }
-"""What is hoped for beyond that; the last is simulated seconds of environments in a second of one core."""
+"""Targets beyond these limits, which are not required; the last is simulated seconds per second on one core."""
 
 COLD_LIMITS = {"compiling": 60.0, "from_cache": 5.0}
-"""From the start of a process to the first step of 64 environments [s]."""
+"""Longest time from the start of a process to the end of its first step of 64 environments [s]."""
 
 FIRST_STEP = f"""
 import gymnasium, spatula_env
@@ -122,12 +123,12 @@ env.close()
 
 
 class Side(Protocol):
-    """One of those that take turns.
+    """One of the implementations that take turns.
 
     Attributes:
-        worlds: How many are stepped by a call.
-        threads: How many are used.
-        steps: How many steps of how many worlds the timed calls of a turn make, all in all.
+        worlds: Number of worlds that a call steps.
+        threads: Number of threads.
+        steps: Number of steps in the timed calls of a turn, summed over all worlds.
     """
 
     worlds: int
@@ -135,26 +136,26 @@ class Side(Protocol):
     steps: int
 
     def turn(self, calls: int | None = None) -> FloatArray:
-        """Start afresh and do the work.
+        """Start afresh and do the work of a turn.
 
         Args:
-            calls: Only the first so many timed calls; all by default.
+            calls: Number of timed calls to make, for a shorter turn; all by default.
 
         Returns:
-            (C,) how long each call took [s].
+            (C,) duration of each timed call [s].
         """
 
     def close(self) -> None:
-        """Free what is held."""
+        """Free all resources."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """The result of a side's turns.
+    """Times of a side's turns.
 
     Attributes:
-        side: Whose.
-        seconds: (turns, C) of each call.
+        side: The side.
+        seconds: (turns, C) duration of each call [s].
     """
 
     side: Side
@@ -162,19 +163,19 @@ class Timing:
 
     @property
     def steps_per_second(self) -> float:
-        """Steps of worlds, from the median over the turns of each call."""
+        """Steps per second, summed over worlds, from each call's median over the turns."""
         return float(self.side.steps / np.median(self.seconds, axis=0).sum())
 
     @property
     def spread(self) -> float:
-        """Difference of the slowest and the fastest turn, over the median."""
+        """Difference between the slowest and the fastest turn, relative to the median."""
         turns = self.seconds.sum(axis=1)
         return float((turns.max() - turns.min()) / np.median(turns))
 
 
 @contextmanager
 def numba_threads(count: int) -> Iterator[None]:
-    """Let Numba use so many threads."""
+    """Context manager that sets the number of Numba's threads."""
     before = numba.get_num_threads()
     numba.set_num_threads(count)
     try:
@@ -184,7 +185,7 @@ def numba_threads(count: int) -> Iterator[None]:
 
 
 def timed(call: Callable[[], object]) -> float:
-    """How long a call takes [s]."""
+    """Duration of a call [s]."""
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
@@ -194,7 +195,7 @@ def timed(call: Callable[[], object]) -> float:
 
 
 class BulletBody:
-    """PyBullet's `stepSimulation`, and nothing around it."""
+    """Side that calls PyBullet's `stepSimulation`, and nothing around it."""
 
     worlds, threads = 1, 1
 
@@ -202,9 +203,9 @@ class BulletBody:
         """Load the organs.
 
         Args:
-            scene: Whose organs are stepped, without ground or tools.
-            calls: How many are timed.
-            steps_per_call: How many steps each makes.
+            scene: Scene whose organs are stepped, without ground or tools.
+            calls: Number of timed calls.
+            steps_per_call: Number of steps in each call.
         """
         self._scene, self._world = scene, BulletWorld(scene)
         self._start = shaken(scene)
@@ -213,7 +214,7 @@ class BulletBody:
 
     def turn(self, calls: int | None = None) -> FloatArray:
         """See `Side`."""
-        # Only a new world starts as the first one: who steps behind a world's back cannot reset it.
+        # A world that was stepped through the client, past its own methods, cannot be reset, so a new one is made.
         self._world.close()
         self._world = world = BulletWorld(self._scene)
         world.step(*self._start)
@@ -231,7 +232,7 @@ class BulletBody:
 
 
 class CompiledBody:
-    """`BatchBody.step`, and nothing around it."""
+    """Side that calls `BatchBody.step`, and nothing around it."""
 
     threads = 1
 
@@ -239,10 +240,10 @@ class CompiledBody:
         """Load the organ.
 
         Args:
-            scene: Whose first organ is stepped.
-            worlds: How many.
-            calls: How many are timed.
-            steps_per_call: How many steps each makes.
+            scene: Scene whose first organ is stepped.
+            worlds: Number of worlds.
+            calls: Number of timed calls.
+            steps_per_call: Number of steps in each call.
             dtype: float32 or float64.
         """
         body = soft_body(scene.organs[0])
@@ -268,7 +269,7 @@ class CompiledBody:
 
 
 def shaken(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """The organs' nodes in their initial shape, and velocities that let them sway, (V, 3) each."""
+    """The organs' nodes in their initial shape, and random velocities that make them sway, (V, 3) each."""
     nodes = np.concatenate([placed.vertices for placed in scene.organs])
     return nodes, np.random.default_rng(0).normal(scale=SHAKE, size=nodes.shape)
 
@@ -278,11 +279,11 @@ def shaken(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class Press:
-    """A press at different places.
+    """Plan of a press at different places.
 
     Attributes:
-        places: (W, 3) where the tools begin [u].
-        velocities: (C, 3) of all tools, in each control step [u/s].
+        places: (W, 3) initial positions of the tools [u].
+        velocities: (C, 3) velocity of all tools in each control step [u/s].
     """
 
     places: FloatArray
@@ -293,9 +294,9 @@ def make_press(scene: Scene, worlds: int, depth: float = DEPTH, hold: float = HO
     """Plan a press.
 
     Args:
-        scene: Of the organ and the tool.
-        worlds: At how many places.
-        depth: How deep it goes, to a whole number of control steps [u].
+        scene: Scene with the organ and the tool.
+        worlds: Number of places.
+        depth: Depth of the press, rounded to a whole number of control steps [u].
         hold: How long the tool waits there [s].
 
     Returns:
@@ -312,7 +313,7 @@ def make_press(scene: Scene, worlds: int, depth: float = DEPTH, hold: float = HO
 
 
 class PressOfOne:
-    """A press of `Simulation`, at some places one after the other."""
+    """Side that makes a press in a `Simulation`, at several places one after the other."""
 
     worlds, threads = 1, 1
 
@@ -320,9 +321,9 @@ class PressOfOne:
         """Load the scene.
 
         Args:
-            scene: In which there is pressed.
+            scene: Scene of the press.
             engine: "bullet" or "batch".
-            plan: Of the press; all of its places count.
+            plan: Plan of the press, made at all of its places in a turn.
         """
         self._simulation = Simulation(scene, engine=engine)
         self._plan = plan
@@ -350,15 +351,15 @@ class PressOfOne:
 
 
 class PressOfMany:
-    """The same press of `BatchSimulation`, at all places at once."""
+    """Side that makes the same press in a `BatchSimulation`, at all places at once."""
 
     def __init__(self, scene: Scene, plan: Press, threads: int = 1, dtype: type = np.float32) -> None:
         """Load the scene.
 
         Args:
-            scene: In which there is pressed.
-            plan: Of the press; as many worlds as it has places.
-            threads: How many are used.
+            scene: Scene of the press.
+            plan: Plan of the press, with a place for each world.
+            threads: Number of threads.
             dtype: float32 or float64.
         """
         self.worlds, self.threads = len(plan.places), threads
@@ -394,16 +395,16 @@ class PressOfMany:
 
 @dataclass(frozen=True)
 class Script:
-    """What is done in the environments.
+    """Script of what is done in the environments.
 
     Attributes:
-        down: Control steps of pressing towards the goal before the timed ones.
-        calls: Timed control steps.
-        error: Where the error of place and depth is in an observation.
-        touch: Where the share of contact nodes in contact is.
-        max_speed: Of an action of one [m/s].
-        start_height: Of the spatula's middle when an episode begins [m].
-        physics_steps: In a control step.
+        down: Number of untimed control steps of pressing towards the goal, before the timed ones.
+        calls: Number of timed control steps.
+        error: Slice of an observation with the error of place and depth.
+        touch: Slice of an observation with the share of contact nodes in contact.
+        max_speed: Speed of an action of 1 [m/s].
+        start_height: Initial height of the spatula's middle in an episode [m].
+        physics_steps: Number of physics steps in a control step.
     """
 
     down: int
@@ -415,7 +416,7 @@ class Script:
     physics_steps: int
 
     def start(self, world: int) -> dict[str, FloatArray]:
-        """How the episodes of a world begin, as options of `reset`: the spatula above the goal, near the organ."""
+        """Options of `reset` for the episodes of a world: a goal, and the spatula above it, near the organ."""
         generator = np.random.default_rng(world)
         angle, radius = 2.0 * np.pi * generator.random(), GOAL_RADIUS * np.sqrt(generator.random())
         place = (radius * np.cos(angle), radius * np.sin(angle))
@@ -425,7 +426,7 @@ class Script:
         }
 
     def by_chance(self, worlds: Sequence[int]) -> NDArray[np.float32]:
-        """Actions (W, C, 3) of chance for some worlds, each from its own generator."""
+        """Random actions (W, C, 3) for some worlds, each drawn from its own generator."""
         rows = [np.random.default_rng([world, 1]).uniform(-1.0, 1.0, (self.calls, 3)) for world in worlds]
         return np.array(rows, dtype=np.float32)
 
@@ -438,7 +439,7 @@ class Script:
 
 
 def make_script(down: int, calls: int) -> Script:
-    """A script for the environment as it is by default."""
+    """Make a script for the environment with default options."""
     env = gym.make_vec(ENVIRONMENT, num_envs=1)
     base: Any = env.unwrapped
     slices, parts = base.observation_builder.slices, base.observation_builder.parts
@@ -457,7 +458,7 @@ def make_script(down: int, calls: int) -> Script:
 
 
 class StartsByScript(gym.Wrapper[Any, Any, Any, Any]):
-    """Begins the episodes of a world as the script says; the seed is the world's number."""
+    """Wrapper that begins the episodes of a world as the script says; the seed is the number of the world."""
 
     def __init__(self, env: gym.Env[Any, Any], script: Script) -> None:
         """Wrap an environment."""
@@ -470,23 +471,23 @@ class StartsByScript(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def make_single(engine: str, script: Script) -> StartsByScript:
-    """One environment, without the checks that `gymnasium.make` adds for developers."""
+    """Make one environment, without the checks that `gymnasium.make` adds for developers."""
     return StartsByScript(gym.make(ENVIRONMENT, engine=engine, disable_env_checker=True), script)
 
 
 @dataclass
 class Driver:
-    """Plays the script's episodes; see `Side`.
+    """Side that plays the script's episodes.
 
     Attributes:
-        worlds: How many play at a time.
-        total: How many there are; they play group by group.
-        script: What they play.
+        worlds: Number of worlds that play at a time.
+        total: Number of worlds in all; they play group by group.
+        script: The script.
         reset: Begins episodes of some worlds, and returns their observations (W, D).
         step: Makes a control step with actions (W, 3), and returns observations and forces (W,).
-        close: Frees what is held.
-        threads: How many are used.
-        contact_share: Share of the timed control steps of worlds in which the tool felt a force.
+        close: Frees all resources.
+        threads: Number of threads.
+        contact_share: Share of the timed control steps, over all worlds, in which the tool felt a force.
     """
 
     worlds: int
@@ -514,7 +515,7 @@ class Driver:
         return np.array(seconds)
 
     def _play(self, worlds: Sequence[int], calls: int | None, seconds: list[float], forces: list[FloatArray]) -> None:
-        """One episode of some worlds."""
+        """Play one episode of some worlds at once; times and forces are appended."""
         script, scripted = self.script, np.array(worlds) % 2 == 0
         observations = self.reset(worlds)
         for _ in range(script.down):
@@ -529,7 +530,7 @@ class Driver:
 
 
 def single_driver(engine: str, total: int, script: Script) -> Driver:
-    """One environment that plays the worlds one after the other."""
+    """Driver of one environment that plays the worlds one after the other."""
     env = make_single(engine, script)
 
     def reset(worlds: Sequence[int]) -> NDArray[np.float32]:
@@ -543,8 +544,8 @@ def single_driver(engine: str, total: int, script: Script) -> Driver:
 
 
 def process_driver(engine: str, processes: int, total: int, script: Script) -> Driver:
-    """An environment in each of some processes."""
-    # Not forked: the kernels' threads would not survive that.
+    """Driver of an environment in each of several processes."""
+    # Processes are spawned, not forked: the kernels' threads would not survive a fork.
     make = functools.partial(make_single, engine, script)
     env = gym.vector.AsyncVectorEnv([make] * processes, context="spawn")
 
@@ -560,7 +561,7 @@ def process_driver(engine: str, processes: int, total: int, script: Script) -> D
 
 
 def vector_driver(worlds: int, threads: int, script: Script, env: Any = None) -> Driver:
-    """All worlds at once in `make_vec`, or in a vector environment that there is already."""
+    """Driver of all worlds at once, in a given vector environment or a new one from `make_vec`."""
     if env is None:
         with numba_threads(threads):
             env = gym.make_vec(ENVIRONMENT, num_envs=worlds)
@@ -579,18 +580,18 @@ def vector_driver(worlds: int, threads: int, script: Script, env: Any = None) ->
 
 @dataclass
 class EpisodeDriver:
-    """Plays whole episodes under a policy; see `Side`. A reset counts as a timed call, and its steps do not.
+    """Side that plays whole episodes under a policy. A reset is a timed call too, but does not count as a step.
 
     Attributes:
-        worlds: How many play at a time.
-        total: How many episodes there are; they are played group by group, and their number is their seed.
+        worlds: Number of worlds that play at a time.
+        total: Number of episodes; they are played group by group, and their number is their seed.
         length: Control steps in an episode.
-        begin: Makes a policy for some episodes: from observations (W, D) to actions (W, 3).
+        begin: Makes a policy for some episodes, which maps observations (W, D) to actions (W, 3).
         reset: Begins episodes, and returns their observations (W, D).
         step: Makes a control step with actions (W, 3), and returns observations and forces (W,).
-        close: Frees what is held.
-        threads: How many are used.
-        contact_share: Share of the control steps in which the tool felt a force.
+        close: Frees all resources.
+        threads: Number of threads.
+        contact_share: Share of the control steps, over all worlds, in which the tool felt a force.
     """
 
     worlds: int
@@ -630,7 +631,7 @@ class EpisodeDriver:
 
 
 def policy_of(name: str, env: Any) -> Callable[[Sequence[int]], Callable[[NDArray[np.float32]], NDArray[np.float32]]]:
-    """What begins episodes of a policy in an environment: "random", or "expert"."""
+    """The `EpisodeDriver.begin` of a policy, "random" or "expert", in an environment."""
     if name == "expert":
         expert = PressExpert(env)
         return lambda seeds: expert
@@ -643,7 +644,7 @@ def policy_of(name: str, env: Any) -> Callable[[Sequence[int]], Callable[[NDArra
 
 
 def single_episodes(engine: str, policy: str, total: int, length: int) -> EpisodeDriver:
-    """One environment that plays episodes one after the other."""
+    """Driver of one environment that plays episodes one after the other."""
     env = gym.make(ENVIRONMENT, engine=engine, disable_env_checker=True)
 
     def reset(seeds: Sequence[int]) -> NDArray[np.float32]:
@@ -657,7 +658,7 @@ def single_episodes(engine: str, policy: str, total: int, length: int) -> Episod
 
 
 def vector_episodes(worlds: int, policy: str, length: int) -> EpisodeDriver:
-    """An episode in each world of `make_vec`, on one thread."""
+    """Driver of one episode in each world of `make_vec`, on one thread."""
     with numba_threads(1):
         env: Any = gym.make_vec(ENVIRONMENT, num_envs=worlds)
 
@@ -672,10 +673,10 @@ def vector_episodes(worlds: int, policy: str, length: int) -> EpisodeDriver:
 
 
 class Watch:
-    """A function, with the time spent in it added up."""
+    """Wraps a function, and adds up the time spent in it."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        """Watch a function."""
+        """Wrap a function."""
         self._function = function
         self.seconds = 0.0
 
@@ -688,15 +689,15 @@ class Watch:
 
 
 class Parts:
-    """A vector environment on one thread whose parts are watched.
+    """A vector environment on one thread whose parts are timed.
 
     Attributes:
-        driver: Plays in it.
-        watches: Of the parts, by name.
+        driver: Driver that plays in it.
+        watches: Watches of the parts, by name.
     """
 
     def __init__(self, worlds: int, script: Script) -> None:
-        """Make the environment and put the watches in."""
+        """Make the environment and insert the watches."""
         with numba_threads(1):
             env = gym.make_vec(ENVIRONMENT, num_envs=worlds)
         base: Any = env.unwrapped
@@ -722,7 +723,7 @@ class Parts:
         self.driver.step = watched_step
 
     def turn(self) -> dict[str, FloatArray]:
-        """How long each part took in each timed control step (C,), and the whole, "step" [s]."""
+        """Play a turn; returns the time of each part in each timed control step (C,), and of the whole, "step" [s]."""
         self._rows.clear()
         seconds = self.driver.turn()
         rows = self._rows[-len(seconds) :]
@@ -737,17 +738,17 @@ class Size:
     """How much is measured.
 
     Attributes:
-        rounds: Turns of each side.
-        worlds: Of the batch engine.
-        vectors: Worlds of the vector environments.
-        body_calls: Timed calls of a body's turn, with one world; fewer with more.
-        press_depth: How deep the press goes [u].
-        press_places: Of a single simulation in a turn.
-        episodes: Of single environments in a turn.
-        whole_episodes: The same of whole episodes, of each policy.
-        episode_length: Control steps in those.
-        down: Untimed control steps of an episode.
-        calls: Timed control steps of an episode.
+        rounds: Number of turns of each side.
+        worlds: Numbers of worlds of the batch engine.
+        vectors: Numbers of worlds of the vector environments.
+        body_calls: Timed calls in a turn of a body with one world; fewer with more worlds.
+        press_depth: Depth of the press [u].
+        press_places: Number of places at which a single simulation presses in a turn.
+        episodes: Number of scripted episodes of a single environment in a turn.
+        whole_episodes: Number of whole episodes of a single environment in a turn, for each policy.
+        episode_length: Control steps in a whole episode.
+        down: Untimed control steps of a scripted episode.
+        calls: Timed control steps of a scripted episode.
     """
 
     rounds: int = 3
@@ -768,10 +769,10 @@ def measure(size: Size, tell: Callable[[str], None]) -> dict[str, Any]:
 
     Args:
         size: How much is measured.
-        tell: What to say on the way goes there.
+        tell: Receives progress messages.
 
     Returns:
-        Rows by part, and where the time goes.
+        Rows by part, the shares of the parts of a control step, and the speed-up of two threads.
     """
     cores = available_cores()
     scene = scenes.seed()
@@ -814,7 +815,7 @@ def measure(size: Size, tell: Callable[[str], None]) -> dict[str, Any]:
         for part in ("body", "press"):
             for row in result[part].values():
                 row["simulated_seconds_per_second"] = row["steps_per_second"] * scene.dt
-        # What many worlds with ground and contact take, against PyBullet's step without either.
+        # The speed with ground and contact, relative to PyBullet's step without either.
         bare = result["body"]["bullet"]["steps_per_second"]
         for row in result["press"].values():
             row["ratio_to_bare_bullet"] = row["steps_per_second"] / bare
@@ -836,7 +837,7 @@ def _make_bodies(scene: Scene, size: Size, sides: dict[tuple[str, str], Side]) -
 
 
 def _fewer(calls: int, worlds: int) -> int:
-    """Calls with so many worlds: they take longer, and a pause of the machine then matters less."""
+    """Number of timed calls for a number of worlds; with more worlds calls are longer, and fewer of them suffice."""
     return max(calls // max(worlds // 4, 1), min(calls, 4))
 
 
@@ -879,7 +880,7 @@ def _make_episodes(size: Size, sides: dict[tuple[str, str], Side]) -> None:
 
 
 def _rows(timings: Mapping[str, Timing]) -> dict[str, dict[str, Any]]:
-    """A row for each side, compared with PyBullet's."""
+    """Make a row of figures for each side, with its speed relative to PyBullet's."""
     reference = timings["bullet"].steps_per_second
     rows: dict[str, dict[str, Any]] = {}
     for name, timing in timings.items():
@@ -898,7 +899,7 @@ def _rows(timings: Mapping[str, Timing]) -> dict[str, dict[str, Any]]:
 
 
 def _share_out(watched: Sequence[dict[str, FloatArray]], driver: Driver, bodies: Mapping[str, Any]) -> dict[str, Any]:
-    """Where the time of a control step goes, in microseconds of a world."""
+    """Where the time of a control step goes, in microseconds per world and as shares."""
     worlds = driver.worlds
     medians = {
         name: 1e6 * float(np.median([turn[name] for turn in watched], axis=0).mean()) / worlds for name in watched[0]
@@ -921,7 +922,7 @@ def _share_out(watched: Sequence[dict[str, FloatArray]], driver: Driver, bodies:
 
 
 def _compare_threads(result: Mapping[str, Any], threads: int) -> dict[str, Any]:
-    """Two threads against one, of 64 worlds."""
+    """Speed-up of two threads over one, with 64 worlds."""
     if threads < 2:
         return {"ratio": None, "reason": "there is one core only"}
     row: dict[str, Any] = {"ratio": None, "reason": f"{MANY} worlds were not measured"}
@@ -934,15 +935,15 @@ def _compare_threads(result: Mapping[str, Any], threads: int) -> dict[str, Any]:
 
 
 def judge(result: Mapping[str, Any], cold: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """Hold the figures against what is asked.
+    """Compare the figures with the limits.
 
     Args:
-        result: From `measure`.
-        cold: From `first_steps`.
+        result: Result of `measure`.
+        cold: Result of `first_steps`.
 
     Returns:
-        What is asked and hoped for with what there is, and whether all that is asked has been reached. What could not
-        be measured has neither passed nor failed.
+        Value, limit and verdict of each limit ("thresholds") and each target beyond ("stretch"), and whether all limits
+        have "passed". A figure that could not be measured neither passes nor fails.
     """
     many, one = f"batch {MANY}", "batch 1"
     ratios = {
@@ -986,14 +987,14 @@ def judge(result: Mapping[str, Any], cold: Mapping[str, float] | None = None) ->
 
 
 def first_steps(tell: Callable[[str], None], code: str = FIRST_STEP) -> dict[str, float]:
-    """Time two new processes up to the end of their first step: one that compiles all, and one that finds it compiled.
+    """Time two new processes up to the end of their first step: one compiles all kernels, the other finds them cached.
 
     Args:
-        tell: What to say on the way goes there.
-        code: What they do.
+        tell: Receives progress messages.
+        code: Source code that they run.
 
     Returns:
-        Seconds, by the names of `COLD_LIMITS`.
+        Durations [s], by the names of `COLD_LIMITS`.
     """
     root = str(Path(__file__).parents[1])
     seconds = {}

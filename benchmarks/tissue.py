@@ -1,25 +1,26 @@
-"""Is tissue the material that it is said to be? Figures of the engine "tissue" beside limits.
+"""Is tissue the material that it claims to be? Errors of the engine "tissue", each with its limit.
 
-kernels        Forces of the compiled kernels beside those of NumPy, in double precision, of an organ that is bent.
-patch          An affine displacement of the seed's mesh: forces on inner nodes, by the greatest.
-bar            A block pulled and pressed by up to 20 %, its sides free: nominal stress beside the slope of the
+kernels        Forces of the compiled kernels against those of NumPy, for a bent organ in double precision.
+patch          Patch test, an affine displacement of the seed's mesh: forces on inner nodes, relative to the greatest.
+bar            A block pulled and pressed by up to 20 %, with free sides: nominal stress against the slope of the
                documented energy, for neo-Hookean tissue and brain.
-shear          A block in simple shear of 0.1 and 0.2: likewise.
-block          A block pressed by 10 % between plates that it is glued to: force beside felupe, another code.
-plates         A sphere of 60 mm radius pressed between two plates without friction: force beside felupe.
-hertz          The same, by 0.6 mm a side: felupe beside Hertz, which is what both are to come to at small strain.
-refinement     The same with the second finest mesh beside the finest.
+shear          A block in simple shear of 0.1 and 0.2: shear stress, likewise.
+block          A block pressed by 10 % between plates that it is glued to: force against felupe, another code.
+plates         A sphere of 60 mm radius pressed between two frictionless plates: force against felupe.
+hertz          The same, by 0.6 mm a side: felupe against Hertz's formula, the limit of small strain.
+refinement     The same with the second finest uniform mesh, against the finest.
 time_step      The same with half the time step.
-modulus        Twice the modulus: twice the force. Twice the density: the same.
-volume         What a sphere loses of its volume, pressed by 20 mm between the plates, at Poisson's ratio 0.49.
-relaxation     A sheared organ's force over 2.5 s beside its Prony series.
-momentum       What a free organ that swings gains in momentum, by the greatest of its nodes', in single precision.
-energy         What an elastic organ that swings gains or loses in energy in half a second.
-steadiness     The seed's organ, held, under its plate 10 mm deep: how much the force varies in half a second.
+modulus        The same with twice the modulus, which doubles the force, and twice the density, which keeps it.
+volume         Loss of volume of a sphere pressed by 20 mm between the plates, at Poisson's ratio 0.49.
+relaxation     Force of a sheared organ over 2.5 s against its Prony series.
+momentum       Momentum that a free, swinging organ gains, relative to the sum of its nodes' momenta, in single
+               precision.
+energy         Energy that an elastic, swinging organ gains or loses in half a second.
+steadiness     The organ of the palpation scene under its plate, 10 mm deep: variation of the force in half a second.
 
 "block", "plates" and "hertz" need felupe (`pip install felupe`), and "plates", "refinement", "time_step", "modulus" and
-"volume" Netgen (the extra `tissue`); "bar", "shear" and "block" need SciPy. What cannot be made is told, and then not
-all has passed.
+"volume" Netgen (the extra `tissue`); "bar", "shear" and "block" need SciPy. Checks that cannot be made are reported,
+and the benchmark then does not pass.
 """
 
 from __future__ import annotations
@@ -53,38 +54,38 @@ MATERIALS = {
     "neo_hookean 0.49": Material(poisson_ratio=0.49),
     "cortex": Material.brain("cortex"),
 }
-"""What blocks are made of."""
+"""Materials of most checks of deformed solids, by name."""
 
 STRETCHES, SHEARS = (0.8, 0.9, 1.1, 1.2), (0.1, 0.2)
 CELLS = 4
-"""Along each edge of a block that is to be strained alike everywhere."""
+"""Cells along each edge of a block under homogeneous strain."""
 
 GLUED_CELLS = (4, 6, 8)
-"""Along each edge of a block whose strain varies; the last is judged."""
+"""Cells along each edge of a block under inhomogeneous strain; the last number is judged."""
 
 RADIUS = 3.0
-"""Of the sphere [u], which is 60 mm."""
+"""Radius of the sphere [u], which is 60 mm."""
 
 LENGTH = 0.02
-"""Metres in a unit."""
+"""Length of a scene unit [m]."""
 
 SQUEEZES = (0.03, 0.1, 0.2, 0.3)
-"""By how much a side of the sphere is pressed in, each in a world of its own [u]."""
+"""How far each side of the sphere is pressed in, each in a world of its own [u]."""
 
 MESHES = {"162 nodes": (2, 0.0), "642": (3, 0.0), "642 graded": (3, 0.3), "2,562": (4, 0.0)}
 """Subdivisions and grading of spheres, the finest last; see `solids.graded_sphere`."""
 
 USUAL = "642"
-"""Of these, the one that time step, modulus and density are compared with."""
+"""The mesh with which time step, modulus and density are varied."""
 
 APPROACH, SETTLE, MEASURE = 1.0, 0.5, 0.4
-"""How long a press takes, how long it then waits, and over how long the force is averaged [s]."""
+"""Duration of a press, of the wait after it, and of the time over which the force is averaged [s]."""
 
 CALMING = 2.0
-"""Viscosity of the tissue between plates, so that it comes to rest [Pa s]. It changes no force at rest."""
+"""Viscosity of the tissue between plates, so that it comes to rest [Pa s]. It does not change forces at rest."""
 
 PRONY = ((0.3, 0.05), (0.2, 0.4))
-"""Shares, and times [s]."""
+"""Terms of a Prony series: share, and relaxation time [s]."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +93,9 @@ class Squeeze:
     """A sphere between two plates, at rest.
 
     Attributes:
-        forces: (n,) on a plate, at each of `SQUEEZES` [N].
-        ripple: (n,) standard deviations of these over the time that they are averaged over [N].
-        volumes: (n,) by that at rest.
+        forces: (n,) mean force on a plate at each depth [N].
+        ripple: (n,) standard deviation of the force over the averaging time [N].
+        volumes: (n,) volume relative to that at rest.
     """
 
     forces: FloatArray
@@ -103,16 +104,16 @@ class Squeeze:
 
 
 def squeeze(organ: Organ, material: Material, dt: float, squeezes: tuple[float, ...] = SQUEEZES) -> Squeeze:
-    """Press a sphere between two plates without friction that move alike, so that it does not bounce between them.
+    """Press a sphere between two frictionless plates that move symmetrically, so that it does not bounce between them.
 
     Args:
         organ: The sphere.
-        material: What it is made of.
+        material: Its material.
         dt: Length of a physics step [s].
-        squeezes: By how much each side is pressed in [u].
+        squeezes: How far each side is pressed in [u].
 
     Raises:
-        ImportError: If Netgen is not installed; says what to install.
+        ImportError: If Netgen is not installed; the message says what to install.
     """
     plate = Tool.box((8.0, 8.0, 0.5), 6)
     scene = Scene(
@@ -127,14 +128,14 @@ def squeeze(organ: Organ, material: Material, dt: float, squeezes: tuple[float, 
     )
     count = len(squeezes)
     worlds = Worlds(scene, count, engine="tissue", parallel=False)
-    # Where the organ ends: its poles need not be nodes.
+    # The plates start at the highest and lowest nodes: the poles of the sphere need not be nodes.
     heights = worlds.nodes[0, :, 2]
     touching = np.array([[0.0, 0.0, heights.min() - 0.25], [0.0, 0.0, heights.max() + 0.25]])
     worlds.place_tools(np.tile(touching, (count, 1, 1)))
     steps = round(APPROACH / dt)
     ways = np.array(squeezes)[:, None, None] * [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]
     for step in range(steps):
-        # Gently: the speed rises from zero and falls to zero again.
+        # A smooth profile: the speed rises from zero and falls to zero again.
         part = (1.0 - math.cos(2.0 * math.pi * (step + 0.5) / steps)) / (steps * dt)
         worlds.advance(ways * part)
     still = np.zeros((count, 2, 3))
@@ -146,42 +147,45 @@ def squeeze(organ: Organ, material: Material, dt: float, squeezes: tuple[float, 
 
 
 def difference(found: FloatArray, expected: FloatArray) -> float:
-    """The greatest difference, by what is expected."""
+    """Greatest difference, relative to the expected value."""
     return float(np.abs(np.asarray(found) / expected - 1.0).max())
 
 
 def of_seed(material: Material, dt: float = 1e-4, dtype: type = np.float64) -> TissueBody:
-    """The seed's organ in one world, free and without weight."""
+    """The seed's organ in one world, free and without gravity."""
     return TissueBody(replace(scenes.seed(material=material, dt=dt), gravity=0.0), 1, lanes=1, dtype=dtype)
 
 
 def read(body: TissueBody, name: str) -> FloatArray:
-    """An array of the body's only world, nodes first."""
+    """Read an array of the body's only world, with nodes or elements as its first axis."""
     found: FloatArray = body.read(getattr(body.blocks, name), np.array([0]))[0]
     return found
 
 
 def put(body: TissueBody, nodes: FloatArray) -> None:
-    """Put the nodes (N, 3) of the body's only world somewhere, at rest."""
+    """Set the nodes (N, 3) of the body's only world, with zero velocities."""
     body.write(body.blocks.positions, np.array([0]), nodes[None])
     body.write(body.blocks.velocities, np.array([0]), 0.0)
 
 
 def kernel_forces(body: TissueBody, nodes: FloatArray) -> FloatArray:
-    """(N, 3) what the kernels' step from rest gives the nodes, by its length, which must not be divided."""
+    """(N, 3) forces on the nodes, from the momenta that one step of the kernels from rest gives them.
+
+    The step must not be divided into substeps.
+    """
     put(body, nodes)
     advance_blocks(0, 1, body.blocks)
     return np.asarray(read(body, "velocities") * body.lumps[0].masses[:, None] / body.dt)
 
 
 def bent(body: TissueBody, amount: float) -> FloatArray:
-    """(N, 3) the body's nodes at rest, bent."""
+    """(N, 3) the body's nodes at rest, displaced by a smooth bending field."""
     x, y, z = body.rest.T
     return np.asarray(body.rest + amount * np.column_stack([y * z, np.sin(x) + z, x * y - 0.3 * z**2]))
 
 
 def check_kernels() -> Check:
-    """Kernels beside NumPy."""
+    """Compare the kernels' forces with NumPy's."""
     details = {}
     for name, material in MATERIALS.items():
         body = of_seed(replace(material, viscosity=0.0))
@@ -194,7 +198,7 @@ def check_kernels() -> Check:
 
 
 def check_patch() -> Check:
-    """An affine displacement."""
+    """Patch test: under an affine displacement, forces on inner nodes vanish."""
     f, details = np.array([[1.1, 0.05, 0.0], [-0.04, 0.95, 0.1], [0.02, 0.0, 0.97]]), {}
     for name, material in MATERIALS.items():
         body = of_seed(replace(material, viscosity=0.0))
@@ -205,7 +209,7 @@ def check_patch() -> Check:
 
 
 def check_bar() -> Check:
-    """A block whose ends slide on plates, beside the slope of the least energy."""
+    """Compare the stress of a block whose ends slide on plates with the slope of the minimised energy."""
     solid, details = solids.block(np.ones(3), (CELLS,) * 3), {}
     x, y, z = solid.nodes.T
     free = np.column_stack([x > 0.0, y > 0.0, (z > 0.0) & (z < 1.0)])
@@ -219,7 +223,7 @@ def check_bar() -> Check:
 
 
 def check_shear() -> Check:
-    """A block whose whole surface is moved as in simple shear, beside the slope of the energy."""
+    """Compare the stress of a block whose surface is displaced as in simple shear with the slope of the energy."""
     solid, details = solids.block(np.ones(3), (CELLS,) * 3), {}
     inner = np.asarray(((solid.nodes > 0.0) & (solid.nodes < 1.0)).all(axis=1))
     for name, material in MATERIALS.items():
@@ -227,7 +231,7 @@ def check_shear() -> Check:
         for amount in SHEARS:
             start = solid.nodes + amount * solid.nodes[:, [2]] * [1.0, 0.0, 0.0]
             nodes, forces = solids.equilibrium(solid, law, start, np.repeat(inner[:, None], 3, axis=1))
-            # The mean stress is the moment of what holds the surface; the volume is one.
+            # The mean stress is the first moment of the surface's reactions over the volume, which is one.
             found = float(-(forces[:, 0] * solid.nodes[:, 2]).sum())
             apart = float(np.abs(nodes - start).max())
             expected = solids.shear_stress(material, amount)
@@ -236,7 +240,7 @@ def check_shear() -> Check:
 
 
 def check_block() -> Check:
-    """A glued block beside felupe's elements of second order on the same mesh, and the coarser ones' own."""
+    """Compare blocks glued to plates with felupe's elements of second order on the finest of their meshes."""
     details: dict[str, Any] = {}
     worst = 0.0
     for ratio in (0.45, 0.49):
@@ -262,34 +266,34 @@ def check_block() -> Check:
 
 
 def reference_forces(material: Material) -> FloatArray:
-    """(n,) of the sphere between plates by felupe [N]."""
+    """(n,) forces on the sphere between plates by felupe [N]."""
     law = Hyperelastic.of(material)
     return elements.press_sphere(law.shear, law.lame, [depth / RADIUS for depth in SQUEEZES]) * (RADIUS * LENGTH) ** 2
 
 
 def hertz_forces(material: Material) -> FloatArray:
-    """(n,) of the sphere between plates by Hertz, for small strain [N]."""
+    """(n,) forces on the sphere between plates by Hertz's formula, for small strain [N]."""
     plane = material.young_modulus / (1.0 - material.poisson_ratio**2)
     depths = np.array(SQUEEZES) * LENGTH
     return np.asarray(4.0 / 3.0 * plane * np.sqrt(RADIUS * LENGTH) * depths**1.5)
 
 
 def check_hertz() -> Check:
-    """The other code beside the formula, at the smallest depth; the greater ones for information."""
+    """Compare felupe with Hertz's formula at the smallest depth; greater depths are for information."""
     ratios = reference_forces(MATERIALS["neo_hookean 0.45"]) / hertz_forces(MATERIALS["neo_hookean 0.45"])
     told = {f"{depth:g} u": float(ratio - 1.0) for depth, ratio in zip(SQUEEZES, ratios, strict=True)}
     return Check(abs(float(ratios[0]) - 1.0), 0.05, details=told)
 
 
 class Spheres:
-    """The presses of spheres that several checks look at, each made once."""
+    """A cache of presses of spheres, which several checks share."""
 
     def __init__(self) -> None:
-        """Nothing has been made yet."""
+        """Start with an empty cache."""
         self._made: dict[tuple[str, Material, float], Squeeze] = {}
 
     def __call__(self, mesh: str, dt: float = 1.0 / 240.0, **changes: Any) -> Squeeze:
-        """The press of one of `MESHES`, of a material with some changes."""
+        """The press of one of `MESHES`, with some changes of the default material."""
         material = replace(Material(viscosity=CALMING), **changes)
         key = mesh, material, dt
         if key not in self._made:
@@ -298,7 +302,7 @@ class Spheres:
 
 
 def check_plates(spheres: Spheres) -> Check:
-    """All meshes beside felupe, the finest judged where its facets are small beside what touches the plate."""
+    """Compare all meshes with felupe; judge the finest, at depths where the contact area is large beside its facets."""
     expected = reference_forces(MATERIALS["neo_hookean 0.45"])
     details: dict[str, Any] = {"felupe_newtons": expected.tolist()}
     for mesh in MESHES:
@@ -308,20 +312,20 @@ def check_plates(spheres: Spheres) -> Check:
 
 
 def check_refinement(spheres: Spheres) -> Check:
-    """The second finest even mesh beside the finest, at the greatest depth."""
+    """Compare the second finest uniform mesh with the finest, at the greatest depth."""
     finest = spheres(list(MESHES)[-1]).forces[-1]
     told = {mesh: float(spheres(mesh).forces[-1] / finest - 1.0) for mesh in MESHES}
     return Check(abs(told[USUAL]), 0.05, details=told)
 
 
 def check_time_step(spheres: Spheres) -> Check:
-    """Half the time step."""
+    """Compare with half the time step."""
     usual, halved = (spheres(USUAL, dt).forces[1:] for dt in (1.0 / 240.0, 1.0 / 480.0))
     return Check(difference(usual, halved), 0.02, details={"newtons": usual.tolist(), "halved": halved.tolist()})
 
 
 def check_modulus(spheres: Spheres) -> Check:
-    """Twice the modulus, and twice the density."""
+    """Twice the modulus doubles the force, and twice the density does not change it."""
     usual = spheres(USUAL).forces[1:]
     twice = spheres(USUAL, young_modulus=2.0 * Material().young_modulus, viscosity=2.0 * CALMING).forces[1:]
     heavy = spheres(USUAL, density=2.0 * Material().density).forces[1:]
@@ -330,7 +334,7 @@ def check_modulus(spheres: Spheres) -> Check:
 
 
 def check_volume() -> Check:
-    """A deep press of nearly incompressible tissue."""
+    """Loss of volume in a deep press of nearly incompressible tissue."""
     material = Material(poisson_ratio=0.49, viscosity=CALMING)
     organ = solids.graded_sphere(RADIUS, *MESHES[USUAL])
     lost = 1.0 - squeeze(organ, material, 1.0 / 240.0, (0.5,)).volumes
@@ -338,7 +342,7 @@ def check_volume() -> Check:
 
 
 def check_relaxation() -> Check:
-    """Held in shear: what is left of the force that holds it, beside the series."""
+    """Compare the force that remains while an organ is held in shear with the Prony series."""
     body = of_seed(Material(viscosity=0.0, relaxation=PRONY), 1.0 / 240.0)
     nodes, lump = body.rest + [0.05, 0.0, 0.0] * body.rest[:, [2]], body.lumps[0]
     top = body.rest[:, 2] > body.rest[:, 2].mean()
@@ -350,7 +354,7 @@ def check_relaxation() -> Check:
         advance_blocks(0, 1, body.blocks)
         if step not in (12, 60, 240, 600):
             continue
-        # The stress that has relaxed is kept by its components in the frame at rest; forces are of the rest.
+        # The relaxed part of the stress is stored in the reference frame; forces come from the remaining stress.
         relaxed = read(body, "overstresses")
         symmetric = relaxed[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]].reshape(-1, 3, 3)
         deformations = lump.solid.deformations(nodes)
@@ -364,7 +368,10 @@ def check_relaxation() -> Check:
 
 
 def _swing(viscosity: float, dtype: type) -> tuple[FloatArray, FloatArray]:
-    """Momenta (s, 3) by the greatest of all nodes' sizes together, and energies (s,), of a free organ that swings."""
+    """Momenta (s, 3) and energies (s,) of a free, swinging organ.
+
+    Momenta are relative to the greatest sum, over time, of the magnitudes of the nodes' momenta.
+    """
     body = of_seed(Material(viscosity=viscosity), 1.0 / 240.0, dtype)
     lump = body.lumps[0]
     put(body, bent(body, 0.005))
@@ -374,7 +381,7 @@ def _swing(viscosity: float, dtype: type) -> tuple[FloatArray, FloatArray]:
         before = read(body, "velocities")
         nodes = read(body, "positions")
         advance_blocks(0, 1, body.blocks)
-        # Velocities are those of half a substep earlier and later than positions.
+        # Velocities are half a substep before and after the positions: their mean is at the same time.
         velocities = 0.5 * (before + read(body, "velocities"))
         stored = (lump.solid.shares * lump.law.energy(lump.solid.deformations(nodes))).sum()
         stored -= 0.5 * (lump.solid.forces(nothing, nodes, STABILISER * lump.law.shear) * nodes).sum()
@@ -385,13 +392,16 @@ def _swing(viscosity: float, dtype: type) -> tuple[FloatArray, FloatArray]:
 
 
 def check_momentum() -> Check:
-    """In the precision in which the engine works by default."""
+    """Momentum that a swinging organ gains, in single precision, the engine's default."""
     momenta, _ = _swing(0.0, np.float32)
     return Check(float(np.abs(momenta).max()), 1e-4)
 
 
 def check_energy() -> Check:
-    """Without viscosity: the mean of the last sixth beside that of the first; with it: only less."""
+    """Energy of a swinging organ without viscosity: mean over the last sixth of the time against the first.
+
+    The same with viscosity is for information.
+    """
     _, energies = _swing(0.0, np.float64)
     _, viscous = _swing(0.5, np.float64)
     kept = float(energies[-20:].mean() / energies[:20].mean())
@@ -400,7 +410,7 @@ def check_energy() -> Check:
 
 
 def check_steadiness() -> Check:
-    """A plate that has been pressed 10 mm deep and stands still."""
+    """Variation of the force on a plate that has been pressed 10 mm deep and stands still."""
     told: dict[str, Any] = {}
     for name in MATERIALS:
         scene = scenes.palpate(material=MATERIALS[name])

@@ -1,19 +1,19 @@
 """Does a thin tool ever get through the organ's surface? Thousands of random plunges, inspected step by step.
 
-Each case drives the seed's spatula, contact nodes on all its faces, into the seed's organ: from any direction, tilted
-by up to 20 degrees and turned at random, any of its 6 faces or 12 edges first, at 0.1 to 2000 u/s, 0.02 to 0.5 u thick,
-with 60 to 480 physics steps a second, 0.2 to 2 u deep, and holds it there for a quarter of a second. A case can be
-repeated from its number. What is counted is found by `benchmarks.inspection`, not by the contact model that is judged:
+Each case drives the seed's spatula, with contact nodes on all its faces, into the seed's organ: from any direction,
+tilted by up to 20 degrees and turned at random, any of its 6 faces or 12 edges first, at 0.1 to 2000 u/s, 0.02 to 0.5 u
+thick, with 60 to 480 physics steps a second, 0.2 to 2 u deep, and holds it there for a quarter of a second. A case can
+be repeated from its number. Faults are found by `benchmarks.inspection`, not by the contact model that is judged:
 
-    missed      contact deeper than 0.01 u, or the tool's centre inside the organ, and no flag
-    enclosed    the tool's centre, or the tool through all of its thickness, inside the organ
+    missed      a contact node deeper than 0.01 u, or the tool's centre, inside the organ, and no flag set
+    enclosed    the tool's centre, or a column through its whole thickness, inside the organ
     passages    the organ's surface went right through the tool, from one face to the opposite one
     pairs       both nodes of an opposite pair flagged
-    residual    some depth of tool in organ or organ in tool above 0.01 u, a third of a per cent of the organ's radius
+    residual    a depth of tool in organ or organ in tool above 0.01 u, a third of a per cent of the organ's radius
     non-finite  the simulation diverged
 
-A case has failed when one of these happened in any of its steps. The flags method runs all cases, Bullet's own contact
-and the second step alone the first few of them.
+A case has failed if one of these happened in any of its steps. The flags method runs all cases, Bullet's own contact
+and the second step alone only the first few of them.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from spatula_env.sim import Report, Simulation
 from spatula_env.sim.simulation import ContactName
 
 SEED = 20261122
-"""Of the cases, unless another one is given."""
+"""Default seed of the cases."""
 
 WORST = 10
-"""How many of the worst cases are named."""
+"""Number of the worst cases that are listed."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,10 @@ class Job:
     """A case to run.
 
     Attributes:
-        seed: Of the benchmark.
-        number: Of the case.
+        seed: Seed of the benchmark.
+        number: Number of the case.
         contact: The contact model.
-        engine: What integrates the organ; None: the default.
+        engine: Engine that integrates the organ; None for the default.
     """
 
     seed: int
@@ -65,7 +65,7 @@ class Job:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run one case; errors say which."""
+    """Run one case; errors name the case."""
     try:
         return plunges.run(plunges.draw(job.seed, job.number), job.contact, None, job.engine)
     except Exception as error:
@@ -73,13 +73,13 @@ def run_job(job: Job) -> Outcome:
 
 
 def summarise(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Count what happened in some cases of one contact model.
+    """Summarise the outcomes of one contact model.
 
     Args:
-        outcomes: At least one.
+        outcomes: Outcomes of the cases, at least one.
 
     Returns:
-        How many cases failed and in what way, quantiles of residual and shaking, and the worst cases.
+        Numbers of failed cases by kind of failure, quantiles of residual and shaking, and the worst cases.
     """
     finite = [outcome for outcome in outcomes if not outcome.non_finite]
     failed = sum(outcome.failed for outcome in outcomes)
@@ -108,7 +108,7 @@ def summarise(outcomes: Sequence[Outcome]) -> dict[str, Any]:
 
 
 def _badness(outcome: Outcome) -> tuple[bool, bool, bool, float, int]:
-    """Order of cases: failures first; divergence, then missed contact and enclosure, then depth, then the rest."""
+    """Sort key of cases by severity: failure, divergence, missed contact or enclosure, depth, then other faults."""
     return (
         outcome.failed,
         outcome.non_finite,
@@ -119,7 +119,7 @@ def _badness(outcome: Outcome) -> tuple[bool, bool, bool, float, int]:
 
 
 def _quantiles(values: Sequence[float]) -> dict[str, float | None]:
-    """Median, 95th percentile and greatest of some values; None where there are none."""
+    """Median, 95th percentile and maximum of some values; None if there are no values."""
     if not values:
         return {"p50": None, "p95": None, "max": None}
     p50, p95, greatest = np.percentile(values, (50, 95, 100)).tolist()
@@ -202,17 +202,17 @@ def plan(
     contacts: Sequence[ContactName] = get_args(ContactName),
     engine: str | None = None,
 ) -> list[Job]:
-    """Which cases to run with which contact model.
+    """Plan which cases to run with which contact model.
 
     Args:
-        seed: Of the benchmark.
-        numbers: Of the cases.
-        subset: How many of them all contact models run; the rest is for the flags method.
+        seed: Seed of the benchmark.
+        numbers: Numbers of the cases.
+        subset: Number of cases, the first ones, that all contact models run; only the flags method runs the rest.
         contacts: The contact models.
-        engine: What integrates the organ; None: the default.
+        engine: Engine that integrates the organ; None for the default.
 
     Returns:
-        The jobs, one case after the other, so that an interrupted run has something of each contact model.
+        The jobs, case by case, so that an interrupted run has results of each contact model.
     """
     return [
         Job(seed, number, contact, engine)
@@ -223,12 +223,12 @@ def plan(
 
 
 def measure(jobs: Sequence[Job], workers: int, outcomes: dict[str, list[Outcome]]) -> None:
-    """Run cases and keep what happened, so that it is there even if the run is interrupted.
+    """Run cases and collect their outcomes, which are kept even if the run is interrupted.
 
     Args:
-        jobs: What to run.
+        jobs: The cases to run.
         workers: Number of processes.
-        outcomes: By contact model; what happened is added as it comes.
+        outcomes: By contact model; each outcome is appended as soon as it is known.
     """
     with closing(results(run_job, jobs, workers, "plunges")) as stream:
         for job, outcome in stream:
@@ -267,14 +267,14 @@ def main() -> None:
 
 
 def _run_all(arguments: argparse.Namespace) -> None:
-    """Run the cases of all contact models and print what came out, also after an interruption."""
+    """Run the cases of all contact models and print the results, also after an interruption."""
     numbers = range(arguments.first, arguments.first + arguments.cases)
     outcomes: dict[str, list[Outcome]] = {}
     stopped: str | None = None
     had = load_engine(choose_engine(arguments.engine)).abilities.contacts
     contacts: list[ContactName] = [each for each in had if arguments.subset or each == "flags"]
     start = time.perf_counter()
-    # So that `timeout` ends a run with what there is.
+    # SIGTERM, as from `timeout`, ends the run like Ctrl-C: the results so far are printed.
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         measure(

@@ -1,14 +1,14 @@
 """How stiff are the organs of the preset scenes? `python scripts/calibrate_stiffness.py`, JSON last.
 
-In every scene a tool moves into the organ as it is used there, slowly, and waits at each depth; the force is the mean
-over half a second. The effective Young's modulus is that of a linear-elastic solid of the same shape, nearly
-incompressible, which the same tool feels to be as stiff. From the slope of force against depth where the tool lies on
-and the strain is small come the constants `STIFFNESS` of the scenes' modules, with which `scale="stiffness"` gives
-organs the modulus of brain tissue. docs/calibration.md explains it; this draws its figure as well, which needs
-Matplotlib.
+In every scene the tool moves slowly into the organ, as it is used there, and waits at each depth; the force is averaged
+over half a second. The effective Young's modulus is that of a nearly incompressible linear-elastic solid of the same
+shape which is as stiff against the same tool. It is computed from the slope of force against depth, in a window where
+the tool is in full contact and the strain is small. The constants `STIFFNESS` of the scenes' modules follow from it,
+with which `scale="stiffness"` gives organs the modulus of brain tissue. docs/calibration.md explains the method; this
+script also draws its figure, which needs Matplotlib.
 
-All depths are worlds of one batch, so every press starts from the organ at rest. Bullet does one place of each scene
-again, as a check. It takes about two minutes.
+Each depth is a world of one batch, so every press starts from the organ at rest. As a check, Bullet repeats one place
+of each scene. It takes about two minutes.
 """
 
 from __future__ import annotations
@@ -47,22 +47,22 @@ Journal of Solids and Structures 23(12), 1987)."""
 POISSON = 0.5
 
 SPEED = 0.5
-"""Of the tools [u/s]: 10 mm/s."""
+"""Greatest speed of the tools [u/s]: 10 mm/s."""
 
 CHUNK = 0.05
-"""Tools change their speed this often [s]."""
+"""Interval at which the tools' speed is updated [s]."""
 
 REST = 0.5
-"""How long they wait, and then how long the force is averaged [s]."""
+"""How long the tools wait at their depth, and then for how long the force is averaged [s]."""
 
 ORIENTATIONS = 6
-"""In how many orientations the seed's sphere is pressed."""
+"""Number of orientations in which the seed's sphere is pressed."""
 
 SOURCES = (1400.0, 9000.0)
-"""Least and greatest Young's modulus of brain tissue that the sources give [Pa]."""
+"""Least and greatest Young's modulus of brain tissue in the sources [Pa]."""
 
 TABLE_DEPTHS = (2.0, 5.0, 10.0)
-"""At which the modulus is told [mm]."""
+"""Depths whose moduli are printed [mm]."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +70,14 @@ class Indentation:
     """One way to press an organ.
 
     Attributes:
-        name: Of the scene.
-        how: What is done.
-        variants: The scene, and others whose curves are averaged with its.
-        begin: From a scene to starts of the tools (p, N, 3), at p places and so far away that they do not touch;
-            directions (p, N, 3) in which they move; and how far it is to the surface (p,) [u].
-        factor: Force over modulus and depth of an elastic solid [u].
+        name: Name of the scene.
+        how: Description of the press.
+        variants: The scene, and variants of it whose curves are averaged with its own.
+        begin: Maps a scene and the organ's nodes at rest (V, 3) to start positions of the tools (p, N, 3) at p places,
+            just off the surface; directions of motion (p, N, 3); and distances to the surface (p,) [u].
+        factor: Force over modulus and depth of the elastic solid [u].
         window: Least and greatest depth of the fit [mm].
-        deepest: Of the curve [mm].
+        deepest: Greatest depth of the curve [mm].
     """
 
     name: str
@@ -90,18 +90,18 @@ class Indentation:
 
     @property
     def depths(self) -> FloatArray:
-        """(k,) of the curve [mm]."""
+        """(k,) depths of the curve [mm]."""
         few = np.array([0.5, *range(1, 7), 8, 10, 12, 15, 18], dtype=np.float64)
         many = np.arange(0.5, 4.01, 0.5)
         return many if self.deepest < few[5] else few[few <= self.deepest]
 
     def in_window(self, depths: FloatArray) -> NDArray[np.bool_]:
-        """Which depths [mm] are fitted."""
+        """Which of the given depths [mm] are in the window of the fit."""
         return (depths >= self.window[0] - 1e-9) & (depths <= self.window[1] + 1e-9)
 
 
 def on_top(scene: Scene, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A plate over the top of an organ; see `Indentation.begin`."""
+    """Start of a plate above the top of an organ; see `Indentation.begin`."""
     tool = scene.tools[0].tool
     gap = 0.02
     under = (np.abs(nodes[:, :2]) <= 0.5 * tool.size[:2]).all(axis=1)
@@ -110,7 +110,7 @@ def on_top(scene: Scene, nodes: FloatArray) -> tuple[FloatArray, FloatArray, Flo
 
 
 def at_walls(scene: Scene, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A blade in a fissure, 0.25 u above its floor, before both walls at three places; see `Indentation.begin`."""
+    """Starts of a blade in a fissure, 0.25 u above the floor, at three places of each wall; see `Indentation.begin`."""
     block, tool = scene.organs[0].organ, scene.tools[0].tool
     assert isinstance(block, FissuredBlock)
     height = block.floor_height + 0.25 + 0.5 * float(tool.size[1])
@@ -125,13 +125,13 @@ def at_walls(scene: Scene, nodes: FloatArray) -> tuple[FloatArray, FloatArray, F
 
 
 def at_ridge(scene: Scene, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Jaws on either side of a ridge; see `Indentation.begin`."""
+    """Start of two jaws, one on either side of a ridge; see `Indentation.begin`."""
     starts = np.array([[placed.position for placed in scene.tools]])
     return starts, np.array([[[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]]), np.array([scenes.JAW_CLEARANCE])
 
 
 def at_fold(scene: Scene, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A blade beside a fold, 0.35 u above its foot, on either side; see `Indentation.begin`."""
+    """Starts of a blade on either side of a fold, 0.35 u above its foot; see `Indentation.begin`."""
     block, tool = scene.organs[0].organ, scene.tools[0].tool
     assert isinstance(block, RidgedBlock)
     edge, gap = block.foot_height + 0.35, 0.02
@@ -151,14 +151,14 @@ def force_curves(
     """Press an organ slowly, wait, and measure.
 
     Args:
-        scene: What is pressed.
-        indentation: How.
-        depths: (k,) [mm].
+        scene: Scene whose organ is pressed.
+        indentation: How to press it.
+        depths: (k,) depths [mm].
         engine: "batch" or "bullet".
-        places: At how many places; by default at all.
+        places: Number of places, the first ones; all by default.
 
     Returns:
-        (c, k) force of each tool at each place against its way [kg u/s2].
+        (c, k) force on each tool at each place, against its direction of motion [kg u/s2].
     """
     worlds = Worlds(scene, 1)
     starts, directions, gaps = indentation.begin(scene, worlds.nodes[0])
@@ -177,7 +177,7 @@ def force_curves(
 
 
 def _press(worlds: Worlds, directions: FloatArray, ways: FloatArray) -> FloatArray:
-    """Move all tools so far (W,) [u], wait, and return the mean forces against their directions, (W, N)."""
+    """Move all tools by distances (W,) [u], wait, and return the mean forces against their directions, (W, N)."""
     steps, nothing = round(CHUNK / worlds.scene.dt), np.zeros_like(directions)
     duration = steps * worlds.scene.dt
     left = ways.copy()
@@ -197,13 +197,13 @@ def square_punch(edge: float) -> float:
     """Force over modulus and depth of a square plate on a half-space [u].
 
     Args:
-        edge: Of the plate [u].
+        edge: Edge length of the plate [u].
     """
     return SQUARE_PUNCH * 2.0 * edge / math.sqrt(math.pi) / (1.0 - POISSON**2)
 
 
 def indentations() -> tuple[Indentation, ...]:
-    """What is measured. The factors that are not formulas are from scripts/elastic_solid.py."""
+    """All indentations. The numerical factors are from scripts/elastic_solid.py."""
     seed, palpate = scenes.seed(), scenes.palpate()
     generator = np.random.default_rng(0)
     turned, turned_and_held = [seed], [palpate]
@@ -227,12 +227,12 @@ def indentations() -> tuple[Indentation, ...]:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What came out for a scene. SI, with the scale that the scene has.
+    """Results for a scene, in SI units by the scene's scale.
 
     Attributes:
-        indentation: What was done.
-        depths: (k,) [mm].
-        forces: (c, k) of all curves [N].
+        indentation: How the organ was pressed.
+        depths: (k,) depths [mm].
+        forces: (c, k) forces of all curves [N].
     """
 
     indentation: Indentation
@@ -241,41 +241,41 @@ class Calibration:
 
     @property
     def length(self) -> float:
-        """Force over modulus and depth of an elastic solid [m]."""
+        """Force over modulus and depth of the elastic solid [m]."""
         return self.indentation.factor * self.indentation.variants[0].scale.length
 
     def fit(self, forces: FloatArray) -> tuple[float, float]:
-        """Slope [N/m] and depth of no force [mm] of a curve (k,) in the window."""
+        """Fit a line to a curve (k,) in the window: slope [N/m], and depth at which the line has no force [mm]."""
         chosen = self.indentation.in_window(self.depths)
         slope, offset = np.polyfit(self.depths[chosen] * 1e-3, forces[chosen], 1)
         return float(slope), float(-offset / slope * 1e3)
 
     @property
     def modulus(self) -> float:
-        """Of the mean curve, from the slope in the window [Pa]."""
+        """Modulus of the mean curve, from its slope in the window [Pa]."""
         return self.fit(self.forces.mean(axis=0))[0] / self.length
 
     @property
     def moduli(self) -> FloatArray:
-        """(c,) of each curve [Pa]."""
+        """(c,) modulus of each curve, from its slope in the window [Pa]."""
         return np.array([self.fit(curve)[0] for curve in self.forces]) / self.length
 
     @property
     def secant_moduli(self) -> FloatArray:
-        """(k,) of the mean curve, from force over depth [Pa]."""
+        """(k,) secant modulus of the mean curve, force over depth, at each depth [Pa]."""
         secant: FloatArray = self.forces.mean(axis=0) / (self.depths * 1e-3) / self.length
         return secant
 
     @property
     def stiffness(self) -> float:
-        """The constant of the scene's module [u]."""
+        """The constant `STIFFNESS` of the scene's module [u]."""
         scene = self.indentation.variants[0]
         organ = scene.organs[0]
         return self.modulus / scene.scale.pressure * scene.dt**2 * organ.organ.area / organ.mass
 
     @property
     def density(self) -> float:
-        """Of the organ [kg/m3]."""
+        """Density of the organ [kg/m3]."""
         scene = self.indentation.variants[0]
         organ = scene.organs[0]
         return organ.mass * scene.scale.mass / (organ.organ.volume * scene.scale.length**3)
@@ -305,8 +305,8 @@ def calibrate(indentation: Indentation, depths: FloatArray | None = None) -> Cal
     """Measure a scene in the batch engine.
 
     Args:
-        indentation: What is done.
-        depths: (k,) [mm]; by default all.
+        indentation: How to press the organ.
+        depths: (k,) depths [mm]; those of the indentation by default.
     """
     depths = indentation.depths if depths is None else depths
     force = indentation.variants[0].scale.force
@@ -315,7 +315,7 @@ def calibrate(indentation: Indentation, depths: FloatArray | None = None) -> Cal
 
 
 def check_with_bullet(indentation: Indentation) -> dict[str, float]:
-    """The modulus [Pa] in both engines, from one place of a scene, in the window."""
+    """The modulus in both engines, from one place of a scene and the depths in the window [Pa]."""
     depths = indentation.depths[indentation.in_window(indentation.depths)]
     scene = indentation.variants[0]
     found = {}
@@ -330,11 +330,11 @@ COLOURS = {"seed": "#0072b2", "palpate": "#56b4e9", "retract": "#009e73", "fissu
 
 
 def draw(calibrations: Sequence[Calibration], path: Path) -> None:
-    """The figure of docs/calibration.md.
+    """Draw the figure of docs/calibration.md.
 
     Args:
-        calibrations: Of all scenes.
-        path: Of the PNG file.
+        calibrations: Calibrations of all scenes.
+        path: Path of the PNG file.
 
     Raises:
         ImportError: If Matplotlib or Pillow is not installed.

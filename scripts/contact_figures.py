@@ -1,7 +1,7 @@
 """Draws the figures of docs/contact-model.md: `python scripts/contact_figures.py`, in the repository's root.
 
-Every figure shows what the package did in a run of it, and nothing is random: the same code draws the same figures.
-After each file it prints a caption with the numbers of that run. It takes about half a minute.
+Every figure shows results of a run of the package, and nothing is random: the same code draws the same figures. With
+each file it prints a caption with the numbers of that run. It takes about half a minute.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ if TYPE_CHECKING:
 
 
 WIDTH = 1000
-"""Of every figure, in pixels."""
+"""Width of every figure [pixels]."""
 
 DOTS_PER_INCH = 100
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-"""A plate that lies flat, quaternion xyzw."""
+"""Orientation of a plate that lies flat, quaternion xyzw."""
 
 STYLE: dict[Any, Any] = {
     "axes.axisbelow": True,
@@ -65,23 +65,23 @@ STYLE: dict[Any, Any] = {
     "legend.fontsize": 10.5,
     "legend.frameon": False,
 }
-"""Settings of Matplotlib."""
+"""Matplotlib settings of all figures."""
 
 BLUE, ORANGE, GREEN, PINK, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9"
 """M. Okabe and K. Ito's colours, for all kinds of colour vision."""
 
 DASH = (0, (3.5, 2.0))
-"""Of broken lines."""
+"""Pattern of broken lines."""
 
 ORGAN, ORGAN_LINE, PLATE, PLATE_LINE = "#f7e9e4", "#8a4a3c", "0.85", "0.25"
-"""Fills and lines of organ and plate."""
+"""Fill and line colours of organ and plate."""
 
 
 def start_figure(height: float) -> Figure:
-    """An empty figure, `WIDTH` wide, which opens no window.
+    """Make an empty figure, `WIDTH` wide, which opens no window.
 
     Args:
-        height: In pixels.
+        height: Height of the figure [pixels].
     """
     from matplotlib.figure import Figure
 
@@ -94,7 +94,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def styled() -> AbstractContextManager[Any]:
-    """A context in which Matplotlib draws by `STYLE`.
+    """A context in which Matplotlib uses `STYLE`.
 
     Raises:
         ImportError: If Matplotlib is not installed.
@@ -118,7 +118,7 @@ def _draw_arrow(
     apart: float = 0.0,
     dash: Any = "-",
 ) -> None:
-    """An arrow from one point (2,) to another, which ends so many points of a font before it."""
+    """Draw an arrow from one point (2,) to another, with a gap of `apart` typographic points at both ends."""
     panel.annotate(
         "",
         (float(end[0]), float(end[1])),
@@ -142,21 +142,21 @@ def top_of(simulation: Simulation) -> float:
 
 
 def press_down(simulation: Simulation, target: float, speed: float) -> None:
-    """Lower the first tool to a height [u] at a speed [u/s], the last step as short as need be."""
+    """Lower the first tool to a height [u] at a speed [u/s]; the last step is shortened as needed."""
     while (left := float(simulation.tool_position[2]) - target) > 1e-9:
         simulation.step((0.0, 0.0, -min(speed, left / simulation.dt)))
 
 
 def cut_surface(vertices: FloatArray, triangles: NDArray[np.int32], y: float) -> FloatArray:
-    """Cut a surface with a plane across the y axis.
+    """Cut a surface with a plane perpendicular to the y axis.
 
     Args:
         vertices: (V, 3) [u].
         triangles: (T, 3).
-        y: Of the plane [u].
+        y: Coordinate of the plane [u].
 
     Returns:
-        (S, 2, 2) the ends of the segments, x and z [u].
+        (S, 2, 2) end points of the segments, as x and z [u].
     """
     segments = []
     for corners in vertices[triangles]:
@@ -175,14 +175,14 @@ def cut_surface(vertices: FloatArray, triangles: NDArray[np.int32], y: float) ->
 
 @dataclass(frozen=True)
 class Query:
-    """What a detector found when a plate had come far into an organ in one step.
+    """Result of a detector after a plate has come far into an organ in one step.
 
     Attributes:
         flags: (n,) nodes that are in contact.
         unfeasible: (n,) nodes that the first step refused.
-        depths: (n,) of the nodes in contact [u].
-        places: (n, 3) of the nodes [u].
-        corners: (K, 3) of the plate [u].
+        depths: (n,) depths of the nodes in contact [u].
+        places: (n, 3) positions of the nodes [u].
+        corners: (K, 3) corners of the plate [u].
     """
 
     flags: NDArray[np.bool_]
@@ -193,21 +193,21 @@ class Query:
 
 
 JUMP_SPEED = 100.0
-"""Of the plate that comes into the organ with both faces in one step [u/s]."""
+"""Speed of the plate, at which both of its faces enter the organ in one step [u/s]."""
 
 JUMP_TILT = 0.42
-"""Of that plate, so that one of its ends is still outside [rad]."""
+"""Tilt of that plate, which leaves one of its ends outside [rad]."""
 
 
 def query_after_jump(simulation: Simulation, first_step: FirstStep) -> Query:
-    """Ask a detector before and after one fast step of the seed's plate.
+    """Query a detector before and after one fast step of the seed's plate.
 
     Args:
-        simulation: Of `scenes.seed()`; nothing in it changes.
-        first_step: Of the detector, "off" or "inside".
+        simulation: Simulation of `scenes.seed()`; it is not changed.
+        first_step: First step of the detector, "off" or "inside".
 
     Returns:
-        What it found after the step.
+        Result of the detector after the step.
     """
     tool = simulation.scene.tools[0].tool
     orientation = quaternion_from_axis_angle((0.0, 1.0, 0.0), JUMP_TILT)
@@ -267,7 +267,7 @@ def draw_flags(path: Path) -> str:
 
 
 def _draw_section(panel: Axes, query: Query, segments: FloatArray, tool: Tool, shown: NDArray[np.bool_]) -> None:
-    """Organ, plate, nodes and rays in a plane across y."""
+    """Draw organ, plate, nodes and rays in a section perpendicular to y."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Polygon
 
@@ -278,7 +278,7 @@ def _draw_section(panel: Axes, query: Query, segments: FloatArray, tool: Tool, s
     around = _order_around(query.corners[:, [0, 2]])
     panel.add_patch(Polygon(around, facecolor=PLATE, edgecolor=PLATE_LINE, linewidth=1.2, zorder=1, alpha=0.9))
     along = rotate(quaternion_from_axis_angle((0.0, 1.0, 0.0), JUMP_TILT), tool.normals)
-    # Two rays run along each other between opposite nodes: a little apart they can be told.
+    # The rays of opposite nodes coincide: drawn slightly apart, they can be told apart.
     for node in np.flatnonzero(shown):
         start, normal = query.places[node, [0, 2]], along[node, [0, 2]]
         aside = 0.012 * np.array([normal[1], -normal[0]])
@@ -334,7 +334,7 @@ def _states(query: Query, shown: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], 
 
 
 def _draw_ray(panel: Axes, start: FloatArray, end: FloatArray, colour: str, dash: Any, *, ends: bool) -> None:
-    """A ray from a node; a dot where it ends on the organ, an arrow head where it goes on."""
+    """Draw a ray from a node, with a square where it ends on the organ, or a triangle where it goes on."""
     panel.plot([start[0], end[0]], [start[1], end[1]], color=colour, linestyle=dash, linewidth=1.4, zorder=3)
     if ends:
         panel.plot(*end, "s", color=colour, markersize=4, zorder=3)
@@ -352,7 +352,7 @@ def _add_legend_of_states(figure: Figure) -> None:
 
 
 def _order_around(points: FloatArray) -> FloatArray:
-    """Points (m, 2) of a convex outline, each once and in order around their middle."""
+    """Points (m, 2) of a convex outline, without duplicates and ordered around their middle."""
     points = np.unique(points.round(9), axis=0)
     away = points - points.mean(axis=0)
     ordered: FloatArray = points[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
@@ -360,7 +360,14 @@ def _order_around(points: FloatArray) -> FloatArray:
 
 
 def _way_to(start: float, slope: float, low: float, high: float) -> float:
-    """How far along a ray a picture's lower or upper border is [u], from a height, by the change of height."""
+    """Length of a ray from a height to slightly before the picture's upper or lower border [u].
+
+    Args:
+        start: Height at which the ray begins [u].
+        slope: Vertical component of the ray's unit direction.
+        low: Height of the lower border [u].
+        high: Height of the upper border [u].
+    """
     border = high if slope > 0.0 else low
     return (border - start) / slope - 0.02
 
@@ -370,14 +377,14 @@ def _way_to(start: float, slope: float, low: float, high: float) -> float:
 
 @dataclass(frozen=True)
 class Way:
-    """A point of the organ that came to a plate, in the plate's frame.
+    """Path of a point of the organ into or through a plate, in the plate's frame.
 
     Attributes:
-        title: What happened.
-        thickness: Of the plate, which is 1 u wide [u].
-        last: (2,) where it was at the last query, x and z [u].
-        now: (2,) where it is [u].
-        middle: (2,) of the picture [u].
+        title: Title of the panel.
+        thickness: Thickness of the plate, which is 1 u wide [u].
+        last: (2,) position at the last query, x and z [u].
+        now: (2,) position now [u].
+        middle: (2,) centre of the panel [u].
     """
 
     title: str
@@ -394,17 +401,17 @@ WAYS = (
 )
 
 FACE_NAMES = {(0, 0, -1): "lower face", (0, 0, 1): "upper face", (1, 0, 0): "edge face"}
-"""By the outward normal."""
+"""Names of faces, by their outward normal."""
 
 
 def find_entry(way: Way) -> tuple[int, int, FloatArray]:
-    """Ask through which face of a plate a point came.
+    """Find the face of a plate through which a point came in, with `entry_plane`.
 
     Args:
-        way: From where to where.
+        way: Path of the point.
 
     Returns:
-        Index of the face, or -1; index of the face nearest to where the point is now; normals (F, 3) of all faces.
+        Index of the face, or -1; index of the face nearest to the point now; normals (F, 3) of all faces.
     """
     tool = Tool.box((1.0, 1.0, way.thickness), faces="all")
     normals = np.array(tool.face_normals)
@@ -415,7 +422,7 @@ def find_entry(way: Way) -> tuple[int, int, FloatArray]:
 
 
 def draw_path(path: Path) -> str:
-    """Draw how the face that a surface came through is told by its path.
+    """Draw how the face that a surface came through is determined from its path.
 
     Args:
         path: File to write.
@@ -452,7 +459,7 @@ def _face_name(normal: FloatArray) -> str:
 
 
 def _draw_way(panel: Axes, way: Way, face: int, nearest: int, normals: FloatArray) -> None:
-    """A plate's section, the path of a point, and the face that it came through."""
+    """Draw a plate's section, the path of a point, and the face that it came through."""
     from matplotlib.patches import Rectangle
 
     half, reach, normal = 0.5 * way.thickness, 0.22, normals[face]
@@ -515,10 +522,10 @@ class KindStyle:
     """How constraints of one kind are drawn.
 
     Attributes:
-        name: What they are called.
-        colour: Of mark and normal.
-        marker: Its shape.
-        size: Of the mark; those that may lie on others are smaller.
+        name: Name of the kind.
+        colour: Colour of marks and normals.
+        marker: Shape of the marks.
+        size: Size of the marks; kinds that may cover others are smaller.
     """
 
     name: str
@@ -528,7 +535,7 @@ class KindStyle:
 
     @property
     def marks(self) -> dict[str, Any]:
-        """Arguments for a plot of marks alone."""
+        """Arguments of Matplotlib's `plot` for marks without lines."""
         return {
             "linestyle": "none", "marker": self.marker, "color": self.colour, "markersize": self.size,
             "markeredgecolor": "black", "markeredgewidth": 0.8, "zorder": 20.0 - self.size,
@@ -541,7 +548,7 @@ KINDS = {
     ON_VERTEX: KindStyle("organ's vertex", PINK, "D", 7.5),
     ON_EDGE: KindStyle("edges of both", GREEN, "^", 7.0),
 }
-"""By the number that features know a kind by."""
+"""Styles by kind, the number that a constraint's name encodes."""
 
 
 @dataclass(frozen=True)
@@ -549,17 +556,17 @@ class Touch:
     """The constraints of one step between a plate and an organ.
 
     Attributes:
-        scene: What was run.
-        kinds: (C,) see `KINDS`.
-        places: (C, 3) of the constrained points of the organ's surface [u].
-        normals: (C, 3) towards the organ.
-        faces: (C,) of the tool.
-        nodes: (V, 3) of the organ [u].
-        triangles: (T, 3).
+        scene: The scene.
+        kinds: (C,) kind of each constraint; see `KINDS`.
+        places: (C, 3) constrained points of the organ's surface [u].
+        normals: (C, 3) contact normals, towards the organ.
+        faces: (C,) faces of the tool.
+        nodes: (V, 3) nodes of the organ [u].
+        triangles: (T, 3) triangles of the organ.
         position: (3,) of the tool [u].
         orientation: (4,) of the tool.
-        depth: Of the plate's lowest corner under the undeformed organ's top [u].
-        force: (3,) on the tool [N].
+        depth: Depth of the plate's lowest corner under the undeformed organ's top [u].
+        force: (3,) force on the tool [N].
     """
 
     scene: scenes.Scene
@@ -579,13 +586,13 @@ def press_edge_on(depth: float = 0.5, speed: float = 1.0, turn: float = 0.4) -> 
     """Press the seed's plate edge first into the organ, over its highest node.
 
     Args:
-        depth: How far to go [u].
-        speed: At which [u/s].
-        turn: Of the plate about the vertical [rad].
+        depth: Depth of the press [u].
+        speed: Speed of the press [u/s].
+        turn: Rotation of the plate about the vertical [rad].
 
     Returns:
-        Of all steps the one with the most kinds of constraints; of those the one with the most constraints, and of
-        those the last.
+        Constraints of the step with the most kinds of constraints; among those, of the one with the most constraints,
+        and among those, of the last one.
     """
     scene = scenes.seed(faces="all")
     simulation = Simulation(scene)
@@ -622,7 +629,7 @@ def press_edge_on(depth: float = 0.5, speed: float = 1.0, turn: float = 0.4) -> 
 
 
 def _richness(touch: Touch) -> tuple[int, int]:
-    """How many kinds of constraints there are, and how many constraints."""
+    """Sort key of steps: number of kinds of constraints, then number of constraints."""
     return len(set(touch.kinds.tolist())), len(touch.kinds)
 
 
@@ -631,7 +638,7 @@ def draw_features(path: Path, depth: float = 0.5) -> str:
 
     Args:
         path: File to write.
-        depth: How far to press [u].
+        depth: Depth of the press [u].
 
     Returns:
         A caption.
@@ -656,14 +663,14 @@ def draw_features(path: Path, depth: float = 0.5) -> str:
 
 
 VIEW_TURN, VIEW_HEIGHT = 0.65, 0.42
-"""Of the view in space: away from straight at the plate's large face, and downwards [rad]."""
+"""Viewing direction in space: angle away from the normal of the plate's large face, and angle downwards [rad]."""
 
 NORMAL_LENGTH = 0.16
-"""With which normals are drawn [u]."""
+"""Length of drawn normals [u]."""
 
 
 def _draw_edge_in_space(panel: Axes, touch: Touch) -> None:
-    """Plate, organ and constraints in a parallel projection."""
+    """Draw plate, organ and constraints in a parallel projection."""
     from matplotlib.collections import PolyCollection
 
     tool = touch.scene.tools[0].tool
@@ -712,11 +719,11 @@ def _draw_edge_in_space(panel: Axes, touch: Touch) -> None:
 
 
 BOX_QUADS = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corners of the faces of `Tool.box`."""
+"""Indices of the corners of each face of `Tool.box`."""
 
 
 def _draw_edge_from_below(panel: Axes, touch: Touch) -> None:
-    """The edge of the plate and the organ's edges near it, in the tool's frame, seen along its y axis."""
+    """Draw the plate's lower edge face and the organ's edges near it, in the tool's frame, seen along its y axis."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Rectangle
 
@@ -753,23 +760,23 @@ def _draw_edge_from_below(panel: Axes, touch: Touch) -> None:
 # Pressure ---------------------------------------------------------------------------------------------------------
 
 DEPTHS = (0.1, 0.17, 0.4)
-"""Of the plate's lower face under the undeformed organ's top [u]."""
+"""Depths of the plate's lower face under the undeformed organ's top [u]."""
 
 LIMITS = ((2.67, "20 mmHg"), (4.0, "30 mmHg"))
-"""Pressures to mark [kPa], and what they are in the unit that the pressure of brain retractors is told in."""
+"""Pressures to mark [kPa], and their values in mmHg, the usual unit for the pressure of brain retractors."""
 
 
 def press_to_depths(depths: Sequence[float], speed: float = 1.0, hold: float = 0.4) -> list[tuple[FloatArray, float]]:
     """Press the seed's plate, lying flat, and hold it at several depths, one after the other.
 
     Args:
-        depths: Of its lower face under the undeformed organ's top, ascending [u].
-        speed: On the way [u/s].
-        hold: For how long at each depth [s].
+        depths: Depths of its lower face under the undeformed organ's top, ascending [u].
+        speed: Speed between depths [u/s].
+        hold: How long it is held at each depth [s].
 
     Returns:
-        For each depth the pressure on each node [kPa] and the upward force [N], means over the last quarter of the
-        time.
+        For each depth the pressure on each node [kPa] and the upward force [N], averaged over the last quarter of the
+        hold.
     """
     simulation = Simulation(scenes.seed())
     height = top_of(simulation) + 0.5 * float(simulation.scene.tools[0].tool.size[2])
@@ -840,7 +847,10 @@ def draw_pressure(path: Path, depths: Sequence[float] = DEPTHS) -> str:
 
 
 def _draw_map(panel: Axes, places: FloatArray, values: FloatArray, scale: Any) -> Any:
-    """Colour each node's share of a face that is sampled from rim to rim; returns what a scale can be made of."""
+    """Draw a map of a face with each node's share of it coloured by a value; returns the image, for a colour bar.
+
+    The nodes must be a grid that reaches the rim of the face.
+    """
     xs, ys = np.unique(places[:, 0].round(9)), np.unique(places[:, 1].round(9))
     table = np.full((len(ys), len(xs)), np.nan)
     columns, rows = np.searchsorted(xs, places[:, 0] - 1e-6), np.searchsorted(ys, places[:, 1] - 1e-6)
@@ -867,10 +877,10 @@ CONTACTS: dict[ContactName, tuple[str, str, float]] = {
     "bullet": ("Bullet's own contact", ORANGE, 2.2),
     "flags": ("flags method", "black", 2.0),
 }
-"""Contact models: what they are called, colour and width of line."""
+"""Contact models: label, colour and line width."""
 
 SLIGHT = 0.05
-"""A smaller force is none [N]."""
+"""Force below which there is considered to be none [N]."""
 
 HELD_AT = 4.6
 """Height of the plate's middle where it is held [u]."""
@@ -881,8 +891,8 @@ def record_force(contact: ContactName, speed: float, seconds: float) -> FloatArr
 
     Args:
         contact: The contact model.
-        speed: Of the way down [u/s].
-        seconds: For how long to record [s].
+        speed: Speed of the way down [u/s].
+        seconds: Duration of the record [s].
 
     Returns:
         (steps,) upward force on the plate in each step [N]; NaN once the simulation has diverged.
@@ -907,8 +917,8 @@ def draw_force(path: Path, speed: float = 20.0, seconds: float = 0.5) -> str:
 
     Args:
         path: File to write.
-        speed: Of the way down [u/s].
-        seconds: Shown [s].
+        speed: Speed of the way down [u/s].
+        seconds: Duration shown [s].
 
     Returns:
         A caption.
@@ -960,37 +970,38 @@ def _tell_force(contact: ContactName, forces: FloatArray) -> str:
 # Speed ------------------------------------------------------------------------------------------------------------
 
 SPEEDS = (0.1, 0.3, 1.0, 3.0, 10.0, 20.0, 30.0, 60.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
-"""Of plunges [u/s]."""
+"""Speeds of plunges [u/s]."""
 
 THICKNESSES = {0.02: (BLUE, "o"), 0.125: (ORANGE, "s"), 0.5: (GREEN, "^")}
-"""Of plates [u], colour and marker."""
+"""Thicknesses of plates [u], with colour and marker."""
 
 ENTRIES = {"by its face": UPRIGHT, "by its edge": scenes.ON_EDGE}
-"""How a plate goes in, and how it is turned, quaternion xyzw."""
+"""Part of the plate that goes in first, and the plate's orientation, quaternion xyzw."""
 
 PLUNGE_DEPTH = 1.0
-"""How far plates go under the undeformed organ's top [u]."""
+"""Depth of plunges under the undeformed organ's top [u]."""
 
 SHOWN = (1e-5, 0.2)
-"""Ends of the axis of residuals; what is beyond is drawn on them [u]."""
+"""Limits of the axis of residuals [u]; values beyond are drawn at the limits."""
 
 
 def plunge_residuals(
     thickness: float, speeds: Sequence[float], depth: float = PLUNGE_DEPTH
 ) -> dict[str, NDArray[np.float64]]:
-    """Drive a plate into the organ from above, at several speeds, and see how far either is in the other.
+    """Drive a plate into the organ from above, at several speeds, and measure how deep either is in the other.
 
-    No step is shortened: the plate starts as many whole steps above the organ as it needs, so that at 2000 u/s it
-    comes from 8 u away and goes in, to the depth, within one step.
+    No step is shortened: the plate starts a whole number of steps before its final depth, so that at 2000 u/s it comes
+    from 8 u away and reaches the depth within one step.
 
     Args:
-        thickness: Of the plate [u].
-        speeds: [u/s].
-        depth: How far to go [u].
+        thickness: Thickness of the plate [u].
+        speeds: Speeds of the plunges [u/s].
+        depth: Depth of the plunges [u].
 
     Returns:
-        By entry, (speeds, 2): the greatest residual that a report tells, and the greatest of the independent
-        inspection, over all steps down and a tenth of a second after [u].
+        By entry, (speeds, 2): the greatest residual of a report, and the greatest of the independent inspection, over
+        all steps down and the tenth of a second after them [u]; the latter is infinite if some of the organ came to the
+        far side of the tool.
     """
     scene = scenes.seed(tool_size=(1.0, 1.0, thickness), faces="all")
     simulation = Simulation(scene)
@@ -1022,8 +1033,8 @@ def draw_speed(path: Path, speeds: Sequence[float] = SPEEDS, depth: float = PLUN
 
     Args:
         path: File to write.
-        speeds: [u/s].
-        depth: How far plates go [u].
+        speeds: Speeds of the plunges [u/s].
+        depth: Depth of the plunges [u].
 
     Returns:
         A caption.
@@ -1087,14 +1098,14 @@ FIGURES = {
     "force.png": draw_force,
     "speed.png": draw_speed,
 }
-"""What there is to draw, by file."""
+"""Functions that draw the figures, by file name."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Draw all figures, or some, and print their captions.
 
     Args:
-        arguments: Of the command line.
+        arguments: Command-line arguments; those of the process by default.
 
     Raises:
         ImportError: If Matplotlib is not installed.

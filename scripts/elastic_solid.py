@@ -1,15 +1,14 @@
-"""How hard a linear-elastic solid is to push, by finite elements: `python scripts/elastic_solid.py`, JSON last.
+"""Stiffness of linear-elastic solids against tools, by finite elements: `python scripts/elastic_solid.py`, JSON last.
 
-`scripts/calibrate_stiffness.py` compares the organs with solids. For a plate on a half-space there is a formula; for a
-blade against the wall of a fissure or the side of a fold, and for jaws on a ridge, there is none, so the factors come
-from here: force on the
-tool over (Young's modulus times displacement), a length [u]. The plate on a half-space is here as well, as a check of
-the elements.
+`scripts/calibrate_stiffness.py` compares the organs with elastic solids. For a plate on a half-space there is a
+formula. For a blade against the wall of a fissure or the side of a fold, and for jaws on a ridge, there is none, so
+their factors are computed here: force on the tool over Young's modulus times displacement, a length [u]. The plate on a
+half-space is included as a check of the elements.
 
-Boxes of eight nodes on a grid; the dilatation is taken as constant in an element, so that nearly incompressible solids
-do not lock (B-bar; T. J. R. Hughes, The Finite Element Method, 1987, section 4.5). The edges of a punch are singular:
-the error is proportional to the size of the elements there, and two sizes give the limit. It takes about two minutes
-and needs SciPy.
+The elements are boxes of eight nodes on a grid. The dilatation is constant in an element, so that nearly incompressible
+solids do not lock (B-bar; T. J. R. Hughes, The Finite Element Method, 1987, section 4.5). The stress is singular at the
+edges of a punch, where the error is proportional to the size of the elements: two sizes are extrapolated to the limit.
+It takes about two minutes and needs SciPy.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ POISSON = 0.49
 """Poisson's ratio: soft tissue is nearly incompressible."""
 
 GROWTH = 1.25
-"""By how much an element is longer than its neighbour, away from the tool."""
+"""Ratio of the lengths of successive elements, away from the tool."""
 
 NEAR = 1e-6
-"""Closer than this, coordinates are the same [u]."""
+"""Coordinates that differ by less than this count as equal [u]."""
 
 
 @dataclass(frozen=True)
 class Push:
-    """What is held and what is pushed. Masks are over the nodes' coordinates, (N, 3) each.
+    """Boundary conditions; masks are over the nodes' coordinates, (N, 3) each.
 
     Attributes:
-        held: Displacements that are given.
-        pushed: Those of them that are -1, as the tool moves; the others are zero.
-        symmetry: How many such pieces make the whole.
+        held: Coordinates with prescribed displacements.
+        pushed: Those of them that the tool displaces, by -1; the others are held at zero.
+        symmetry: Number by which the force on the meshed piece is multiplied.
     """
 
     held: BoolArray
@@ -54,13 +53,13 @@ class Push:
 
 
 def grid(points: list[float], sizes: list[float], largest: float = 0.5) -> FloatArray:
-    """Coordinates along an axis, finer in some parts.
+    """Coordinates of a grid along an axis, finer in some intervals.
 
     Args:
-        points: Ascending; each is a coordinate of the grid.
-        sizes: Of the elements between each two of them: positive, the same for all; negative, its value at the
-            start, and growing; zero, the mirror image: shrinking to the size that follows.
-        largest: No element is larger.
+        points: Ends of the intervals, ascending; each is a coordinate of the grid.
+        sizes: Size of the elements in each interval. Positive: uniform. Negative: its magnitude is the size at the
+            start, and elements grow by `GROWTH`. Zero: elements shrink to the size of the next interval.
+        largest: Greatest size of a growing or shrinking element, before all are scaled to fit the interval.
     """
     made = [points[0]]
     for index, (start, stop) in enumerate(itertools.pairwise(points)):
@@ -80,11 +79,11 @@ def element_stiffness(size: FloatArray, poisson: float) -> FloatArray:
     """Stiffness matrix of a box of Young's modulus 1.
 
     Args:
-        size: (3,) of its edges.
+        size: (3,) lengths of its edges.
         poisson: Poisson's ratio.
 
     Returns:
-        (24, 24), nodes outermost; the first coordinate of a node runs fastest.
+        (24, 24) matrix, with three consecutive rows per node; nodes are ordered with their first coordinate fastest.
     """
     shear = 0.5 / (1.0 + poisson)
     bulk = 1.0 / (3.0 * (1.0 - 2.0 * poisson))
@@ -114,16 +113,19 @@ def resistance(
     push: Callable[[FloatArray], Push],
     poisson: float = POISSON,
 ) -> float:
-    """Force on a tool without friction that moves by one unit into a solid of Young's modulus 1.
+    """Force on a frictionless tool that moves by one unit into a solid of Young's modulus 1.
 
     Args:
         axes: Coordinates of the grid along x, y and z [u].
-        inside: Which of the boxes, given by the coordinates of their centres, are there.
-        push: From the nodes (N, 3) to what is held and pushed.
+        inside: Maps coordinates of the centres of boxes to whether these belong to the solid.
+        push: Maps the nodes (N, 3) to boundary conditions.
         poisson: Poisson's ratio.
 
     Returns:
         The force over the modulus and the displacement [u].
+
+    Raises:
+        RuntimeError: If the linear solve does not converge.
     """
     from scipy.sparse import coo_matrix, diags
     from scipy.sparse.linalg import cg
@@ -154,13 +156,13 @@ def resistance(
     if failed:
         raise RuntimeError("the solve did not converge")
     displacements[free] = solution
-    # Twice the energy of a tool that has moved by one unit. An iterative solve gets the energy right to the square of
-    # what it leaves of the forces, and what it leaves depends on the processor.
+    # The force on a tool that has moved by one unit is twice the energy. The energy's error is quadratic in the
+    # residual of the iterative solve, which depends on the processor.
     return float(displacements @ (matrix @ displacements) * given.symmetry)
 
 
 def _planes(nodes: FloatArray, *planes: tuple[int, float]) -> BoolArray:
-    """(N, 3) of nodes in planes across an axis, which do not leave them."""
+    """(N, 3) mask of the displacements across planes, each an axis and a coordinate, of the nodes on them."""
     held = np.zeros(nodes.shape, dtype=np.bool_)
     for axis, value in planes:
         held[np.abs(nodes[:, axis] - value) < NEAR, axis] = True
@@ -168,12 +170,12 @@ def _planes(nodes: FloatArray, *planes: tuple[int, float]) -> BoolArray:
 
 
 def half_space(size: float, half: float = 0.5, extent: float = 12.0) -> float:
-    """The plate, 1 u square, on a large cube: a quarter of it.
+    """The square plate, 1 u wide, on a large block, of which a quarter is meshed.
 
     Args:
-        size: Of the elements under the plate [u].
+        size: Size of the elements under the plate [u].
         half: Half an edge of the plate [u].
-        extent: Of the quarter, and its depth [u].
+        extent: Width and depth of the quarter [u].
     """
     across = grid([0.0, half + 0.25, extent], [size, -size], 2.0)
 
@@ -189,10 +191,10 @@ def half_space(size: float, half: float = 0.5, extent: float = 12.0) -> float:
 
 
 def fissure_wall(size: float, fixed_floor: bool = True, lip: float = 0.2) -> float:
-    """The blade, 1 u wide, 0.25 u above the floor, against a wall of the block of `scenes.fissure`: half of it.
+    """The blade, 1 u wide, 0.25 u above the floor, against a wall of the block of `scenes.fissure`; half is meshed.
 
     Args:
-        size: Of the elements near the blade [u].
+        size: Size of the elements near the blade [u].
         fixed_floor: Whether the fissure's floor is held, as in the scene.
         lip: Radius of the rounded edge where the wall meets the top [u].
     """
@@ -223,10 +225,10 @@ def fissure_wall(size: float, fixed_floor: bool = True, lip: float = 0.2) -> flo
 
 
 def ridge(size: float) -> float:
-    """Two jaws, 1.2 x 0.8 u, against the ridge of `scenes.clamp`, each moving by one unit: a quarter of it.
+    """Two jaws, 1.2 x 0.8 u, against the ridge of `scenes.clamp`, each moving by one unit; a quarter is meshed.
 
     Args:
-        size: Of the elements near the jaws [u].
+        size: Size of the elements near the jaws [u].
     """
     x = grid([0.0, 0.6, 1.0, 2.0], [size, size, -size])
     y = grid([0.0, 0.4, 1.6], [size, -size])
@@ -244,10 +246,10 @@ def ridge(size: float) -> float:
 
 
 def fold(size: float) -> float:
-    """The blade, 1 u wide, 0.35 u above the foot, against one side of the fold of `scenes.retract`: half of it.
+    """The blade, 1 u wide, 0.35 u above the foot, against one side of the fold of `scenes.retract`; half is meshed.
 
     Args:
-        size: Of the elements near the blade [u].
+        size: Size of the elements near the blade [u].
     """
     x = grid([0.0, 0.5, 1.2, 1.6], [size, size, -size])
     side = grid([0.45, 1.5], [-size])
@@ -273,7 +275,7 @@ CASES: dict[str, tuple[Callable[[float], float], tuple[float, float]]] = {
     "clamp": (ridge, (0.1, 0.05)),
     "retract": (fold, (0.1, 0.05)),
 }
-"""What is pushed, and the sizes of the elements [u]."""
+"""For each case the function that solves it, and the two sizes of elements [u]."""
 
 
 def main() -> None:
@@ -283,7 +285,7 @@ def main() -> None:
     for name, (solve, sizes) in CASES.items():
         coarse, fine = (solve(size) for size in sizes)
         ratio = sizes[0] / sizes[1]
-        # The error is proportional to the size of the elements.
+        # Richardson extrapolation: the error is proportional to the size of the elements.
         limit = (ratio * fine - coarse) / (ratio - 1.0)
         results[name] = {"sizes": sizes, "values": [coarse, fine], "limit": limit}
         print(f"{name}: {coarse:.3f} and {fine:.3f} u, in the limit {limit:.3f} u", flush=True)

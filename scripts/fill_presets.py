@@ -1,7 +1,7 @@
 """Fill the organs of the preset scenes with tetrahedra: writes spatula_env/geometry/filled/*.npz.
 
-Needs Netgen: pip install -e '.[tissue]'. The meshes are Netgen's, and differ from release to release of it; what is in
-the repository decides.
+Needs Netgen: pip install -e '.[tissue]'. The meshes differ between releases of Netgen; those in the repository are
+authoritative.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from spatula_env.geometry.tetrahedra import PRESETS, tetrahedralize
 FOLDER = Path(__file__).parents[1] / "spatula_env" / "geometry" / "filled"
 
 GRADINGS = {"seed": 0.1, "fissure": 0.3, "clamp": 0.3, "retract": 0.1}
-"""Of each organ: as slow as leaves it about as many nodes inside as on the surface, or fewer."""
+"""Grading of each organ's mesh: the slowest growth of elements inwards with which there are at most about as many nodes
+inside as on the surface."""
 
 
 def main() -> None:
-    """Write the files, and tell how good the meshes are."""
+    """Write the files, and print the quality of the meshes."""
     FOLDER.mkdir(exist_ok=True)
     for name in PRESETS:
         organ = getattr(scenes, name)().organs[0].organ
         mesh = tetrahedralize(organ, GRADINGS[name])
         inside = mesh.nodes.copy()
-        # Positions inside are free: single precision is enough, and half as long.
+        # Inner nodes need not match anything, so single precision suffices, which halves their size.
         inside[len(organ.vertices) :] = inside[len(organ.vertices) :].astype(np.float32)
         np.savez_compressed(
             FOLDER / f"{name}.npz",

@@ -1,10 +1,10 @@
-"""Lists the tests that take long, by the results of a run of all.
+"""Lists the slow tests in tests/slow.txt, from the results of a run of all tests.
 
 `make test-fast` leaves them out, and other runs begin with their files.
 
     python scripts/slow_tests.py build/test-results/test.xml
 
-A test counts with what was made for it. The list is tests/slow.txt.
+The time of a test includes that of its fixtures.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 
 LIMIT = 0.2
-"""The greatest time of a test that is not slow [s]."""
+"""A test is slow if it takes longer than this [s]."""
 
 
 def slow_tests(results: Path, limit: float) -> dict[str, float]:
-    """How long tests took with all their cases [s], by names as `tests/file.py::test`.
+    """Total times of slow tests over all their parametrized cases [s], by names such as `tests/file.py::test`.
 
     Args:
-        results: What pytest wrote.
-        limit: Only those one of whose cases took longer [s].
+        results: JUnit XML file that pytest has written.
+        limit: A test is slow if one of its cases took longer than this [s].
     """
     times: defaultdict[str, list[float]] = defaultdict(list)
     for case in ElementTree.parse(results).iter("testcase"):
         names = case.get("classname", "").split(".")
-        # Classes of tests stand behind the module.
+        # The dotted name is that of the module, followed by those of test classes, if any.
         parts = [k for k in range(1, len(names) + 1) if Path(ROOT, *names[:k]).with_suffix(".py").exists()]
         if parts:
             file = "/".join(names[: parts[-1]]) + ".py"

@@ -1,4 +1,4 @@
-"""The results of the tests in all environments: `python scripts/summarize_tests.py FOLDER`, from pytest's files in it.
+"""Summarizes test results of all environments: `python scripts/summarize_tests.py FOLDER`, with pytest's XML files.
 
 A test counts as skipped only if no environment has run it.
 """
@@ -17,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the summary.
 
     Returns:
-        The exit status: 1 if something has failed, or there is nothing to tell of.
+        The exit status: 1 if something has failed, or there are no results.
     """
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="with the files that pytest --junitxml has written")
@@ -47,20 +47,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def read(file: Path) -> tuple[dict[str, int], dict[str, str], set[str]]:
-    """What a file of pytest tells.
+    """Read the results of one run of pytest.
 
     Args:
-        file: In the format of JUnit.
+        file: JUnit XML file.
 
     Returns:
-        How many tests passed, failed and were skipped; why, by the name of each test or module that was skipped; the
-        names of those that were run.
+        Numbers of tests that passed, failed and were skipped; the reason for each skipped test or module, by name; and
+        the names of tests that were run.
     """
     counts = {"passed": 0, "failed": 0, "skipped": 0}
     skipped: dict[str, str] = {}
     run: set[str] = set()
     for case in ElementTree.parse(file).getroot().iter("testcase"):
-        # A module that is skipped as a whole has no class.
+        # The entry of a module that is skipped as a whole has no class name.
         name = ".".join(filter(None, [case.get("classname"), case.get("name")]))
         omitted = case.find("skipped")
         if omitted is not None and omitted.get("type") != "pytest.xfail":
@@ -68,7 +68,7 @@ def read(file: Path) -> tuple[dict[str, int], dict[str, str], set[str]]:
             skipped[name] = omitted.get("message") or "no reason given"
             continue
         run.add(name)
-        # The tests of a module that is skipped elsewhere are not named there.
+        # The module counts as run, too: where it is skipped as a whole, only its own name appears.
         run.add(case.get("classname") or "")
         good = case.find("failure") is None and case.find("error") is None
         counts["passed" if good else "failed"] += 1

@@ -1,8 +1,8 @@
 """Writes the pages in docs/tasks: `python scripts/task_pages.py`, in the repository's root.
 
-There is a page for each task, and one for what all have in common. The text is the docstring of the environment's
-class, which is Markdown already, and the picture is that task's part of docs/images/tasks.png. With `--check` nothing
-is written, and the exit status is 1 if a file is not current.
+There is a page for each task, and one for what all environments have in common. The text is the docstring of the
+environment's class, which is Markdown already, and the picture is the task's part of docs/images/tasks.png. With
+`--check` nothing is written, and the exit status is 1 if a file is not current.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ PAGE = """# {title}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check all files; 1 if one should be current and is not."""
+    """Write or check all files; returns the exit status, 1 if `--check` finds a file that is not current."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true", help="write nothing; the exit status is 1 if a file is old")
     options = parser.parse_args(arguments)
@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def outdated(name: str) -> list[Path]:
-    """Which files of a page, its text and its picture, are missing or not what they would be if written now."""
+    """Files of a page, its text and its picture, that are missing or differ from what would be written now."""
     text, picture = page_path(name), picture_path(name)
     old = []
     if not text.is_file() or text.read_text(encoding="utf-8") != page(name):
@@ -76,12 +76,12 @@ def outdated(name: str) -> list[Path]:
 
 
 def page_path(name: str) -> Path:
-    """Where the page of a task is, such as "press", or that of `COMMON`."""
+    """Path of the page of a task, such as "press", or of `COMMON`."""
     return PAGES / f"{name}.md"
 
 
 def picture_path(name: str) -> Path:
-    """Where the picture of a task is."""
+    """Path of the picture of a task."""
     return SHEET.with_name(f"{name}.png")
 
 
@@ -109,9 +109,9 @@ def page(name: str) -> str:
 
 
 def as_markdown(docstring: str) -> str:
-    """A docstring without its indentation, the list of attributes at its end, and formulas that Markdown garbles."""
+    """Convert a docstring: removes indentation and the list of attributes at its end, and protects formulas."""
     text = inspect.cleandoc(docstring).partition("\nAttributes:\n")[0].rstrip()
-    # Between dollar signs alone, Markdown takes the backslash from TeX's \, before anybody reads it as a formula.
+    # Between plain dollar signs, Markdown removes the backslash of TeX's \, before the formula is rendered.
     return re.sub(r"\$([^$`\n]+)\$", r"$`\1`$", text)
 
 
@@ -122,13 +122,13 @@ def part_of_sheet(name: str) -> NDArray[np.uint8]:
 
 
 def pixels(path: Path) -> NDArray[np.uint8]:
-    """(height, width, 3) of a file."""
+    """(height, width, 3) pixels of a file."""
     with imaging().open(path) as picture:
         return np.asarray(picture.convert("RGB"))
 
 
 def write_picture(name: str) -> None:
-    """Write the picture of a task, in no more colours than the sheet has."""
+    """Write the picture of a task, as a palette image if it has at most 256 colours."""
     part = imaging().fromarray(np.ascontiguousarray(part_of_sheet(name)))
     few = part.quantize(256, dither=0) if part.getcolors(256) else part
     few.save(picture_path(name), "PNG", optimize=True)

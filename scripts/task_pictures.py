@@ -1,7 +1,7 @@
 """Draws docs/images/tasks.png: `python scripts/task_pictures.py`, in the repository's root.
 
-Each picture shows an episode of one task that its scripted expert solves, in the moment when it has. Nothing is random
-but by the seed: the same code draws the same pictures. It takes about half a minute.
+Each picture shows an episode of one task at the moment when its scripted expert has solved it. All random numbers
+follow from the seed: the same code draws the same pictures. It takes about half a minute.
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ if TYPE_CHECKING:
 gym.register_envs(spatula_env)
 
 SEEDS = {"Press": 3, "Retract": 1, "Fissure": 7, "Clamp": 3, "Palpate": 2}
-"""The tasks in the order in which they are shown, and of each an episode in which nothing hides what matters."""
+"""The tasks in the order in which they are shown, each with the seed of an episode in which nothing important is
+hidden."""
 
 SIDE = 300
-"""Of a picture [pixels]."""
+"""Width and height of a picture [pixels]."""
 
 STRIP = 34
-"""Height of the strip below the pictures [pixels]."""
+"""Height of each of the two strips below the pictures, for names and for the scale of colours [pixels]."""
 
 MOST_BYTES = 250_000
-"""Of the file."""
+"""Greatest size of the file [bytes]."""
 
 GAP = 6
-"""Between two pictures [pixels]."""
+"""Gap between two pictures [pixels]."""
 
 INK = (38, 44, 52)
 FAINT_INK = (98, 106, 116)
@@ -47,7 +48,7 @@ PAPER = (255, 255, 255)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw what is asked for."""
+    """Draw all pictures and write the file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("docs/images/tasks.png"), help="file to write")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="batch")
@@ -60,12 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def solve(task: str, engine: str, seed: int) -> NDArray[np.uint8]:
-    """A picture (SIDE, SIDE, 3) of an episode that the expert solves, in the step in which it does.
+    """Picture (SIDE, SIDE, 3) of an episode at the step in which the scripted expert solves it, or at its end.
 
     Args:
-        task: Such as "Press".
+        task: Name of the task, such as "Press".
         engine: "batch", "tissue" or "bullet".
-        seed: Of the episode.
+        seed: Seed of the episode.
     """
     expert_type = getattr(import_module(f"spatula_env.learning.experts.{task.lower()}"), f"{task}Expert")
     env: Any = gym.make(f"Spatula/{task}-v0", engine=engine, render_mode="rgb_array", width=SIDE, height=SIDE)
@@ -87,7 +88,7 @@ def solve(task: str, engine: str, seed: int) -> NDArray[np.uint8]:
 
 
 def tile(pictures: dict[str, NDArray[np.uint8]]) -> Image:
-    """The pictures side by side, with their names and the colours of pressure below."""
+    """The pictures side by side, with their names and the colour scale of pressure below."""
     from PIL import Image, ImageDraw, ImageFont
 
     count = len(pictures)
@@ -113,7 +114,11 @@ def tile(pictures: dict[str, NDArray[np.uint8]]) -> Image:
 
 
 def encode(sheet: Image) -> bytes:
-    """A PNG file of at most `MOST_BYTES`, with as many colours as that allows."""
+    """Encode a sheet as a PNG file of at most `MOST_BYTES`, with as many colours as that allows.
+
+    Raises:
+        ValueError: If it does not fit even with the fewest colours.
+    """
     from PIL import Image
 
     for colors in (None, 256, 192, 128, 64):

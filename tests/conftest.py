@@ -58,9 +58,10 @@ OWN_PRESS = dedent('''
 
 @pytest.fixture
 def own_press(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """The name of a module of a user's own, in `tmp_path`, that registers "Mine/Press-v0" once it is imported.
+    """Name of a user's module, in `tmp_path`, that registers "Mine/Press-v0" when it is imported.
 
-    Nobody has imported it yet, also no process that is started; at the end all that it has registered is forgotten.
+    It has not been imported yet, neither here nor in processes that are started. At the end, everything that it has
+    registered is removed.
     """
     import gymnasium
 
@@ -76,7 +77,7 @@ def own_press(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 WITHOUT_BULLET = "SPATULA_TESTS_WITHOUT_BULLET"
-"""An environment variable: with "1" PyBullet cannot be imported in the tests and the processes that they start."""
+"""Environment variable: if it is "1", PyBullet cannot be imported in the tests and the processes that they start."""
 
 if os.environ.get(WITHOUT_BULLET) == "1":
     stand_in = str(Path(__file__).parent / "without_bullet")
@@ -85,7 +86,7 @@ if os.environ.get(WITHOUT_BULLET) == "1":
 
 
 def no_bullet() -> str | None:
-    """Why PyBullet cannot be imported; None if it can."""
+    """The reason why PyBullet cannot be imported; None if it can."""
     try:
         import_module("pybullet")
     except ImportError as error:
@@ -97,20 +98,20 @@ NO_BULLET = no_bullet()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    # Whoever runs the tests in the background, or under nohup, has signals ignored, in all that they start too.
+    # In the background, or under nohup, a shell starts the tests with signals ignored, which child processes inherit.
     for name, default in (("SIGINT", signal.default_int_handler), ("SIGHUP", signal.SIG_DFL)):
         if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is signal.SIG_IGN:
             signal.signal(getattr(signal, name), default)
     if NO_BULLET is not None:
-        # That the default is then another engine is said where it is tested.
+        # The warning that another engine is then the default is tested elsewhere.
         config.addinivalue_line("filterwarnings", "ignore:PyBullet is not installed, so environments:UserWarning")
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """One more than cores, as tests of pages and of other processes wait much of their time.
+    """Number of workers: one more than cores, as tests of pages and of other processes wait much of their time.
 
-    Not in the first run, in which all workers compile the same kernels.
+    In the first run, in which all workers compile the same kernels, it is the number of cores.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return cores + any((ROOT / "spatula_env").glob("*/__pycache__/*.nbi"))
@@ -122,7 +123,7 @@ def _names_bullet(value: Any) -> bool:
 
 
 def read_slow() -> dict[str, float]:
-    """Tests that `make test-fast` leaves out, and how long each takes with all its parameters [s]."""
+    """Tests that `make test-fast` leaves out, and the total time of each over all its parameters [s]."""
     lines = (Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").splitlines()
     return {name: float(seconds) for name, seconds in map(str.split, lines)}
 
@@ -132,10 +133,10 @@ SLOW = read_slow()
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, and what is of PyBullet, which is skipped where there is none; long files come first.
+    """Mark slow tests and tests of PyBullet, skip the latter where it is not installed, and sort long files first.
 
-    Of PyBullet are tests of which "bullet" is a parameter, an engine or a contact model. A file stays on one worker: if
-    a long one began last, the others would wait for it.
+    A test is one of PyBullet if "bullet" is one of its parameters, as an engine or a contact model. A file stays on one
+    worker: if a long one began last, the other workers would wait for it.
     """
     lengths: Counter[Path] = Counter()
     for name, seconds in SLOW.items():

@@ -74,7 +74,7 @@ def make_episode(number: int, *, nodes: Any = None) -> Episode:
 
 
 def made_up_env() -> Any:
-    """What a writer wants to know of an environment, without the physics."""
+    """Stands in for an environment, with all that a writer needs of it and no physics."""
     import gymnasium as gym
 
     return SimpleNamespace(

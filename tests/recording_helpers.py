@@ -1,4 +1,4 @@
-"""Episodes without physics, for tests of what becomes of them."""
+"""Episodes without physics, for tests of recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ID = "spatula/test/made_up-v0"
 
 
 class Pictures(gym.Env):
-    """Observes noise: hard on any lossy compression."""
+    """An environment whose pictures are noise, which any lossy compression changes."""
 
     observation_space = spaces.Dict(
         {

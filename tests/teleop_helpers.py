@@ -8,7 +8,7 @@ from spatula_env.teleop import DeviceError, DeviceLost, DeviceSample, TeleopDevi
 
 
 class Puppet(TeleopDevice):
-    """A device whose position or rate, buttons and fate a test decides; it remembers the forces."""
+    """A device whose position or rate, buttons and failures are set by a test; it records the forces."""
 
     def __init__(self, kind="position", has_force=False):
         self.name = "puppet"

@@ -1,4 +1,4 @@
-"""Which engine is used where none is named, and what is said where PyBullet is missing."""
+"""The default engine, and the messages where PyBullet is missing."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Who may import whom: what is above builds on what is below, and nothing goes round in a circle.
+"""Which module may import which: a layer builds only on the layers below it, and there are no import cycles.
 
-Imports inside functions count, and those for type checking alone: they make a module no easier to understand.
+Imports inside functions and for type checking alone count, too: they do not make a module easier to understand.
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ LAYERS = (
 """Modules and packages of `spatula_env`, from top to bottom. Each may import what is in layers below its own."""
 
 SAME_LAYER = {("envs", "naming"), ("naming", "envs")}
-"""An environment's name is found by what it is made of; and what makes environments of all kinds is told a name."""
+"""Allowed imports within a layer, (importer, imported): `naming` needs the classes of environments, and `envs` looks up
+environments by name."""
 
 CIRCLES: set[frozenset[str]] = set()
-"""What goes round in a circle. None may be added; a circle that is opened is to be taken out."""
+"""Known import cycles. None may be added; remove a cycle from here when it has been broken."""
 
 PACKAGES = ("spatula_env", "agents", "benchmarks")
 
@@ -60,7 +61,7 @@ def arrows(graph: grimp.ImportGraph) -> dict[str, set[str]]:
 
 
 def circles(imported: dict[str, set[str]]) -> set[frozenset[str]]:
-    """Modules that import each other, one circle after the other taken apart."""
+    """Import cycles, as sets of modules that import each other."""
     imported = {module: set(others) for module, others in imported.items()}
     found = set()
     while True:

@@ -1,4 +1,4 @@
-"""Hints name a command that works where they are read."""
+"""Installation hints name a command that works where the package is used from."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_checkout_is_named_by_its_folder(tmp_path: Path) -> None:
 
 
 def test_no_other_words_are_in_the_code() -> None:
-    """One function says what to install, because the words differ."""
+    """Only one function makes installation hints, because their wording depends on how the package is installed."""
     for folder in ("spatula_env", "agents", "benchmarks", "scripts"):
         for file in (ROOT / folder).rglob("*.py"):
             if file.name != "installing.py":

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, and what is said while they are compiled."""
+"""Where compiled kernels are cached, and the messages while they are compiled."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PATIENCE = 300.0
 
 @pytest.fixture
 def log(caplog):
-    """What an announcer of this test's own says; the package's may have spoken before."""
+    """Messages of an announcer of this test's own; the package's may have printed its message before."""
     caplog.set_level(logging.WARNING, logger="spatula_env")
     listener = Announcer(Cache(kept=True))
     event.register(COMPILE, listener)
@@ -169,7 +169,7 @@ def test_what_is_compiled_into_a_kernel_from_another_file_may_change(site):
             stale.unlink()
         said = run_copy(site)
         assert said[-1].split()[0] == str(factor * (factor * 2.0 + step) + step)
-        # It is compiled anew if something has changed, and only then.
+        # The kernel is recompiled if something has changed, and only then.
         assert (len(said) > 1) == changes
 
 

@@ -1,7 +1,7 @@
-"""Nothing that only some systems have is taken for granted, as far as that can be seen on one of them.
+"""The package does not depend on features that only some systems have, as far as that can be tested on one of them.
 
-The modules of this package are shown `os` and `signal` as they are on Windows, and cannot import what is not there.
-Everybody else's modules see what there is.
+The modules of this package see `os` and `signal` as they are on Windows, and cannot import modules that are missing
+there. All other modules see the real system.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The list of tests that take long, and what makes it."""
+"""The list of slow tests, and the script that makes it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the summary of all environments tells."""
+"""The summary of test results over all environments."""
 
 from __future__ import annotations
 

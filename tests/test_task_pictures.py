@@ -1,4 +1,4 @@
-"""The picture of the tasks: is it of a size for a README, and does it show what its script says?"""
+"""The picture of the tasks: is it small enough for a README, and does it show what its script claims?"""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""How what users do grows with the size of what they do it with; `python -m benchmarks.growth`."""
+"""How the cost of what users do grows with size; run with `python -m benchmarks.growth`."""

@@ -1,18 +1,18 @@
-"""How does what users do grow with the size of what they do it with?
+"""How does the cost of what users do grow with size?
 
-Each row is something that users do, done at several sizes; its exponent is the power of the size with which the cost
-grows, by least squares: 0 if it does not, 1 in proportion, 2 if it is quadratic.
+Each row is something that users do, measured at several sizes. Its exponent is the power of the size with which the
+cost grows, by least squares: 0 for a constant cost, 1 for a proportional one, 2 for a quadratic one.
 
-sizes     Control steps of W worlds and a reset of one of them (`gymnasium.make_vec`); physics steps in contact over the
-          nodes of the organ, those of the tool, and the number of tools; pictures over their pixels. Processor time of
-          one thread.
-datasets  A dataset of 10,000 short episodes: adding to it at the beginning and at the end, listing, opening, merging,
-          reading it with Minari, and how much longer than its numbers an episode's file is.
+sizes     A control step of W worlds and a reset of one of them (`gymnasium.make_vec`), over W; a physics step in
+          contact, over the organ's nodes, the tool's nodes, and the number of tools; a picture, over its pixels.
+          Processor time of one thread.
+datasets  A dataset of 10,000 short episodes: appending to it when it is small and when it is large, listing, opening,
+          merging, reading it with Minari, and the size of an episode's file relative to its numbers.
 killing   Two programs that write into one dataset, one of which is killed at a random moment, again and again.
-left      Environments, 200 for each engine, closed or only dropped: memory, PyBullet's clients, descriptors, threads
-          and temporary files that are left of them.
-long      Memory over 1,000,000 steps of the batch engine's environments and 100,000 of Bullet's. It takes an hour, and
-          is done only if it is asked for.
+left      Environments, 200 for each engine and ending, closed or only dropped: memory, PyBullet clients, file
+          descriptors, threads and temporary files that they leave behind.
+long      Memory over 1,000,000 steps of the batch engine's environments and 100,000 of Bullet's. Takes an hour, and
+          runs only on request.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ QUICK_SHARE = 0.01
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print, and draw; returns the exit status."""
+    """Measure, print and draw; returns the exit status."""
     options = parser(__doc__ or "")
     options.add_argument("--parts", nargs="+", choices=PARTS, default=list(USUAL), help="default: %(default)s")
     options.add_argument("--of-sizes", nargs="+", choices=tuple(SIZES), default=list(SIZES), help="what of `sizes`")
@@ -77,7 +77,7 @@ def _measure(part: str, quick: bool, of_sizes: Sequence[str], engines: list[str]
         return measure_left(engines, QUICK_ENVIRONMENTS if quick else ENVIRONMENTS)
     if part == "long":
         return measure_long(engines, QUICK_SHARE if quick else 1.0)
-    # These need Minari.
+    # The other parts need Minari.
     if part == "killing":
         from benchmarks.growth.killing import measure_killing
 

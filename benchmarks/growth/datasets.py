@@ -1,6 +1,6 @@
-"""What recording, listing, opening, reading and merging cost as datasets grow, in processor time unless said.
+"""The cost of recording, listing, opening, reading and merging as datasets grow, in processor time unless stated.
 
-Episodes are short ones, made from a few that a script has played, with other seeds: what is timed is the dataset.
+Episodes are short copies of a few that a script has played, with other seeds, as only the dataset is timed.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from spatula_env.data.replaying import open_dataset
 
 ENVIRONMENT = "Spatula/Press-v0"
 STEPS = 50
-"""Of an episode."""
+"""Steps of an episode."""
 PLAYED = 8
-"""Different episodes."""
+"""Number of different episodes that are played."""
 MILESTONES = (100, 300, 1_000, 3_000, 10_000)
-"""Sizes of the dataset at which it is listed, opened and merged."""
+"""Sizes of the dataset [episodes] at which it is summarised, opened and merged."""
 COMPARED = 300
-"""Episodes that are added, in turns, to the large dataset and to a new one."""
+"""Number of episodes that are added, in turns, to the large dataset and to a new one."""
 LARGE, SMALL, MERGED = "growth/large-v0", "growth/small-v0", "growth/merged-v0"
 
 Played = list[tuple[Any, ...]]
 
 
 def play(episodes: int = PLAYED, steps: int = STEPS) -> tuple[Any, list[Played]]:
-    """Let a script play some episodes.
+    """Play some episodes by a script.
 
     Returns:
-        The environment, and for each episode what its reset and its steps returned; steps with the action first.
+        The environment; and for each episode the result of its reset, then for each step the action and the results.
     """
     env = gymnasium.make(ENVIRONMENT, engine="batch", max_episode_steps=steps)
     generator = np.random.default_rng(0)
@@ -56,12 +56,12 @@ def play(episodes: int = PLAYED, steps: int = STEPS) -> tuple[Any, list[Played]]
 
 
 def episodes_of(env: Any, played: list[Played], first: int = 0) -> Iterator[data.Episode]:
-    """Episodes without end, each through the recorder, with seeds that go on.
+    """Endless iterator of episodes, made by the recorder from played ones, with consecutive seeds.
 
     Args:
-        env: That was played in.
-        played: The result.
-        first: Seed of the first.
+        env: The environment that was played in.
+        played: The played episodes, which are repeated in turn.
+        first: Seed of the first episode.
     """
     recorder = data.EpisodeRecorder(env, states=False)
     for seed in count(first):
@@ -73,19 +73,19 @@ def episodes_of(env: Any, played: list[Played], first: int = 0) -> Iterator[data
 
 
 def payload(value: Any) -> int:
-    """Of numbers and text [bytes]."""
+    """Size of the numbers and texts in a nested value [bytes]."""
     if isinstance(value, Mapping):
         return sum(map(payload, value.values()))
     return sum(map(len, value)) if isinstance(value, list) else int(np.asarray(value).nbytes)
 
 
 def measure_datasets(root: Path, milestones: tuple[int, ...] = MILESTONES, compared: int = COMPARED) -> dict[str, Any]:
-    """Let a dataset grow, and look at it at some sizes.
+    """Let a dataset grow, and measure it at several sizes.
 
     Args:
         root: An empty folder.
-        milestones: The sizes.
-        compared: How many episodes are added in turns to the large dataset and to a new one.
+        milestones: The sizes, ascending.
+        compared: Number of episodes that are added in turns to the large dataset and to a new one.
     """
     env, played = play()
     episodes = episodes_of(env, played)
@@ -127,10 +127,10 @@ def measure_datasets(root: Path, milestones: tuple[int, ...] = MILESTONES, compa
 
 
 def compare_appends(large: Any, small: Any, episodes: Iterator[data.Episode], number: int) -> dict[str, float]:
-    """Add to a large dataset and to a small one in turns, so that both meet the same machine.
+    """Add to a large dataset and to a small one in turns, so that disturbances of the machine affect both.
 
     Returns:
-        Median times [ms], their ratio, and that of the processor's time.
+        Median wall-clock times [ms], their ratio, and the ratio of the median processor times.
     """
     wall: dict[str, list[float]] = {"large": [], "small": []}
     cpu: dict[str, list[float]] = {"large": [], "small": []}
@@ -149,7 +149,7 @@ def compare_appends(large: Any, small: Any, episodes: Iterator[data.Episode], nu
 
 
 def time_list(root: Path) -> dict[str, float]:
-    """How long `spatula datasets list` takes, from start to end, and its processor's time [s]."""
+    """Wall-clock time of `spatula datasets list`, from start to end, and its processor time [s]."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     start = time.perf_counter()
     command = [sys.executable, "-m", "spatula_env.cli", "datasets", "list", "--json", "--root", str(root)]
@@ -163,7 +163,7 @@ def time_list(root: Path) -> dict[str, float]:
 
 
 def read_with_minari(root: Path, expected: int) -> dict[str, Any]:
-    """Read all of the large dataset as Minari's users do."""
+    """Read all of the large dataset as users of Minari do, and check that it is complete."""
     import minari
 
     os.environ["MINARI_DATASETS_PATH"] = str(root)

@@ -1,4 +1,4 @@
-"""Exponents: how steep a cost is over a size, where both have logarithmic scales."""
+"""Exponents of growth, the slope of cost over size on logarithmic scales; and processor times."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ import numpy as np
 
 
 def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
-    """The power of the size with which a cost grows, by least squares; 0: it does not, 1: in proportion.
+    """The power of the size with which a cost grows, by least squares; 0: constant, 1: proportional.
 
     Args:
-        sizes: Two or more, different.
-        costs: Of each, positive.
+        sizes: Two or more different sizes.
+        costs: Cost at each size, positive.
     """
     return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])
 
 
 def growth(costs: Mapping[int, float], unit: str, what: str) -> dict[str, Any]:
-    """A curve with its exponents.
+    """A curve of cost over size, with its exponents.
 
     Args:
-        costs: By size, ascending.
-        unit: Of the costs.
-        what: What the size is.
+        costs: Costs by size, ascending.
+        unit: Unit of the costs.
+        what: Name of the size.
 
     Returns:
-        The curve; "exponent" of all of it, and "last_exponent" of the larger half, where what is constant counts less.
+        The curve; "exponent" of all of it, and "last_exponent" of its larger half, where a constant part of the cost
+        matters less.
     """
     sizes, values = list(costs), list(costs.values())
     half = min(len(sizes) // 2, len(sizes) - 2)
@@ -44,7 +45,7 @@ def growth(costs: Mapping[int, float], unit: str, what: str) -> dict[str, Any]:
 
 
 def cpu_seconds(call: Callable[[], object], repeats: int = 1) -> float:
-    """The least processor time of a call, of some repeats [s]."""
+    """The least processor time of a call over some repeats [s]."""
     times = []
     for _ in range(repeats):
         start = time.process_time()
@@ -54,12 +55,12 @@ def cpu_seconds(call: Callable[[], object], repeats: int = 1) -> float:
 
 
 def cpu_microseconds(call: Callable[[], object], repeats: int, warm_up: int = 2) -> float:
-    """The median of a call's processor time, which other programs do not lengthen much [us].
+    """The median processor time of a call, which other programs hardly change [us].
 
     Args:
-        call: What is timed.
-        repeats: How often.
-        warm_up: How many calls come first and do not count.
+        call: Function to time.
+        repeats: Number of timed calls.
+        warm_up: Number of untimed calls before them.
     """
     times = []
     for number in range(warm_up + repeats):
@@ -71,5 +72,5 @@ def cpu_microseconds(call: Callable[[], object], repeats: int, warm_up: int = 2)
 
 
 def tell(words: str) -> None:
-    """Say on standard error what is being done."""
+    """Print a progress message on standard error."""
     print(words, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""What is asked of the figures."""
+"""Limits on the figures of growth."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EXPONENTS = {
     ("datasets", "opened"): 1.1,
     ("datasets", "merged"): 1.1,
 }
-"""Greatest exponents, by where they are in the figures. Time per world and step is not to grow; the rest is noise."""
+"""Greatest exponents, by path in the results. The time per world and step must not grow; the margin is for noise."""
 
 LIMITS: Mapping[tuple[str, ...], float] = {
     ("datasets", "append", "ratio"): 1.3,
@@ -25,8 +25,8 @@ LIMITS: Mapping[tuple[str, ...], float] = {
     ("datasets", "list", "cpu_seconds"): 2.0,
     ("datasets", "payload_ratio"): 1.5,
 }
-"""Greatest values: of adding to a large dataset against a new one; of the processor time of `datasets list` [s];
-and of a short episode's file against its numbers."""
+"""Greatest values, by path in the results: time to append to a large dataset relative to a new one; processor time of
+`datasets list` [s]; size of a short episode's file relative to its numbers."""
 
 COUNTS: Mapping[tuple[str, ...], float] = {
     ("killing", "lost"): 0,
@@ -35,19 +35,19 @@ COUNTS: Mapping[tuple[str, ...], float] = {
     ("killing", "left_behind"): 0,
 }
 LEFT = {"growth": 5.0, "clients": 0, "descriptors": 0, "threads": 0, "files": 0}
-"""Of environments that are no more; memory in MB."""
+"""Most that environments may leave behind; memory in MB."""
 LONG = {"growth": 5.0}
-"""Of memory over a long run [MB]."""
+"""Greatest growth of memory over a long run [MB]."""
 
 
 def judge(result: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Hold figures against what is asked.
+    """Compare figures with their limits.
 
     Args:
-        result: What was measured, by part.
+        result: Results by part.
 
     Returns:
-        For each threshold that was measured its "value", its "limit", and whether it "passed".
+        For each limited figure that was measured, its "value", its "limit", and whether it "passed".
     """
     found: dict[str, dict[str, Any]] = {}
 

@@ -1,8 +1,8 @@
-"""Two programs that write into one dataset, one of which is killed again and again: is all there that was told?
+"""Two programs write into one dataset, and one of them is killed again and again: are all confirmed episodes there?
 
-A program says the number of each episode when `DatasetWriter.add` has returned. After each kill another program takes
-the killed one's place. In the end every episode that was told must be there once, whole and readable by Minari; of each
-program one may be there that it had no time to tell.
+A program prints the number of each episode after `DatasetWriter.add` has returned, which confirms it. After each kill
+another program takes the killed one's place. In the end every confirmed episode must be in the dataset exactly once,
+whole and readable. Each program may have added one more episode that it had no time to confirm.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ from spatula_env.data.replaying import open_dataset, read_entries
 
 KILLED = "growth/killed-v0"
 STEPS = 20
-"""Of the episodes."""
+"""Steps of an episode."""
 BLOCK = 100_000
-"""Seeds of a program, which it does not get through."""
+"""Number of seeds reserved for each program; more than it can use up."""
 TAPE = "tape.pickle"
-"""In the folder of the datasets: what the programs write."""
+"""File in the folder of the datasets with the episode that the programs write."""
 LONGEST_WAIT = 0.3
 """Longest time from a program's first episode to the kill [s]."""
 
 
 @dataclass(frozen=True)
 class Killing:
-    """The result.
+    """Result of the measurement.
 
     Attributes:
-        kills: How many programs were killed.
-        told: Episodes that were said to be there.
-        found: Episodes that are there.
-        lost: Of those told, how many are not.
-        twice: How many are there more than once.
-        damaged: How many are not what was written.
-        left_behind: Files that were being written, after the next program has begun to write.
-        seconds: How long it took.
+        kills: Number of programs that were killed while others went on.
+        told: Number of episodes that were confirmed.
+        found: Number of episodes in the dataset.
+        lost: Confirmed episodes that are not in the dataset.
+        twice: Surplus copies of episodes.
+        damaged: Episodes that differ from what was written.
+        left_behind: Temporary files that are still there after another writer has opened the dataset.
+        seconds: Duration of the measurement [s].
     """
 
     kills: int
@@ -63,27 +63,27 @@ class Killing:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is lost, nothing is there twice, and all is whole."""
+        """Whether nothing is lost, doubled, damaged or left, and each program has at most one unconfirmed episode."""
         untold = self.found - self.told
         return not (self.lost or self.twice or self.damaged or self.left_behind) and untold <= self.kills + 2
 
 
 def write(root: Path, first: int) -> None:
-    """What the programs do: add episodes, and tell each when it is there, until they are killed."""
+    """Act as one of the programs: add episodes, and confirm each, until the process is killed."""
     env, episode = pickle.loads((root / TAPE).read_bytes())
     writer = data.DatasetWriter(KILLED, env, root=root)
     for seed in itertools.count(first):
-        # It is known again by its rewards.
+        # The rewards identify the episode later.
         writer.add(replace(episode, seed=seed, rewards=np.full(len(episode), float(seed))))
         print(seed, flush=True)
 
 
 def measure_killing(kills: int, seed: int = 0) -> dict[str, Any]:
-    """Kill programs at random moments.
+    """Kill programs at random moments, and examine the dataset.
 
     Args:
-        kills: How often.
-        seed: Of the moments.
+        kills: Number of kills.
+        seed: Seed of the random moments.
     """
     generator = np.random.default_rng(seed)
     start = time.perf_counter()
@@ -91,7 +91,7 @@ def measure_killing(kills: int, seed: int = 0) -> dict[str, Any]:
         root = Path(folder)
         env, played = play(1, STEPS)
         episode = next(episodes_of(env, played))
-        # What a writer wants to know of an environment, without the physics: programs are to write, not to start.
+        # All that a writer needs of an environment. Without physics, programs start fast and spend their time writing.
         known = SimpleNamespace(spec=env.spec, observation_space=env.observation_space, action_space=env.action_space)
         (root / TAPE).write_bytes(pickle.dumps((known, episode)))
         told: set[int] = set()
@@ -106,7 +106,7 @@ def measure_killing(kills: int, seed: int = 0) -> dict[str, Any]:
                 if (kill + 1) % 10 == 0:
                     tell(f"killed {kill + 1} of {kills}; {len(told)} episodes told")
             for program in programs:
-                # The two that write at last write whole episodes, too.
+                # Wait until the last two programs have written an episode, too.
                 told.update(_first_of(program))
         finally:
             for program in programs:
@@ -121,7 +121,7 @@ def _begin(root: Path, block: int) -> subprocess.Popen[str]:
 
 
 def _first_of(program: subprocess.Popen[str]) -> list[int]:
-    """Wait for an episode, and return its number."""
+    """Wait until a program confirms an episode, and return its number in a list."""
     assert program.stdout is not None
     line = program.stdout.readline()
     if not line:
@@ -130,7 +130,7 @@ def _first_of(program: subprocess.Popen[str]) -> list[int]:
 
 
 def _end(program: subprocess.Popen[str]) -> list[int]:
-    """Kill a program, and return what else it has told."""
+    """Kill a program, and return the numbers of all further episodes that it has confirmed."""
     program.kill()
     rest, _ = program.communicate()
     return [int(line) for line in rest.splitlines(keepends=True) if line.endswith("\n")]
@@ -138,7 +138,7 @@ def _end(program: subprocess.Popen[str]) -> list[int]:
 
 def _look(root: Path, episode: Any, kills: int, told: set[int], start: float) -> Killing:
     env, _ = pickle.loads((root / TAPE).read_bytes())
-    # The next program finds, and clears away, what was left half written.
+    # Opening the dataset once more removes files that were left incomplete.
     data.DatasetWriter(KILLED, env, root=root)
     seeds = [entry.seed for entry in read_entries(KILLED, root)]
     damaged = 0

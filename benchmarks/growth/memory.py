@@ -1,4 +1,4 @@
-"""What is left of environments that were closed or only dropped, and memory over long runs, each in a fresh process."""
+"""What closed or dropped environments leave behind, and memory over long runs; each measured in a fresh process."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ Result = TypeVar("Result")
 
 ENDINGS = ("closed", "dropped")
 ENVIRONMENTS, SETTLED = 200, 20
-"""How many environments are made, and after every how many memory is read."""
+"""Number of environments that are made, and interval at which memory is read [environments]."""
 WORLDS = 64
-"""Of the batch engine in a long run."""
+"""Number of worlds of the batch engine in a long run."""
 LONG_STEPS = {"batch": 1_000_000, "bullet": 100_000}
-"""Steps of environments in a long run; those of all worlds count."""
+"""Environment steps of a long run, summed over all worlds, by engine."""
 SAMPLES = 100
 """How often memory is read in a long run."""
 WARM_UP = 0.1
-"""Share of a long run after which memory is to stay what it is."""
+"""Share of a long run after which memory must stay constant."""
 LIMIT = 5.0
-"""Greatest growth [MB]."""
+"""Greatest growth of memory [MB]."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,13 @@ class Left:
     """What environments leave behind.
 
     Attributes:
-        memory: After every `SETTLED` environments [MB].
-        growth: Of memory, from the first reading to the last [MB].
-        clients: Of PyBullet that are still connected.
-        descriptors: More than at the first reading.
-        threads: Likewise, those of compiled code included.
-        files: In the folder for temporary ones.
-        seconds: How long it took.
+        memory: Memory after every `SETTLED` environments [MB].
+        growth: Growth of memory from the first reading to the last [MB].
+        clients: PyBullet clients that are still connected.
+        descriptors: File descriptors in excess of the first reading.
+        threads: Threads in excess of the first reading, those of compiled code included.
+        files: Files in the temporary folder.
+        seconds: Duration of the measurement [s].
     """
 
     memory: list[float]
@@ -62,7 +62,7 @@ class Left:
 
     @property
     def passed(self) -> bool:
-        """Whether that is next to nothing."""
+        """Whether memory grows by no more than `LIMIT`, and nothing else is left behind."""
         return self.growth <= LIMIT and not (self.clients or self.descriptors > 0 or self.threads > 0 or self.files)
 
 
@@ -71,11 +71,11 @@ class LongRun:
     """Memory over a long run.
 
     Attributes:
-        steps: Of environments.
+        steps: Environment steps, summed over all worlds.
         memory: Samples [MB].
-        growth: From the end of the warm-up to the end [MB].
-        peak_growth: From there to the greatest sample after it [MB].
-        seconds: How long it took.
+        growth: Growth from the end of the warm-up to the end of the run [MB].
+        peak_growth: Growth from the end of the warm-up to the greatest later sample [MB].
+        seconds: Duration of the run [s].
     """
 
     steps: int
@@ -86,24 +86,24 @@ class LongRun:
 
     @property
     def passed(self) -> bool:
-        """Whether it is flat."""
+        """Whether memory grows by no more than `LIMIT`."""
         return self.growth <= LIMIT
 
 
 def in_fresh_process(work: Callable[..., Result], *arguments: Any) -> Result:
-    """What a function returns in a process of its own, which has done nothing else."""
+    """Call a function in a new process, and return its result."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(work, *arguments).result()
 
 
 def leave_environments(engine: str, ending: str, count: int = ENVIRONMENTS, settled: int = SETTLED) -> Left:
-    """Make environments, for one agent and for several, of all tasks; use them a little, and end them.
+    """Make environments of all tasks, single and vector ones, use each a little, and close or drop it.
 
     Args:
         engine: "batch" or "bullet".
         ending: "closed" or "dropped".
-        count: How many.
-        settled: After every so many of them memory is read.
+        count: Number of environments.
+        settled: Interval at which memory is read [environments].
     """
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TMPDIR"], tempfile.tempdir = folder, None
@@ -141,7 +141,7 @@ def _use(engine: str, ending: str, number: int) -> None:
 
 
 def _held() -> tuple[float, int, int]:
-    """Memory [MB], descriptors and threads of this process; 0 where the system does not tell."""
+    """Memory [MB], file descriptors and threads of this process; 0 where the system does not report them."""
     gc.collect()
     _trim()
     counts = [len(os.listdir(place)) if os.path.isdir(place) else 0 for place in ("/proc/self/fd", "/proc/self/task")]
@@ -149,13 +149,13 @@ def _held() -> tuple[float, int, int]:
 
 
 def _trim() -> None:
-    """Let the allocator give back what nobody holds; it keeps 10 MB or 30, now and then, that Bullet has had."""
+    """Make the allocator return free memory; otherwise it sometimes keeps 10 to 30 MB that Bullet has used."""
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _clients(most: int) -> int:
-    """How many of PyBullet's clients are connected."""
+    """How many PyBullet clients are connected, of the first `most` ids."""
     if "pybullet" not in sys.modules:
         return 0
     import pybullet
@@ -164,12 +164,12 @@ def _clients(most: int) -> int:
 
 
 def run_long(engine: str, steps: int, show: bool = True) -> LongRun:
-    """Make random steps, resets and all, and watch the memory.
+    """Make random steps, resets included, and watch the memory.
 
     Args:
         engine: "batch", with many worlds, or "bullet", with one.
-        steps: Of environments.
-        show: Whether to tell how far it is, on standard error.
+        steps: Environment steps, summed over all worlds.
+        show: Whether to report progress on standard error.
     """
     task, generator = "Spatula/Press-v0", np.random.default_rng(0)
     count = WORLDS if engine == "batch" else 1
@@ -184,7 +184,7 @@ def run_long(engine: str, steps: int, show: bool = True) -> LongRun:
     action = np.zeros(env.action_space.shape, dtype=np.float32)
     for number in range(1, rounds + 1):
         if number % 10 == 1:
-            # Downwards more often than not: there is contact.
+            # Downwards more often than upwards, so that there is contact.
             action = generator.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
             action[..., 2] -= 0.3
             action = action.clip(-1.0, 1.0)
@@ -204,7 +204,7 @@ def run_long(engine: str, steps: int, show: bool = True) -> LongRun:
 
 
 def measure_left(engines: list[str], count: int = ENVIRONMENTS) -> dict[str, Any]:
-    """Of each engine and each ending what environments leave behind."""
+    """Measure what environments leave behind, for each engine and each ending."""
     found: dict[str, Any] = {}
     for engine in engines:
         for ending in ENDINGS:
@@ -215,11 +215,11 @@ def measure_left(engines: list[str], count: int = ENVIRONMENTS) -> dict[str, Any
 
 
 def measure_long(engines: list[str], share: float = 1.0) -> dict[str, Any]:
-    """Of each engine how memory is over a long run.
+    """Measure memory over a long run, for each engine.
 
     Args:
-        engines: Which.
-        share: Of the full number of steps.
+        engines: The engines.
+        share: Share of the full number of steps to make.
     """
     found: dict[str, Any] = {}
     for engine in engines:

@@ -1,4 +1,4 @@
-"""The curves of growth as a picture."""
+"""Draws the curves of growth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PANELS = (
     ("pictures", "pixels", ("picture",)),
     ("datasets", "episodes", ("appended", "merged", "opened", "summarized")),
 )
-"""Panels: their title, what is along, and the curves."""
+"""Panels: title, label of the horizontal axis, and names of the curves."""
 
 SECONDS = {"us": 1e-6, "s": 1.0}
 
@@ -23,8 +23,8 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     """Draw cost over size, both on logarithmic scales, with the exponent of each curve.
 
     Args:
-        result: What was measured.
-        path: File to write; its ending says the format.
+        result: Results of the benchmark.
+        path: File to write; its suffix determines the format.
 
     Raises:
         ImportError: If Matplotlib is not installed.
@@ -50,7 +50,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         panel.set_axisbelow(True)
         if panel.lines:
             low, high = panel.get_ylim()
-            # Some decades at least: what is flat is to look flat.
+            # At least three decades, so that a flat curve looks flat.
             middle = (low * high) ** 0.5
             panel.set_ylim(min(low, middle / 30.0), max(high, middle * 30.0))
             panel.legend(frameon=False, fontsize=8)

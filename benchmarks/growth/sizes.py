@@ -1,4 +1,4 @@
-"""What a step, a reset and a picture cost over worlds, nodes, tools and pixels: processor time on one thread."""
+"""The cost of a step, a reset and a picture over worlds, nodes, tools and pixels: processor time on one thread."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from spatula_env.geometry.transforms import quaternion_from_axis_angle, rotate
 TASK = "Spatula/Press-v0"
 UNIT = "us"
 TILT = np.deg2rad(40.0)
-"""From the organ's top to where tools come in, when there are several."""
+"""Angle between the vertical and the direction from which the tools of `with_tools` come [rad]."""
 DEPTH, SPEED = 0.6, 5.0
-"""How deep tools press [u], and how fast they go there [u/s]."""
+"""Depth to which tools press [u], and their speed [u/s]."""
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What is measured.
+    """Sizes to measure at.
 
     Attributes:
-        worlds: Of vector environments.
-        organ_nodes: Of spheres.
-        tool_edges: Contact nodes along the edges of spatulas.
+        worlds: Numbers of worlds of vector environments.
+        organ_nodes: Numbers of nodes of spheres.
+        tool_edges: Numbers of contact nodes along an edge of a spatula.
         tools: Numbers of tools.
-        pixels: Edges of square pictures.
-        calls: How many are timed of each.
+        pixels: Edge lengths of square pictures [pixels].
+        calls: Number of timed calls at each size; more or fewer for some measurements.
     """
 
     worlds: tuple[int, ...] = (16, 64, 256, 1024, 4096)
@@ -48,7 +48,7 @@ QUICK = Sizes((16, 64, 256), (162, 328, 642), (4, 6, 9), (1, 2, 3), (32, 64, 128
 
 
 def measure_worlds(sizes: Sizes) -> dict[str, Any]:
-    """A control step of all of W worlds, of which many are in contact, and a reset of one of them."""
+    """Measure a control step of W worlds, many of which are in contact, and a reset of one of them."""
     step, reset = {}, {}
     for count in sizes.worlds:
         envs = gymnasium.make_vec(TASK, num_envs=count, engine="batch", autoreset_mode="disabled")
@@ -62,7 +62,7 @@ def measure_worlds(sizes: Sizes) -> dict[str, Any]:
             actions = generator.uniform(-1.0, 1.0, (count, 3)).astype(np.float32)
             envs.step(actions)
 
-        # Half a second at most, so that all do the same: how much contact there is changes as they go on.
+        # Ten calls at most, half a second of simulated time: the amount of contact changes as the worlds go on.
         step[count] = cpu_microseconds(step_all, min(sizes.calls, 10))
         worlds = iter(np.resize(np.random.default_rng(1).permutation(count), 10 * sizes.calls))
 
@@ -81,7 +81,7 @@ def measure_worlds(sizes: Sizes) -> dict[str, Any]:
 
 
 def measure_nodes(sizes: Sizes) -> dict[str, Any]:
-    """A physics step in contact over the nodes of the organ and of the tool."""
+    """Measure a physics step in contact over the number of nodes of the organ, and of the tool."""
     organ = {count: step_in_contact(with_organ(count), sizes.calls) for count in sizes.organ_nodes}
     tool = {2 * edge**2: step_in_contact(scenes.palpate(nodes_per_edge=edge), sizes.calls) for edge in sizes.tool_edges}
     tell(f"organ's nodes: {_shown(organ)}; tool's: {_shown(tool)}")
@@ -92,14 +92,14 @@ def measure_nodes(sizes: Sizes) -> dict[str, Any]:
 
 
 def measure_tools(sizes: Sizes) -> dict[str, Any]:
-    """A physics step over the number of tools, all of which press."""
+    """Measure a physics step over the number of tools, all of which press."""
     found = {count: step_in_contact(with_tools(count), sizes.calls) for count in sizes.tools}
     tell(f"tools: {_shown(found)}")
     return {"step, tools": growth(found, UNIT, "tools")}
 
 
 def measure_pictures(sizes: Sizes) -> dict[str, Any]:
-    """A picture of the scene over the number of its pixels."""
+    """Measure a picture of the scene over the number of its pixels."""
     found = {}
     for edge in sizes.pixels:
         env = gymnasium.make(TASK, engine="batch", render_mode="rgb_array", width=edge, height=edge)
@@ -111,7 +111,7 @@ def measure_pictures(sizes: Sizes) -> dict[str, Any]:
 
 
 def with_organ(count: int) -> scenes.Scene:
-    """The scene of palpation with a sphere of so many nodes."""
+    """The palpation scene with a sphere of `count` nodes."""
     scene = scenes.palpate()
     sphere = replace(scene.organs[0], organ=seed_sphere(node_count=count), fixed_nodes=())
     held = np.flatnonzero(sphere.vertices[:, 2] < 2.0)
@@ -119,7 +119,7 @@ def with_organ(count: int) -> scenes.Scene:
 
 
 def with_tools(count: int) -> scenes.Scene:
-    """The scene of palpation with so many spatulas around the top of the sphere; a single one comes from there, too."""
+    """The palpation scene with `count` spatulas around the top of the sphere, all tilted by `TILT`."""
     scene = scenes.palpate()
     tool, middle = scene.tools[0], np.array([0.0, 0.0, 3.0])
     tools = []
@@ -149,7 +149,7 @@ def step_in_contact(scene: scenes.Scene, calls: int) -> float:
 
 
 STEPS = 10
-"""Physics steps that are timed together."""
+"""Number of physics steps in a timed call."""
 
 
 def _several(call: Callable[[], object]) -> Callable[[], None]:
@@ -168,8 +168,8 @@ def measure_sizes(sizes: Sizes, parts: dict[str, Callable[[Sizes], dict[str, Any
     """Measure some parts on one thread.
 
     Args:
-        sizes: Of what is measured.
-        parts: What to measure, by name.
+        sizes: Sizes to measure at.
+        parts: Functions that measure, by name.
     """
     before = numba.get_num_threads()
     numba.set_num_threads(1)

@@ -1,7 +1,8 @@
-"""What the inspection says, found the long way: every triangle against every point, vertex and edge, for one world.
+"""A brute-force reference of the inspection: every triangle against every point, vertex and edge, for one world.
 
-Points, columns and faces of a tool are those of `benchmarks.probes`, and so are the definitions. What is near what is
-not asked, nothing is kept in mind but where vertices were, and what is not plain geometry is not shared.
+Points, columns and faces of a tool are those of `benchmarks.probes`, with the same definitions. There is no broad
+phase, and only the paths of vertices are kept between inspections. Beyond these, only plain geometry is shared with the
+inspection.
 """
 
 from __future__ import annotations
@@ -38,10 +39,10 @@ if TYPE_CHECKING:
 def locate_points(
     points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, inside: np.ndarray, depths: np.ndarray
 ) -> None:
-    """Say which points a closed surface encloses, and how deep they are.
+    """Find the points that a closed surface encloses, and how deep they are.
 
-    A point's winding number is the number of times that a line from it leaves the surface, less the number of times
-    that it enters. Where the line passes too near an edge to tell, the solid angles decide.
+    The winding number of a point is the number of times that a ray from it leaves the surface, less the number of times
+    that it enters it. Where the ray passes too near an edge to tell, the solid angles decide.
 
     Args:
         points: (m, 3) [u].
@@ -122,7 +123,7 @@ def locate_points(
     for i in range(count):
         if not inside[i]:
             continue
-        # The triangle that was nearest to the point before is near this one too: the others are then mostly too far.
+        # The triangle nearest to the last point is likely near this one too, so that most others are rejected.
         best = _squared_distance_to_triangle(
             points[i],
             vertices[triangles[nearest, 0]],
@@ -200,10 +201,10 @@ def find_passages(
         after: (V, 3) where they are [u].
         normals: (F, 3) outward unit normals of the body's faces.
         offsets: (F,) of the faces' planes [u].
-        rim: Where a path crosses one of the two faces, it must be this far under the other ones [u].
-        entries: (V,) by which face each vertex that is inside came in, -1 for the others and where it is not known;
-            kept from call to call.
-        ways: (V,) is filled: by which face each vertex came in that came out by the opposite one, -1 for the others.
+        rim: Least distance of a path, where it crosses the two faces, from all faces that are not parallel to them [u].
+        entries: (V,) face by which each vertex inside the body came in, -1 for other vertices and where unknown; kept
+            from call to call.
+        ways: (V,) output: face by which each vertex came in that left by the opposite one, -1 for other vertices.
     """
     faces = normals.shape[0]
     for v in range(before.shape[0]):
@@ -283,7 +284,7 @@ class Inspector:
         self._strayed.clear()
 
     def inspect(self, position: ArrayLike, orientation: FloatArray, vertices: FloatArray) -> Inspection:
-        """Look at the present state.
+        """Inspect the present state.
 
         Args:
             position: (3,) of the tool [u].
@@ -291,7 +292,7 @@ class Inspector:
             vertices: (V, 3) of the organ, world frame [u], finite.
 
         Returns:
-            What was seen.
+            The inspection.
         """
         local = np.ascontiguousarray(rotate(quaternion_conjugate(orientation), vertices - np.asarray(position)))
         locate_points(self._points, local, self._triangles, self._inside, self._depths)
@@ -311,17 +312,17 @@ class Inspector:
         )
 
     def is_apart(self, position: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-        """Whether a ball around the tool is outside of the box around all organs, from its lower corner to its upper.
+        """Whether a ball around the tool is outside the bounding box of all organs.
 
         Args:
             position: (3,) of the tool [u].
-            low: (3,) [u].
-            high: (3,) [u].
+            low: (3,) lower corner of the box [u].
+            high: (3,) upper corner of the box [u].
         """
         return bool((position + self._radius < low).any() or (position - self._radius > high).any())
 
     def _count_passages(self, local: FloatArray) -> tuple[int, int]:
-        """Count vertices that have come through since the last time, the organ's outside and inside ahead."""
+        """Count vertices that have gone through since the last inspection, with the outside and the inside ahead."""
         if self._before is None:
             self._entries = np.full(len(local), -1, dtype=np.int32)
             self._ways = np.empty_like(self._entries)
@@ -358,7 +359,7 @@ class ReferenceInspector:
     """Inspects all tools and organs of one world, step after step, as `benchmarks.inspection.WorldInspector`.
 
     Args:
-        scene: What is in it.
+        scene: Scene of the world.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -376,7 +377,7 @@ class ReferenceInspector:
             inspector.reset()
 
     def inspect(self, positions: FloatArray, orientations: FloatArray, vertices: FloatArray) -> WorldInspection:
-        """Look at the present state; see `benchmarks.inspection.WorldInspector`."""
+        """Inspect the present state; see `benchmarks.inspection.WorldInspector`."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         tools = []
         for inspector, position, orientation in zip(self._tools, positions, orientations, strict=True):
@@ -385,7 +386,7 @@ class ReferenceInspector:
                 tools.append(APART)
             else:
                 tools.append(inspector.inspect(position, orientation, vertices))
-        # All triangles in one patch: each against each.
+        # With all triangles in one patch, every pair is tested.
         starts = np.array([0, len(self._triangles)])
         crossings = count_crossings(np.ascontiguousarray(vertices), self._triangles, starts, self._organs)
         return WorldInspection(tuple(tools), Crossings(*crossings))

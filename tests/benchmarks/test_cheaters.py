@@ -1,4 +1,4 @@
-"""Policies that evade the tasks earn less than the expert, and what they earn is what the environment pays."""
+"""Policies that evade the tasks earn less than the expert, and computed returns equal those that environments pay."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def sphere_question(nodes_per_edge=4, depth=benchmark.SPHERE_DEPTH):
 
 
 class Deaf(BruteForce):
-    """Answers for the first shape, whichever it is asked about."""
+    """A rival that always answers for the first shape."""
 
     name = "deaf"
 
@@ -28,7 +28,7 @@ class Deaf(BruteForce):
 
 
 class Vague(BruteForce):
-    """Knows distances only."""
+    """A rival that reports distances only."""
 
     name = "vague"
 
@@ -37,7 +37,7 @@ class Vague(BruteForce):
 
 
 class Wrong(BruteForce):
-    """Names the next triangle, at the right distance."""
+    """A rival that reports the right distances, but the wrong triangles."""
 
     name = "wrong"
 

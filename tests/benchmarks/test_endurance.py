@@ -1,4 +1,4 @@
-"""Random actions and exploring policies: is what breaks seen, told, and kept so that it can be repeated?"""
+"""The endurance benchmark: are faults under random and exploring actions detected, reported and recorded?"""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOTHING = Endurance(**{**dict.fromkeys(Endurance.__dataclass_fields__, 0), "task
 def test_nothing_breaks_in_a_few_random_actions(actions: str) -> None:
     outcome = endurance.run(Job("Press", "batch", actions, 0, 320))
     assert outcome.control_steps == 320
-    # Worlds that are over are reset in a control step without physics.
+    # Worlds whose episodes are over are reset in a control step without physics.
     assert 0.95 * 320 * 12 <= outcome.steps <= 320 * 12
     assert outcome.passed
     assert np.isfinite(outcome.peak_pressure)
@@ -44,7 +44,7 @@ def test_what_broke_is_told(field: str) -> None:
     assert NOTHING.passed
     assert not replace(NOTHING, **{field: 1}).passed
     assert not replace(NOTHING, memory_growth=20.0).passed
-    # What crosses for long is no failure if it is told.
+    # A long crossing is not a failure if it is reported as tangled.
     assert replace(NOTHING, crossed=48, stretches=1, tangles=1, tangled=24, longest_crossed=0.2).passed
 
 
@@ -57,7 +57,7 @@ def test_a_deep_step_in_ten_thousand_is_allowed_where_organs_crumple() -> None:
 
 
 class Loads:
-    """What a watch asks of loads, of two worlds."""
+    """Stands in for the loads of two worlds, with the fields that a watch reads."""
 
     def __init__(self, tangled: tuple[bool, bool]) -> None:
         self.tangled = np.array(tangled)
@@ -65,7 +65,7 @@ class Loads:
 
 
 class Worlds:
-    """Two worlds of the seed, in which an organ's vertex is pulled through the organ, or not."""
+    """Stands in for two worlds of the seed's scene; `pulled` has a vertex that is pulled through the organ."""
 
     def __init__(self) -> None:
         self.scene, self.count = scenes.seed(), 2

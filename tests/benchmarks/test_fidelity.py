@@ -1,4 +1,4 @@
-"""The tools that measure fidelity: do the books add up, and do they show what does not?"""
+"""The tools that measure fidelity: is the ledger right, and does it show imbalances?"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GRAVITY, DT = 10.0, 0.01
 
 
 class ScriptedSimulation:
-    """Two nodes of 2 kg that move as told, and a tool that feels what it is told."""
+    """Stands in for a simulation: two nodes of 2 kg with given motion, and a tool with a given force."""
 
     dt = DT
     scene = SimpleNamespace(gravity=GRAVITY)

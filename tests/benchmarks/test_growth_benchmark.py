@@ -1,4 +1,4 @@
-"""The benchmark of growth: exponents are right, it measures what it says, and what is too much is told."""
+"""The benchmark of growth: exponents are right, it measures what it claims to, and exceeded limits are reported."""
 
 from __future__ import annotations
 

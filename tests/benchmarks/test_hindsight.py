@@ -1,4 +1,4 @@
-"""What hindsight says of goals is what the environment says of them."""
+"""Successes by hindsight relabelling agree with those of the environment."""
 
 from __future__ import annotations
 

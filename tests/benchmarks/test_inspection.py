@@ -1,4 +1,4 @@
-"""Does the inspection see how deep a tool and an organ are in each other, and where an organ crosses itself?"""
+"""Does the inspection measure how deep a tool and an organ are in each other, and where an organ crosses itself?"""
 
 from __future__ import annotations
 
@@ -226,7 +226,7 @@ def test_crossings_of_what_is_too_crumpled_to_know_what_is_near_are_counted_all_
 
 
 def unsteady_states(scene, steps, generator):
-    """Tools that go and jump in and out of organs which bulge, crumple, turn and go away: poses and vertices."""
+    """Poses of tools that move and jump in and out of organs, and vertices of organs that deform, turn and go away."""
     rest = np.concatenate([placed.vertices for placed in scene.organs])
     size = np.ptp(rest, axis=0).max()
     shift, crumple = np.zeros(3), generator.normal(size=rest.shape)

@@ -1,4 +1,4 @@
-"""The tools that compare the batch engine with PyBullet: do they see a difference, and nothing where there is none?"""
+"""The tools that compare the batch engine with PyBullet: do they detect differences, and only where there are any?"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The random slides: can they be repeated, and is what happens counted?"""
+"""The random slides: can they be repeated, and are faults counted?"""
 
 from __future__ import annotations
 

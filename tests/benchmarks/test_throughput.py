@@ -1,4 +1,4 @@
-"""The benchmark of steps a second: does every side do the work that it is said to do? How fast is not asked here."""
+"""The throughput benchmark: does every side do the work that it claims to do? Speed itself is not tested."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def script():
 
 
 class Scripted:
-    """A side that takes as long as it is told, in 2 calls of 6 steps each of 3 worlds."""
+    """A side with given times: 2 calls of 6 steps in each of 3 worlds."""
 
     worlds, threads, steps = 3, 1, 36
 

@@ -1,4 +1,4 @@
-"""The benchmark of tissue: what it compares with is right, and what cannot be compared is told."""
+"""The benchmark of tissue: its references are right, and comparisons that cannot be made are reported."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_equilibrium_is_where_nothing_pulls() -> None:
     free = np.column_stack([x > 0.0, y > 0.0, (z > 0.0) & (z < 1.0)])
     nodes, forces = solids.equilibrium(solid, law, solid.nodes * [1.0, 1.0, 0.9], free)
     assert np.abs(forces[free]).max() < 1e-5 * np.abs(forces).max()
-    # A block that is pressed and free to the sides is strained alike everywhere.
+    # A compressed block with free sides has homogeneous strain.
     wide = float(nodes[:, 0].max())
     assert 1.03 < wide < 1.06
     np.testing.assert_allclose(nodes, solid.nodes * [wide, wide, 0.9], atol=1e-4)

@@ -1,4 +1,4 @@
-"""The tools that measure tunnelling: do they see what is there, and count it?"""
+"""The tools that measure tunnelling: are faults detected and counted?"""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from spatula_env.geometry.transforms import quaternion_from_two_vectors, random_
 
 UPRIGHT = np.array([0.0, 0.0, 0.0, 1.0])
 FAST = 38
-"""A case of the default seed that is over after 20 steps, and that Bullet's own contact loses."""
+"""A case of the default seed that takes only 20 steps, and in which Bullet's own contact fails."""
 
 
 def locate(points, organ):
@@ -161,7 +161,7 @@ def test_a_blade_that_two_walls_squeeze_is_deep_but_on_no_wrong_side():
 
 
 def pebble(radius=0.2):
-    """A ball without vertices whose normals are level."""
+    """A ball without vertices whose normals are horizontal."""
     ball = icosphere(radius, 1)
     return replace(ball, vertices=rotate(random_quaternion(np.random.default_rng(0)), ball.vertices))
 
@@ -180,7 +180,7 @@ def test_an_organ_that_goes_through_in_one_step_is_seen():
     count = len(pebble().vertices)
     before, after = visit(Tool.box((1.0, 1.0, 0.1)), 0.5, -0.5)
     assert before == APART
-    # Neither state shows anything; the way does. The lower half of the pebble has its outside ahead.
+    # Neither state alone shows a fault, but the path does. The lower half of the pebble has its outside ahead.
     assert after.residual == 0.0
     assert after.enclosed == 0
     assert after.passages + after.turned == count
@@ -256,7 +256,7 @@ def test_a_case_is_made_from_its_number_alone(seed, number):
     ):
         assert low * (1.0 - 1e-12) <= value <= high * (1.0 + 1e-12)
     assert np.linalg.norm(plunge.direction) == pytest.approx(1.0)
-    # The face or edge that is to go first does, but for the tilt.
+    # The chosen face or edge goes first, up to the tilt.
     entry = np.array(plunge.entry) / np.linalg.norm(plunge.entry)
     ahead = rotate(np.array(plunge.orientation), entry)
     assert -ahead @ plunge.direction >= math.cos(plunges.TILT) - 1e-9
@@ -285,7 +285,7 @@ def test_a_run_is_reproducible_and_watched_in_every_step():
     assert outcome.residual == max(seen.residual for _, _, seen in steps)
     assert outcome.final_residual == steps[-1][2].residual
     assert outcome.enclosed == sum(seen.centre_inside or seen.enclosed > 0 for _, _, seen in steps)
-    # Its foremost point is then as deep under the undeformed surface as it was to get, on the line through the middle.
+    # Its foremost point ends at the planned depth under the undeformed surface, on the line through the middle.
     simulation = Simulation(scenes.seed(dt=plunge.dt), precision="double")
     about_middle = simulation.nodes - simulation.nodes.mean(axis=0)
     position = steps[-1][1] - simulation.nodes.mean(axis=0)
@@ -379,7 +379,7 @@ def test_a_summary_counts_cases():
     assert (summary["wrong_side"], summary["pair_steps"], summary["steps"]) == (2, 4, 160)
     assert summary["residual"]["max"] == 0.011
     assert summary["failed_cases"] == list(range(10, 16))
-    # The worst first: divergence, then missed contact; then the deepest of those that are good.
+    # The worst first: divergence, then missed contact, then the deepest of the cases that passed.
     numbers = [case["plunge"]["number"] for case in summary["worst"]]
     assert numbers[0] == 15
     assert set(numbers[:6]) == set(range(10, 16))

@@ -16,7 +16,7 @@ from spatula_env.engines import bullet_is_there
 
 @pytest.fixture
 def started(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
-    """Instead of starting programs, remembers them."""
+    """Records the programs that would be started, instead of starting them."""
     calls: list[list[str]] = []
 
     def run(command: list[str], **_: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What the command line says about forces, and what it tells of them."""
+"""Options of the command line about forces, and its output about them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ assert spatula_env.TASKS
 
 
 class FakePress(gym.Env):
-    """What the options look at of an environment."""
+    """Stands in for an environment, with the attributes that the options read."""
 
     definition = PRESS
 

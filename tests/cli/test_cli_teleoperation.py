@@ -31,7 +31,7 @@ SHORT = ["--engine", "batch", "--set", "max_episode_steps=8"]
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> tuple[list[str], str]:
-    """The lines that a command has printed, and what it has noted beside."""
+    """Run a command; returns the lines that it has printed, and its notes on standard error."""
     capsys.readouterr()
     assert cli.main(list(words)) == status
     said = capsys.readouterr()
@@ -166,7 +166,7 @@ class TestPlay:
 
 
 class TestOptions:
-    """What would change nothing is refused before anything runs."""
+    """Options that would have no effect are refused before anything runs."""
 
     @pytest.mark.parametrize(
         ("words", "message"),

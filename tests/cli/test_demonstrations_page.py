@@ -1,4 +1,4 @@
-"""What docs/demonstrations.md says can be done as pasted."""
+"""The code and commands in docs/demonstrations.md run as pasted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Contact alone: organs of loose nodes, that fly on as they are until a tool meets them."""
+"""Contact without an engine: organs of unconnected nodes, which keep their velocities until a tool meets them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ DT = 1.0 / 240.0
 
 
 class LooseOrgans:
-    """Organs and tools of a scene without an engine; nodes of equal mass, unless told.
+    """Organs and tools of a scene without an engine; nodes have equal masses unless `masses` are given.
 
-    After each step `residual`, `nodal_impulses` (V, 3), `wrenches` (N, 6), averaged over the step, and `contact_table`
-    tell what it came to. `detectors` has one for each tool (outer) and organ (inner), `world` all that kernels get.
+    The results of each step are `residual`, `nodal_impulses` (V, 3), `wrenches` (N, 6), averaged over the step, and
+    `contact_table`. `detectors` has a row for each tool, with a detector for each organ; `world` is what kernels get.
     """
 
     def __init__(self, organs, tools, masses=None, *, ground=None, gravity=0.0, friction=0.0, first_step="inside"):
@@ -55,7 +55,7 @@ class LooseOrgans:
         self.nodal_impulses, self.wrenches = np.zeros_like(self.nodes), np.zeros((len(tools), 6))
 
     def step(self, linear=(0.0, 0.0, 0.0), angular=(0.0, 0.0, 0.0), moved=None):
-        """One step: the tools by their velocities, the nodes by theirs or to where they are `moved`."""
+        """Make one step: tools move by their velocities, nodes by theirs, or to the positions `moved`."""
         shape = self.positions.shape
         linear = np.array(np.broadcast_to(np.asarray(linear, dtype=np.float64), shape))
         angular = np.array(np.broadcast_to(np.asarray(angular, dtype=np.float64), shape))
@@ -77,5 +77,5 @@ class LooseOrgans:
         self.residual, self.wrenches = float(self._numbers[settings.RESIDUAL]), self._impulses[:-1] / DT
 
     def contact_table(self):
-        """(C, 8) where something pushed in the last step; see `pressure.contact_table`."""
+        """(C, 8) contacts that pushed in the last step; see `pressure.contact_table`."""
         return contact_table(self.world.workspace.constraints, int(self._numbers[settings.CONTACT_COUNT]))

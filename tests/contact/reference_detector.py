@@ -1,11 +1,11 @@
-"""The flags method once more, as slow and plain as can be, for the tests to compare with.
+"""A slow and plain reference implementation of the flags method, for the tests to compare with.
 
-Written from the published description: every ray is tried on every triangle by Möller and Trumbore's test, and the
-nodes are visited one after the other in a Python loop. Nothing is shared with the package but the tool's arrays.
+It follows the published description: every ray is tested against every triangle by Möller and Trumbore's test, and the
+nodes are visited one after the other in a Python loop. Only the tool's arrays are shared with the package.
 
-One rule, `exclusive`, is not in the description, and matters only where a surface overlaps itself or has holes, so
-that a node's inward ray says that it is inside and its outward ray that it is not: a node whose opposite has been
-given the contact in this very query, and which is itself inside, is refused.
+One rule, `exclusive`, is not in the description. It matters only where a surface overlaps itself or has holes, so that
+the inward ray of a node finds it inside and the outward ray outside: a node whose opposite has been given the contact
+in the same query, and which is itself inside, is refused.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Surface:
 
 
 class ReferenceDetector:
-    """The two steps for each node, with the flags remembered."""
+    """The two steps of the method for each node; flags are kept from query to query."""
 
     def __init__(self, tool, first_step="inside", exclusive=True):
         self.tool, self.first_step, self.exclusive = tool, first_step, exclusive

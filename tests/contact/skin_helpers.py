@@ -1,4 +1,4 @@
-"""What is near each other on organs, seen from Python."""
+"""Python access to the kernels that find which features of organs are near each other."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _uncross(skin, near, none, held, vertices, mean_edge):
 
 
 def uncrossed(skin, near, held, vertices, mean_edge=1.0):
-    """Where vertices of the same mass are held back to, and whether they are."""
+    """Positions to which vertices of equal mass are held back by `keep_uncrossed`, and its result."""
     points = vertices.copy()
     return points, _uncross(skin, near, make_constraints(1), held, points, mean_edge)
 

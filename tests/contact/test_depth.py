@@ -1,4 +1,4 @@
-"""The depth that is left after a step, against the inspection, which finds it by other means."""
+"""The residual depth after a step, against the independent inspection."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_it_is_what_the_inspection_sees(name, number):
     inspector = INSPECTORS[name]
     inspector.reset()
     seen = inspector.inspect(position, orientation, VERTICES)
-    # The inspection looks at edges in places, so that it may miss the deepest by a little.
+    # The inspection samples edges, so that it may slightly underestimate the greatest depth.
     exact = max(seen.surface_depth, seen.corner_depth)
     depth = measured(name, position, orientation, VERTICES)
     assert depth >= max(exact, seen.edge_depth) - 2.0 * PRECISION

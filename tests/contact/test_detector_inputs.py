@@ -1,4 +1,4 @@
-"""What the detector takes, what it refuses and how, and that nothing it gives away changes behind one's back."""
+"""Inputs that the detector accepts and refuses, with its errors; and its results are not changed by later queries."""
 
 from __future__ import annotations
 

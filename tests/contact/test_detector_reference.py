@@ -1,4 +1,4 @@
-"""The detector finds, bit for bit of its flags, what the plain form of the flags method finds."""
+"""The detector sets exactly the same flags as the reference implementation of the flags method."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_triangles_in_the_air(seed, count, tool_name, first_step, exclusive):
 
 @pytest.mark.parametrize("first_step", ["inside", "any_hit", "off"])
 def test_the_comparison_sees_contacts_of_all_kinds(first_step):
-    # The comparisons above would be worth little if random poses gave nothing to compare.
+    # The comparisons above are meaningful only if random poses often lead to contact.
     generator = np.random.default_rng(1)
     surface, probe = organ("sphere"), tool("plate")
     seen = np.zeros(3)

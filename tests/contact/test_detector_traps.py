@@ -1,4 +1,4 @@
-"""What thin tools and fast motion do to a contact detector, each in a set-up whose answer is known beforehand."""
+"""Cases in which thin tools or fast motion could mislead a contact detector, each with a known answer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLATE = Tool.box((1.0, 1.0, 0.125), 4)
 BOTTOM, TOP = PLATE.face_nodes(0), PLATE.face_nodes(1)
 HALF = 0.0625
 
-# Off every symmetry, so that no ray passes exactly through an edge unless a test wants it to.
+# Away from all symmetries, so that no ray passes exactly through an edge unless a test intends it.
 X, Y = 0.0137, 0.0271
 
 seeds = st.integers(0, 2**32 - 1)
@@ -38,7 +38,7 @@ def shifted(organ, shift):
 
 
 def is_inside_convex(organ, points):
-    """How far points are inside a convex surface (positive) or outside of it (negative)."""
+    """Distance of points from the planes of a convex surface: positive inside, negative outside."""
     a, b, c = (organ.vertices[organ.triangles[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -139,7 +139,7 @@ def test_what_leads_is_decided_node_by_node():
     )
     np.testing.assert_array_equal(contacts.flags[TOP], PLATE.nodes[TOP, 0] < 0.0)
     np.testing.assert_array_equal(contacts.flags[BOTTOM], PLATE.nodes[BOTTOM, 0] > 0.0)
-    # A translation faster than the turning carries all nodes one way.
+    # If the translation is faster than the rotation, all nodes move the same way.
     contacts = FlaggedDetector(PLATE).detect(
         (X, Y, 0.3), UPRIGHT, CUBE.vertices, CUBE.triangles, (0.0, 0.0, 1.1), (0.0, 2.0, 0.0)
     )
@@ -169,7 +169,7 @@ def test_rays_are_longer_than_the_organ_of_the_seed():
 
 
 def test_nodes_touched_before_the_jump_keep_their_face():
-    # Moving down, the bottom would be chosen; the one node of the top without a history goes that way.
+    # Moving down, the bottom would be chosen: so it is for the only node of the top without a flag from before.
     detector = FlaggedDetector(PLATE)
     touched = np.zeros(32, dtype=bool)
     touched[TOP[1:]] = True

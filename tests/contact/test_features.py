@@ -1,4 +1,4 @@
-"""Features of the two surfaces: weights in triangles, edges over edges, and what is gathered of them in one step."""
+"""Features of both surfaces: weights in triangles, edges that cross edges, and constraints gathered in one step."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_weights_at_corners_and_on_sides(seed, corner):
 
 
 def meeting(before, after, point):
-    """`meeting_weights` with the heights that it is to be given."""
+    """`meeting_weights`, called with the heights that it needs."""
     heights = []
     for corners in (before, after):
         normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
@@ -482,7 +482,7 @@ def test_no_speed_is_too_high(name, speed):
     corner = {"corner": [1, 3, 5, 7], "vertex": [0], "edge": [0, 1]}[name]
     # All that was above the place that was met is at most as high as the tool's lowest point.
     assert loose.nodes[corner, 2].min() <= lowest + 1e-4
-    # What was not met on the way, and is dragged over the tool by what was, is left to the next step.
+    # Parts that were not met on the way, but are dragged over the tool by parts that were, are left to the next step.
     assert loose.residual <= (RESIDUAL_TOLERANCE if speed < 400.0 else 0.06)
     assert loose.wrenches[0, 2] > 0.0
     given = loose.masses @ loose.velocities
@@ -491,8 +491,8 @@ def test_no_speed_is_too_high(name, speed):
 
 @pytest.mark.parametrize("aside", [0.0, 0.13])
 def test_what_two_tools_push_in_vain_is_not_thrown_away(aside):
-    # Plates that come together, and a little farther: nothing can be before both of their faces. What they push by
-    # grows from step to step, and is no measure of where contact will put an organ that its springs throw back in each.
+    # Plates that close on each other, and a little farther: no node can be in front of both faces. The impulses grow
+    # from step to step, and do not tell where contact will put an organ that springs back in each step.
     box = box_surface((1.0, 1.0, 1.0), 0.5)
     start = 0.5 + 0.0625 + 0.01
     tools = [(BOX, (0.05, 0.02, start), LEVEL), (BOX, (0.05 + aside, 0.03, -start), LEVEL)]
@@ -503,7 +503,7 @@ def test_what_two_tools_push_in_vain_is_not_thrown_away(aside):
         speed = 0.02 / DT if step < closing else 0.0
         loose.step([(0.0, 0.0, -speed), (0.0, 0.0, speed)], np.zeros((2, 3)), moved=box.vertices)
         farthest = max(farthest, np.abs(loose.nodes).max())
-    # It was 43 and 54.
+    # It used to be 43 and 54.
     assert farthest < 3.0
 
 

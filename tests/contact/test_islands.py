@@ -26,13 +26,13 @@ from spatula_env.contact.structures import (
 from spatula_env.geometry import Tool, box_surface
 
 AFTER_TOOLS = 1000
-"""In the place of the tool that contact of organs counts as: it comes after all others."""
+"""Stands for contact between organs in place of the index of a tool; it is greater than all of these."""
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 def islands_of(features, inverse_mass, tools):
-    """What stands alone on the ground, and the islands, as lists of constraints."""
+    """Constraints with the ground that belong to no island, and the islands, as lists of constraints."""
     order = np.full(len(features), -1)
     room = IslandRoom(*(np.full(size, -1) for size in (tools + 2, len(inverse_mass), tools + 1, tools + 1)))
     count = find_islands(len(features), features, inverse_mass, tools, order, room)
@@ -43,7 +43,7 @@ def islands_of(features, inverse_mass, tools):
 
 
 def reference_islands(features, inverse_mass):
-    """The same by sets: owners that hold a free vertex in common are joined until none is left to join."""
+    """The same with Python sets: owners that share a free vertex are merged into one group."""
     groups = []
     owners = np.where(features[:, OWNER] == ORGANS, AFTER_TOOLS, features[:, OWNER])
     for owner in sorted(set(owners.tolist()) - {GROUND}):
@@ -91,7 +91,7 @@ def test_half_of_the_distance_between_organs_may_be_missing():
 
 
 def test_a_tool_on_another_organ_changes_nothing():
-    """To the last bit, however many sweeps the other one takes."""
+    """Results are equal bit for bit, however many sweeps the other organ takes."""
     organ, plate = box_surface((3.0, 3.0, 1.0), 0.5), Tool.box((1.0, 0.8, 0.1), 5, "all")
     places = (np.zeros(3), np.array([10.0, 0.0, 0.0]))
     tilted = (0.1, 0.0, 0.0, np.sqrt(1.0 - 0.1**2))

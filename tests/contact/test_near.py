@@ -1,4 +1,4 @@
-"""What is near each other is found, against brute force."""
+"""Features that are near each other are found, compared with brute force."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def nowhere(points):
-    """No vertex of which it is known that it has got out of reach."""
+    """Mask for `find_near` that marks no vertex as out of reach."""
     return np.zeros(len(points), dtype=np.bool_)
 
 
 def segment_distances(p, q, c, d):
-    """Between segments p q (3,) and c d (E, 3), by sampling both finely: an upper bound."""
+    """Upper bounds (E,) on the distances of segment pq (3,) from segments cd (E, 3), by fine sampling of both."""
     along = np.linspace(0.0, 1.0, 41)
     first = p + along[:, None] * (q - p)
     second = c[:, None] + along[None, :, None] * (d - c)[:, None]
@@ -107,7 +107,7 @@ def test_a_surface_that_folds_within_its_reach_is_found_near_itself():
 @settings(max_examples=40)
 @given(seeds, st.floats(0.05, 0.35), st.floats(0.2, 0.9))
 def test_neighbours_that_a_fold_between_them_brings_together_are_found(seed, radius, noise):
-    # Two patches may share one vertex, and each be flat: what crosses then is brought together by a fold beside both.
+    # Two patches may share one vertex, and each be flat: crossings are then due to a fold beside both.
     generator = np.random.default_rng(seed)
     organ = icosphere(1.0, 2)
     skin, near = skin_of(organ)

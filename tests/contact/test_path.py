@@ -1,7 +1,7 @@
-"""The face through which a point came into a convex tool, against a search that knows nothing of planes' order.
+"""The face through which a point came into a convex tool, compared with a search along its path.
 
-How far the farthest plane is from a point on a straight way is a convex function of time: its least value tells
-whether the way leads into the body, and bisection finds when it first does.
+The greatest height of a point on a straight path over the body's planes is a convex function of time: its least value
+tells whether the path leads into the body, and bisection finds when it first does.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def normal_of_entry(before, after, tool=PLATE, touching=MARGIN):
 
 
 def search(before, after, normals, offsets):
-    """(least height over the farthest plane on the way, height before each plane when it first is in all)."""
+    """(least height above the farthest plane along the path, height above each plane when the path first enters)."""
     start, way = normals @ before - offsets, normals @ (after - before)
 
     def farthest(time):
@@ -77,7 +77,7 @@ def search(before, after, normals, offsets):
 
 
 def random_way(generator, normals, offsets):
-    """From outside of a body, more or less towards it, to anywhere."""
+    """A random path that begins outside a body and leads roughly towards it."""
     size = np.abs(offsets).max()
     target = generator.normal(size=3) * 0.4 * size
     before = generator.normal(size=3) * 1.5 * size
@@ -85,7 +85,7 @@ def random_way(generator, normals, offsets):
 
 
 def is_clear(before, after, normals, offsets):
-    """Neither end is within the tolerances of a plane."""
+    """Whether neither end is within the tolerances of a plane."""
     heights = np.abs(np.array([normals @ before, normals @ after]) - offsets)
     return heights.min() > 2.0 * SLACK
 
@@ -112,7 +112,7 @@ def test_the_first_face_on_the_way(seed, name):
 
 
 def test_random_ways_are_of_all_kinds():
-    # The comparison above would be worth little if hardly any way met the body, ended in it, or went through.
+    # The comparison above is meaningful only if enough paths meet the body, end in it, or go through it.
     generator = np.random.default_rng(0)
     normals, offsets = planes("plate")
     kinds = np.zeros(3)
@@ -143,7 +143,7 @@ def test_neither_the_order_of_the_planes_nor_a_rotation_matters(seed, name):
 @settings(max_examples=100)
 @given(seeds, body_names, st.floats(0.0, 0.95))
 def test_from_any_place_before_the_body_the_face_is_the_same(seed, name, part):
-    # A step divided in two: the first part ends before the body, the second tells the same face.
+    # A step divided in two: the first part ends in front of the body, the second gives the same face.
     generator = np.random.default_rng(seed)
     normals, offsets = planes(name)
     before, after = random_way(generator, normals, offsets)

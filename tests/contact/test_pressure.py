@@ -91,7 +91,7 @@ def test_nodes_in_contact_come_first():
 
 @pytest.mark.parametrize("nodes_per_edge", [5, 11, 41])
 def test_too_few_nodes_in_contact_do_not_get_all_of_it(nodes_per_edge):
-    """A pressure is no matter of how densely a face is covered with nodes, one of which is in contact."""
+    """Pressure does not depend on how densely a face is covered with nodes, if one of them is in contact."""
     shape, reach = Tool.box((1.0, 0.8, 0.1), nodes_per_edge), 0.4
     for x, y in ((0.0, 0.0), (0.47, 0.37)):
         push = [(on(BOTTOM, x, y), (0.0, 0.0, -1.0), 0, BOTTOM)]

@@ -404,7 +404,7 @@ def test_impulses_are_summed_up_by_tool_and_by_node():
         moments = np.cross(places[mine] - positions[tool], -impulses[mine]).sum(axis=0)
         np.testing.assert_allclose(wrenches[tool, 3:], moments, atol=1e-12)
     np.testing.assert_allclose(wrenches[2, :3], -impulses[owners == GROUND].sum(axis=0), atol=1e-12)
-    # What nodes got is from tools alone, and as much.
+    # The nodes' impulses are from tools only, and equal to what these gave.
     np.testing.assert_allclose(nodal.sum(axis=0), -wrenches[:2, :3].sum(axis=0), atol=1e-12)
     np.testing.assert_allclose(
         np.cross(constraints.vertices, nodal).sum(axis=0),
@@ -503,7 +503,7 @@ def test_a_part_of_the_work_is_allowed_for_rounding(seed):
 
 @given(seeds, st.floats(0.05, 0.95))
 def test_impulses_give_an_organ_no_more_energy_than_they_do_work(seed, part):
-    # What the organ's motion as a whole has more, with all impulses, is not there with the share that is left.
+    # The share of the impulses is chosen so that the organ's mean motion gains no more energy than the work.
     organ = Energies(seed, fixed=(1, 7))
     generator = np.random.default_rng(seed + 1)
     impulses = generator.normal(size=(12, 3))
@@ -513,12 +513,12 @@ def test_impulses_give_an_organ_no_more_energy_than_they_do_work(seed, part):
     work = generator.uniform(-1.0, 0.2)
 
     def excess(share):
-        """Energy of the mean motion and of height less the work, with a share of the impulses."""
+        """Kinetic energy of the mean motion plus potential energy less the work, with a share of the impulses."""
         mean = (organ.momentum(organ.velocities) - (1.0 - share) * given_momentum) / mass
         height = organ.masses[free] @ organ.vertices[free, 2] - organ.rest_height
         return 0.5 * mass * mean @ mean + organ.gravity * height - share * work
 
-    # Allowed is something between what it is without impulses and with all of them, if those add any.
+    # The bound is between the energy without impulses and that with all of them, if these add any.
     without, with_all = excess(0.0), excess(1.0)
     allowed = without + part * (with_all - without)
     ledger = np.array([allowed + work, -1e9, organ.rest_height, 1.0])
@@ -528,7 +528,7 @@ def test_impulses_give_an_organ_no_more_energy_than_they_do_work(seed, part):
     else:
         assert 0.0 < share < 1.0
         assert excess(share) == pytest.approx(allowed, abs=1e-9)
-        # The largest share with which that is so.
+        # It is the largest share within the bound.
         assert excess(min(share + 1e-3, 1.0)) > allowed
 
 

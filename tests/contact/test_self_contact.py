@@ -84,7 +84,7 @@ def test_what_touches_in_an_organs_own_shape_is_left_out():
 @settings(max_examples=20)
 @given(seeds)
 def test_pairs_do_not_depend_on_what_was_known_before(seed):
-    """What is near may have been found where the organs are, or earlier and farther away: it makes no difference."""
+    """Results do not depend on whether candidates were found at the present positions, or earlier and farther away."""
     generator = np.random.default_rng(seed)
     organ = icosphere(1.0, 1)
     points = np.concatenate([organ.vertices, organ.vertices + generator.normal(size=3) / np.sqrt(3.0) * 2.0])

@@ -1,4 +1,4 @@
-"""Each observation stands beside the action that answered to it."""
+"""Each observation is paired with the action that was chosen for it."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class TestWithTheLibrary:
                 np.testing.assert_array_equal(transition.action, recorded.actions[index])
 
     def test_its_own_loader_is_shifted_by_a_row_for_each_episode_before(self, tmp_path: Path) -> None:
-        """Why there is a loader here; if this fails, theirs has been mended."""
+        """The reason for this package's own loader; if this test fails, d3rlpy's has been fixed."""
         dataset = pytest.importorskip("d3rlpy.dataset")
         episodes = [make_episode(number) for number in range(3)]
         theirs = dataset.MDPDataset(

@@ -1,4 +1,4 @@
-"""What is wrong with a dataset is said in words, whatever it is, and the others are listed all the same."""
+"""Every kind of damage to a dataset gives a clear error message, and other datasets are listed all the same."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def edit(root, own=(), **changes) -> None:
 
 
 def check_told(root, capsys) -> None:
-    """All that reads it says what is wrong with it, and the other one is listed."""
+    """Check that everything that reads the dataset reports the damage, and that the other dataset is listed."""
     for call in (open_dataset, read_entries, recorded_specs, read_layout, summarize):
         try:
             call(ID, root)

@@ -1,4 +1,4 @@
-"""Policies and datasets carry the number of their task's definition, and those of another one are told apart."""
+"""Policies and datasets carry the version of their task's definition, and those of another version are recognised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What comes step by step becomes arrays, whatever it is."""
+"""Values that come step by step become arrays, whatever their type."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def env():
 
 
 def record_infos(env: gym.Env, infos: list[dict[str, Any]], root) -> dict[str, Any]:
-    """What plain Minari reads of an episode with these infos."""
+    """The infos that plain Minari reads from an episode recorded with these infos."""
     recorder = EpisodeRecorder(env)
     observation, _ = env.reset(seed=0)
     recorder.begin(observation, infos[0], 0, {"nested": {"place": [0.0, 1.0]}, "nothing": None})

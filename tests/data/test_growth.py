@@ -1,4 +1,4 @@
-"""Datasets grow: what an episode costs does not depend on how many there are."""
+"""Growth of datasets: the cost of an episode does not depend on their number."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def dive(_) -> np.ndarray:
 
 
 def payload(value: Any) -> int:
-    """Of numbers and text [bytes]."""
+    """Size of the numbers and texts in a nested value [bytes]."""
     if isinstance(value, Mapping):
         return sum(map(payload, value.values()))
     return sum(map(len, value)) if isinstance(value, list) else np.asarray(value).nbytes

@@ -1,4 +1,4 @@
-"""What looks like a part of a dataset and is elsewhere is neither read nor written."""
+"""Links that lead out of a dataset are neither read nor written through."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OTHER = "spatula/test/other-v0"
 
 @pytest.fixture
 def root(tmp_path):
-    """A dataset with one episode, and beside it what is nobody's business."""
+    """A dataset with one episode, and private files beside it."""
     place = tmp_path / "datasets"
     env = make_pictures()
     DatasetWriter(ID, env, root=place).add(do_episode(env, 0))
@@ -107,7 +107,7 @@ def test_files_that_are_being_written_go_through_no_link(root, tmp_path):
 
 
 def spoil(root, change):
-    """Change the episode in its file, and tell its new length, as somebody who wants it read would."""
+    """Change the episode in its file, and record the new length, as an attacker who wants it to be read would."""
     data = root / ID / "data"
     file = data / "episodes" / "000000.hdf5"
     with h5py.File(file, "a") as episode:

@@ -65,7 +65,7 @@ def test_other_observations_are_refused_by_option(tmp_path) -> None:
 
 
 def test_what_means_the_same_is_the_same(tmp_path) -> None:
-    """Defaults that are given, how it is looked at, and numbers of NumPy's."""
+    """Explicit default values, options of rendering and NumPy numbers make no difference."""
     first, second = make(), make(control_frequency=np.float64(20.0), width=np.int64(64), render_mode="rgb_array")
     assert differences(storable_spec(first), storable_spec(second)) == []
     DatasetWriter(PRESS, second, root=tmp_path)
@@ -166,7 +166,7 @@ def test_a_wrapper_that_needs_pictures_gets_them_again(tmp_path) -> None:
 
 
 def test_onlookers_are_not_kept(tmp_path) -> None:
-    """Whoever watched or filmed a recording, its environment opens no windows and makes no films."""
+    """However a recording was watched or filmed, its environment opens no windows and makes no films."""
     pytest.importorskip("moviepy")
     made = make(render_mode="rgb_array", width=32, height=24)
     filmed = gym.wrappers.RecordVideo(made, str(tmp_path / "films"), episode_trigger=lambda _: False)

@@ -1,4 +1,4 @@
-"""Pictures in datasets: nothing of them is lost, and every Minari reads them."""
+"""Pictures in datasets are stored without loss, and every version of Minari reads them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Datasets from anywhere: what they name is neither imported nor made, and what they link to is not read."""
+"""Datasets from untrusted sources: what they name is neither imported nor made, and what they link to is not read."""
 
 from __future__ import annotations
 

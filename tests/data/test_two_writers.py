@@ -1,4 +1,4 @@
-"""Several programs at one dataset: nothing is lost, and nothing is there twice."""
+"""Several programs write into one dataset: no episode is lost, and none is there twice."""
 
 from __future__ import annotations
 

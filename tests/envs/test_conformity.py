@@ -1,4 +1,4 @@
-"""What every environment must do, whatever its task, its engine and its observations."""
+"""Requirements on every environment, whatever its task, its engine and its observations."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ SB3_REMARKS = (
     "Your observation organ has an unconventional shape",
     "Your observation tool has an unconventional shape",
 )
-"""What Stable-Baselines3's checker may remark: that depth is no picture of bytes, and that points are neither pictures
-nor vectors. It is so; they need a policy that knows them. Nothing else is allowed."""
+"""Remarks that Stable-Baselines3's checker may make: depth is not an image of bytes, and point clouds are neither
+images nor vectors. Both are true; they need a policy that handles them. No other remark is allowed."""
 
 
 SEEN = [
@@ -47,7 +47,8 @@ SEEN = [
     *((id, "state", "sparse") for id in IDS),
     *((id, obs_mode, "sparse") for id, obs_mode in zip(IDS, OBS_MODES, strict=True) if obs_mode != "state"),
 ]
-"""What is observed with each reward: goals stand beside the same entries whatever these are."""
+"""Combinations of environment, observation mode and reward that are tested; with sparse rewards fewer, as the goal
+entries are added to the observation in the same way in all modes."""
 
 
 class Env:

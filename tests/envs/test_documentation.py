@@ -1,4 +1,4 @@
-"""What the environments' docstrings say is so."""
+"""Statements in the environments' docstrings are true."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def section(text: str, name: str) -> str:
     return text.partition(f"## {name}\n")[2].partition("\n## ")[0]
 
 
-# Cleaned: compilers from Python 3.13 on take the indentation away.
+# Cleaned, because from Python 3.13 on the compiler removes the indentation of docstrings.
 COMMON = read_tables(inspect.cleandoc(SpatulaEnv.__doc__ or ""))
 
 

@@ -1,4 +1,4 @@
-"""Organs that random actions fold, crush and pull over a blade: what learners that explore see."""
+"""Organs that random actions fold, crush and pull over a blade, as happens under exploring learners."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Kept:
 
 @pytest.fixture(scope="module")
 def folded():
-    """Worlds of Retract after some control steps: the environment, all loads of before, and motions that follow."""
+    """Worlds of Retract after some control steps: the worlds, the loads and the arguments of each `advance` so far."""
     envs = gymnasium.make_vec("Spatula/Retract-v0", num_envs=WORLDS, engine="batch")
     worlds, actions = envs.unwrapped.worlds, Kept(77, envs.single_action_space.shape[0])
     advance, loads, motions = worlds.advance, [], []
@@ -54,7 +54,7 @@ def test_the_tool_is_not_let_into_what_is_folded_over_it(folded):
     touching = sum(int((each.peak_forces > 0.0).any(axis=1).sum()) for each in loads)
     deep = sum(int((each.residuals > 0.01).sum()) for each in loads)
     assert touching > 200
-    # 8 of 330 when nothing was done where contact could not be resolved.
+    # It was 8 of 330 when nothing was done where contact could not be resolved.
     assert deep <= 0.005 * touching
 
 

@@ -1,4 +1,4 @@
-"""What the ends of episodes pay: no end is worth more than going on, and success is worth what staying is."""
+"""Rewards at the ends of episodes: no early end pays more than going on, and success pays as much as staying."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DOWN = np.array([0.0, 0.0, -1.0], dtype=np.float32)
 
 
 def play(env: Any, policy: Any, steps: int) -> list[tuple[Any, float, bool, dict[str, Any]]]:
-    """What each step of an episode led to."""
+    """Play an episode; returns the result of each step."""
     observation, _ = env.reset(seed=0, options=START)
     shown = []
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""What environments are called, and whose modules are imported."""
+"""Names of environments, and which modules are imported for them."""
 
 from __future__ import annotations
 

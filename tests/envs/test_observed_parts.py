@@ -1,4 +1,4 @@
-"""Which parts of observations are chosen, and up to which values they tell."""
+"""The choice of parts of observations, and their bounds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ KNOWN = {
     "normal_force",
     "goal",
 }
-"""What a robot knows by its own sensors or is told, of all that any task has."""
+"""Parts, over all tasks, that a robot knows from its own sensors or is told."""
 
 
 def make(env_id: str = PRESS, **options: Any) -> Any:
@@ -234,7 +234,7 @@ def test_other_libraries_have_names_for_the_groups() -> None:
 
 @pytest.mark.parametrize("env_id", IDS)
 def test_forces_and_pressures_in_haste_stay_within_their_bounds(env_id: str) -> None:
-    """And they use them."""
+    """They stay within their bounds, and use a good part of them."""
     env = make(env_id)
     act, slices = make_expert(env), env.observation_builder.slices
     observation, _ = env.reset(seed=11)

@@ -1,4 +1,4 @@
-"""What begins anew in one of many worlds touches that world alone."""
+"""A reset or a restored state of one of many worlds affects that world alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def size_of(value: Any) -> int:
 
 
 def most_memory(call: Callable[[], Any]) -> tuple[int, int]:
-    """How many bytes a call needs at most beside what there was, and how many it returns."""
+    """Peak memory that a call allocates, and size of what it returns [bytes]."""
     call()
     tracemalloc.start()
     try:
@@ -48,7 +48,7 @@ def mask_of(count: int, world: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_a_reset_of_one_world_copies_no_other(name: str) -> None:
-    """Gymnasium has observations and infos of all worlds returned; nothing else may grow with their number."""
+    """Gymnasium requires observations and infos of all worlds; no other memory may grow with their number."""
     needed = {}
     for count in (FEW, MANY):
         env = PressVectorEnv(count, engine="batch", autoreset_mode="disabled", **OPTIONS[name])
@@ -58,7 +58,7 @@ def test_a_reset_of_one_world_copies_no_other(name: str) -> None:
         needed[count] = np.array(most_memory(lambda env=env, options=options: env.reset(options=options)))
         env.close()
     grown, returned = needed[MANY] - needed[FEW]
-    # The nodes of the other worlds alone would be eight times as much as is allowed beside what is returned.
+    # The nodes of the other worlds alone would take eight times the memory that is allowed besides what is returned.
     assert grown <= returned + (MANY - FEW) * 1000
     assert returned > 0
 

@@ -1,4 +1,4 @@
-"""Options of the wrong kind, or beyond what can be, are refused by name when an environment is made."""
+"""Options of the wrong type, or out of range, are refused by name when an environment is made."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ from spatula_env.tasks import PressConfig, PressTask
 
 
 class OwnTask(PressTask):
-    """Press, in one's own words."""
+    """A user's own version of the task Press."""
 
 
 FIELDS = {

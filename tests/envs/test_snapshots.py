@@ -1,4 +1,4 @@
-"""A state that is restored goes on as it did, to the last bit; so does a copy."""
+"""A restored state, or a copy of an environment, continues exactly as the original did, bit for bit."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def actions_of(env: Any, count: int, seed: int = 0) -> np.ndarray:
 
 
 def go_on(env: Any, actions: np.ndarray) -> list[Any]:
-    """What steps return, and the episode after them."""
+    """Results of further steps, and of the episode after them."""
     return [*(env.step(action) for action in actions), env.reset()]
 
 

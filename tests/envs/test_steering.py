@@ -1,4 +1,4 @@
-"""Tools that are told anew in every physics step how to move."""
+"""Tools whose motion is set anew in every physics step."""
 
 from __future__ import annotations
 

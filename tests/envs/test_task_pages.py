@@ -1,4 +1,4 @@
-"""The pages in docs/tasks say what the docstrings say."""
+"""The pages in docs/tasks agree with the docstrings."""
 
 from __future__ import annotations
 

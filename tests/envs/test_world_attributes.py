@@ -1,4 +1,4 @@
-"""What libraries ask vector environments for, in Gymnasium's words."""
+"""Attributes and methods of vector environments that libraries use, by Gymnasium's interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of vector environments share."""
+"""Shared helpers of the tests of vector environments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is checked before anything is written, what is gone on with, and what is never replaced unasked."""
+"""The training commands: checks before anything is written, resuming, and never replacing files unasked."""
 
 from __future__ import annotations
 

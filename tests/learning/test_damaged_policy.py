@@ -1,4 +1,4 @@
-"""What is wrong with a file of a policy is said in words, when it is read."""
+"""Every kind of damage to a policy's file gives a clear error message when it is read."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_arrays_that_do_not_fit(arrays, tmp_path, name, value):
 
 
 def huge(path):
-    """Weights that say that they are larger than any memory."""
+    """Weights whose declared size is larger than any memory."""
     with zipfile.ZipFile(SOURCE) as whole, zipfile.ZipFile(path, "w") as changed:
         for name in whole.namelist():
             content = whole.read(name)

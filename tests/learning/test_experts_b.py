@@ -1,4 +1,4 @@
-"""Experts that open a fissure and lift a ridge, and what it takes."""
+"""Experts that open a fissure and lift a ridge, and what they need for it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXPERTS = {"Fissure": FissureExpert, "Clamp": ClampExpert}
 
 
 def run(name: str, seeds: list[int], steps: int, act: Any = None, **options: Any) -> tuple[np.ndarray, dict[str, Any]]:
-    """Whether each of some episodes has succeeded after some steps, and what there is to tell of them."""
+    """Whether each of some episodes has succeeded after some steps, and their final infos."""
     env = gym.make_vec(f"Spatula/{name}-v0", num_envs=len(seeds), **options)
     expert = EXPERTS[name](env) if act is None else act
     observation, info = env.reset(seed=seeds)

@@ -225,7 +225,7 @@ def test_pretrained_policies_are_found_by_environment():
 
 
 def test_policies_need_no_agents():
-    """What plays them belongs to the environments, on which agents build."""
+    """The code that plays exported policies is part of the environments' package, on which `agents` builds."""
     code = (
         "import sys, gymnasium, spatula_env.demo.episode\n"
         "from spatula_env.policies import load_pretrained\n"

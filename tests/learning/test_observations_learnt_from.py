@@ -1,4 +1,4 @@
-"""Each way to lay out observations chooses the policy that takes it, in training and in cloning."""
+"""Each layout of observations selects the kind of policy that accepts it, in training and in cloning."""
 
 from __future__ import annotations
 

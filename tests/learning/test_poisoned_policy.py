@@ -1,4 +1,4 @@
-"""Saved policies from anywhere: nothing that their files hold is run; and runs of earlier versions can be converted."""
+"""Saved policies from untrusted sources: no code in their files is run; runs of earlier versions can be converted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Proportional controllers, which other policies are compared with."""
+"""Proportional controllers, which serve as baselines for other policies."""
 
 from __future__ import annotations
 

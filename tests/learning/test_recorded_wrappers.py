@@ -1,4 +1,4 @@
-"""Data sets that were recorded in wrappers: a policy is cloned only from what it will itself see and do."""
+"""Data sets recorded in wrappers: a policy is cloned only from the observations and actions that it will have."""
 
 from __future__ import annotations
 

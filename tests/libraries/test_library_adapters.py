@@ -1,4 +1,4 @@
-"""Adapters that need their library: what they promise, world by world."""
+"""Adapters that need their library: their results agree with the environment's, world by world."""
 
 from __future__ import annotations
 

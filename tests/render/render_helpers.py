@@ -1,4 +1,4 @@
-"""Small scenes whose pictures can be worked out by hand."""
+"""Small scenes whose pictures can be computed by hand."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def handle(pictures: dict[str, np.ndarray], seen: dict[str, Any]) -> None:
     pane.set_size(SIZE + 60, SIZE)
     shown.show(Moment(*pose))
     seen["resized"] = list(shown.picture().shape)
-    # pyglet keeps what happens until somebody listens.
+    # pyglet queues events until the window listens.
     pane.dispatch_event("on_close")
     seen["open_until_then"] = not shown.closed
     shown.listen()
@@ -112,7 +112,7 @@ def handle(pictures: dict[str, np.ndarray], seen: dict[str, Any]) -> None:
 
 
 def wait(seen: dict[str, Any]) -> None:
-    """How long a window makes one wait."""
+    """How long a window waits to keep its frame rate."""
     scene = scenes.seed()
     triangles, pose = np.array(scene.organs[0].organ.triangles), pose_of(scene)
     clock = Clock()

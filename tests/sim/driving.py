@@ -1,4 +1,4 @@
-"""Driving a simulation through the motions that the tests of this folder share, and keeping what happened."""
+"""Drives a simulation through motions that the tests of this folder share, and records the results."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ CLEARANCE = 0.3
 
 @dataclass
 class Record:
-    """What happened in a run, one entry a step."""
+    """Record of a run, with one entry per step."""
 
     forces: list = field(default_factory=list)
     flags: list = field(default_factory=list)
     penetrations: list = field(default_factory=list)
     residuals: list = field(default_factory=list)
     given_and_taken: list = field(default_factory=list)
-    """Sum of what the organ got and what the tool got, relative to the impulses' sizes."""
+    """Sum of the impulses on the organ and on the tool, relative to the impulses' sizes; ideally zero."""
     torque_errors: list = field(default_factory=list)
-    """Torque on the tool less the moment of what the organ's nodes got, relative to the moments' sizes."""
+    """Sum of the tool's angular impulse and the moment of the nodes' impulses, relative to the moments' sizes."""
     momentum_errors: list = field(default_factory=list)
     """Change of the organ's momentum less all impulses on it, relative to their sizes."""
     excess_energies: list = field(default_factory=list)
-    """The organ's kinetic energy and energy of height, less the work that the tool has done so far."""
+    """The organ's kinetic and potential energy, less the work that the tool has done so far."""
     work: float = 0.0
 
 
@@ -49,7 +49,7 @@ class Driver:
         report = simulation.step(linear, angular)
         velocities = simulation.node_velocities
         impulses = report.nodal_impulses
-        # Never zero, also for a weightless organ that nothing touches.
+        # A scale that is never zero, not even for a weightless organ that nothing touches.
         size = np.abs(impulses).sum() + masses.sum() * max(gravity, 1.0) * dt
         taken = impulses.sum(axis=0) + report.force * dt
         record.given_and_taken.append(np.abs(taken).max() / size)

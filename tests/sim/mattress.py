@@ -1,4 +1,4 @@
-"""An engine of one's own: every node hangs on a spring of its own, as those of a mattress, which slowly give way."""
+"""A custom engine: every node hangs on a spring of its own, like those of a mattress, which creeps."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from spatula_env.sim.engine import Abilities, EngineOptions
 FloatArray = NDArray[np.float64]
 
 STIFFNESS, DAMPING, CREEP = 4000.0, 60.0, 0.5
-"""Of a spring by its node's mass [1/s2] and [1/s]; and how fast it gives way, of its stretch [1/s]."""
+"""Stiffness [1/s2] and damping [1/s] of a spring, per mass of its node; and rate of its creep, per stretch [1/s]."""
 
 
 class MattressEngine:
-    """W mattresses. Where the springs are fastened is their inner state."""
+    """W mattresses; the anchors of the springs are their internal state."""
 
     abilities = Abilities()
 

@@ -33,7 +33,7 @@ def weightless(organs, tools, **others):
 
 
 class Watch:
-    """Looks from outside at every tool and every organ after each step."""
+    """Inspects every tool and every organ after each step, independently of the contact model."""
 
     def __init__(self, simulation):
         self.simulation, self.deepest, self.wrong = simulation, 0.0, 0

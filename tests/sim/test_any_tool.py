@@ -1,6 +1,6 @@
-"""Tools of all shapes, pressed in by a face, an edge and a corner, and turned fast; looked at from outside.
+"""Tools of all shapes, pressed in by a face, an edge and a corner, and turned fast; checked by the inspection.
 
-`benchmarks.inspection` shares nothing with the contact model: insides are told by winding numbers.
+`benchmarks.inspection` shares nothing with the contact model: points are inside by their winding number.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def outwards(tool, way):
 
 
 class Watched(Driver):
-    """A driver that looks from outside after every step."""
+    """A driver that inspects after every step."""
 
     def __init__(self, simulation):
         super().__init__(simulation)

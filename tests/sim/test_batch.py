@@ -1,4 +1,4 @@
-"""Many worlds at once: each is what it would be alone, and what Bullet and `Simulation` make of it."""
+"""Many worlds at once: each equals the same world alone, in `Simulation` and in Bullet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The protective stop: what is taken from a motion, and when."""
+"""The protective stop: which part of a motion is removed, and when."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ APART = np.array([[0.2, 0.0, 0.0], [-0.3, 0.4, 1.2]])
 def stop(
     positions: FloatArray, linear: FloatArray, angular: FloatArray, forces: FloatArray, limit: float
 ) -> tuple[bool, FloatArray, FloatArray]:
-    """What `restrain` returns and writes."""
+    """Call `restrain`; returns its result and the velocities that it writes."""
     restrained_linear, restrained_angular = np.full_like(linear, np.nan), np.full_like(angular, np.nan)
     stopped = restrain(positions, linear, angular, forces, limit, restrained_linear, restrained_angular)
     return stopped, restrained_linear, restrained_angular

@@ -1,4 +1,4 @@
-"""What an engine holds goes with the object that holds it, whether that was closed or only dropped."""
+"""An engine's resources are freed with the object that holds them, whether that was closed or only dropped."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ print(json.dumps({
 """
 
 FEW = 2**18
-"""Growth over five simulations [bytes]; five clients are 150 MB, the lists of five 0.45 MB. An allocator takes
-memory in larger pieces, now and then: what leaks, grows all the time."""
+"""Greatest growth over five simulations [bytes]; five clients are 150 MB, the lists of five 0.45 MB. As an allocator
+occasionally takes memory in larger pieces, only growth in every sample counts as a leak."""
 
 
 @pytest.mark.parametrize("engine", ["bullet", "batch"])

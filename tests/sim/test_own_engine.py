@@ -1,4 +1,4 @@
-"""An engine is one module and one registration: tasks, contact, states and worlds come with it."""
+"""A custom engine needs one module and one registration; tasks, contact, states and worlds then work with it."""
 
 from __future__ import annotations
 

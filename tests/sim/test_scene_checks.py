@@ -1,4 +1,4 @@
-"""What is checked of a scene before anything moves, and the likely causes of failures."""
+"""Checks of a scene before anything moves, and the likely causes that errors name."""
 
 from __future__ import annotations
 

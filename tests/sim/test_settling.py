@@ -1,4 +1,4 @@
-"""Organs that do not bear their own weight, do not come to rest or have collapsed: told in words."""
+"""Warnings about organs that do not bear their own weight, do not come to rest or have collapsed."""
 
 from __future__ import annotations
 

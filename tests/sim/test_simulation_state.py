@@ -1,4 +1,4 @@
-"""Going back and going again: determinism, saving and restoring, several simulations at once, and memory."""
+"""The state of a simulation: determinism, saving and restoring, several simulations at once, and memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Work that is shared out among threads: all of it, each piece once, and nothing left behind."""
+"""Work distributed over threads: every piece is done exactly once, and nothing is left behind."""
 
 from __future__ import annotations
 

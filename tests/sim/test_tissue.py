@@ -1,4 +1,4 @@
-"""The engine "tissue": its forces, what it keeps, and that worlds do not tell what others there are."""
+"""The engine "tissue": its forces, what it conserves, and that worlds do not depend on each other."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def read(body: TissueBody, name: str, world: int = 0) -> np.ndarray:
 
 
 def step_forces(body: TissueBody, nodes: np.ndarray, world: int = 0) -> np.ndarray:
-    """What one step from rest gives the nodes (N, 3), by its length [kg u/s2]."""
+    """(N, 3) forces on the nodes, from the momenta that one step from rest gives them [kg u/s2]."""
     which = np.array([world])
     body.write(body.blocks.positions, which, nodes[None])
     body.write(body.blocks.velocities, which, 0.0)

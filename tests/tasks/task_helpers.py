@@ -1,4 +1,4 @@
-"""Where the tests ask the tasks: over the organs of their scenes, before these have come to rest."""
+"""Settings for tests of the tasks: the organs of their scenes, before these have come to rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person is told of a goal is what the task judges."""
+"""The criteria shown to a person agree with the task's verdict."""
 
 from __future__ import annotations
 

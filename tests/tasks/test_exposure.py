@@ -1,4 +1,4 @@
-"""Which points are seen past an organ and past tools."""
+"""Which points are visible past an organ and past tools."""
 
 from __future__ import annotations
 

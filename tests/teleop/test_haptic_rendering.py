@@ -21,7 +21,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 
 def settle(renderer: ForceRenderer, contact: Contact, position=ORIGIN, velocity=ORIGIN, start=0.0, cycles=400):
-    """The force after some cycles with a heart that beats."""
+    """The force after some cycles with a regular heartbeat."""
     force = ORIGIN
     for index in range(cycles):
         now = start + 1e-3 * index
@@ -80,7 +80,7 @@ def test_the_damper_resists_what_is_quick_and_not_what_goes_on():
 
 
 def test_a_tremor_across_a_light_touch_does_not_push_on_average():
-    """Along the force it makes and breaks contact; to the side it swings out of step with that."""
+    """Along the force, the tremor makes and breaks contact; to the side it has another phase."""
     renderer = ForceRenderer(HapticSettings())
     shown, told = np.zeros(3), np.zeros(3)
     for index in range(4000):
@@ -137,7 +137,7 @@ def test_a_stall_ends_the_force_and_counts_once():
 
 
 def beat(heart: Heartbeat, pulse: float, seconds: float, start: float = 0.0) -> list[float]:
-    """Lives, a millisecond apart, of a heart with a pulse."""
+    """Results of `Heartbeat.listen`, once a millisecond, to a simulation with heartbeats of period `pulse` [s]."""
     return [
         heart.listen(now, 1e-3, start + math.floor((now - start) / pulse + 1e-9) * pulse)
         for now in start + 1e-3 * np.arange(round(1e3 * seconds))

@@ -1,4 +1,4 @@
-"""What is kept at the rate of the haptic loop, and done again on the emulator."""
+"""Recordings at the rate of the haptic loop, replayed on the emulator."""
 
 from __future__ import annotations
 

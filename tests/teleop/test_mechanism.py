@@ -1,4 +1,4 @@
-"""A device with weight, friction and links that bend, and what bears them."""
+"""A device with weight, friction and compliant links, and the loop's compensation of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may open the page."""
+"""Access to the page: which requests are accepted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page about the web device tells what is, and its code runs as pasted."""
+"""The documentation page about the web device is true, and its code runs as pasted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page explains itself: what is asked, what is where, and what hands can do, on large screens and small ones."""
+"""The page explains the task, the layout and the controls, on large screens and small ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a visitor's messages can do: change the values of controls that can be used, and move what can be moved."""
+"""What a visitor's messages can do: change the values of enabled controls, and move movable handles."""
 
 from __future__ import annotations
 

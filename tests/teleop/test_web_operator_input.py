@@ -1,4 +1,4 @@
-"""What is held on the pages, and what a page may say."""
+"""Keys held on the pages, and the messages that a page may send."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pages of other sites, and programs that are no browsers, at the door of the page."""
+"""Requests to the page by other sites' pages, and by programs that are not browsers."""
 
 from __future__ import annotations
 

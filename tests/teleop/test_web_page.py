@@ -1,4 +1,4 @@
-"""The page in a browser: what is seen is what is there, and hands on mouse and keyboard move the tool."""
+"""The page in a browser: it shows the state of the simulation, and mouse and keyboard move the tool."""
 
 from __future__ import annotations
 

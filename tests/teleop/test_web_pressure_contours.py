@@ -95,7 +95,7 @@ def test_what_colours_the_organ_lies_over_it():
     assert np.linalg.norm(points, axis=1).min() > np.linalg.norm(POINTS, axis=1).max() + 0.4
 
 
-# To the micrometre: products of what is far smaller than that are no longer numbers.
+# Multiples of a micrometre: products of far smaller values would underflow.
 POINT = arrays(np.float64, 3, elements=st.integers(-5_000_000, 5_000_000).map(lambda micrometres: 1e-6 * micrometres))
 
 

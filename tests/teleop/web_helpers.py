@@ -1,4 +1,4 @@
-"""Pages for tests: a browser without a screen, and a script that only says which keys are held."""
+"""Pages for tests: a headless browser, and a script that only sends which keys are held."""
 
 from __future__ import annotations
 
@@ -64,21 +64,21 @@ def open_browser(*switches: str):
             browser.close()
 
 
-# A renderer in software draws as often as it can, takes a second for a picture, and a core from all other tests: a few
-# pictures a second are enough.
+# A software renderer draws as often as it can, a second for each picture, and takes a core away from all other tests.
+# This limits it to a few pictures a second.
 SELDOM = """(() => {
   const next = window.requestAnimationFrame.bind(window);
   window.requestAnimationFrame = (draw) => window.setTimeout(() => next(draw), 100);
   window.cancelAnimationFrame = (request) => window.clearTimeout(request);
 })()"""
 
-# What is there, and where it would be seen, is known without a picture.
+# Skips drawing: what is in the scene, and where it appears on the screen, is known without a picture.
 UNDRAWN = """(() => {
   for (const name of ["clear", "drawArrays", "drawArraysInstanced", "drawElements", "drawElementsInstanced"])
     WebGL2RenderingContext.prototype[name] = () => undefined;
 })()"""
 
-# Shadows take most of the time, and pixels most of the rest. Places on the page are told in the same units as ever.
+# Switches off shadows, which take most of the time, and lowers the resolution. Places on the page keep their units.
 COARSE = """(() => {
   window.setInterval(() => {
     const state = window.__viserMutable?.scene?.__r3f?.root?.getState();
@@ -91,7 +91,7 @@ COARSE = """(() => {
 
 
 def new_page(browser, drawn=False, **options):
-    """A page of its own, whose picture of the scene is drawn coarsely, or never."""
+    """A new page whose picture of the scene is drawn coarsely, or not at all."""
     page = browser.new_page(**options)
     page.add_init_script(SELDOM)
     page.add_init_script(COARSE.replace("RATIO", "0.25" if drawn else "0.05"))
@@ -101,7 +101,7 @@ def new_page(browser, drawn=False, **options):
 
 
 class Script:
-    """What the script in a page does, without a page: says all the time which keys are held."""
+    """Does what the script in a page does, without a page: sends all the time which keys are held."""
 
     def __init__(self, url: str):
         from websockets.sync.client import connect

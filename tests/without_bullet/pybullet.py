@@ -1,3 +1,3 @@
-"""Stands before PyBullet on the path when the tests are to run as if there were none of it."""
+"""Shadows PyBullet on the path in tests that run as if it were not installed."""
 
 raise ModuleNotFoundError("made unimportable for the tests", name="pybullet")
