@@ -398,7 +398,6 @@ def measure_frames(count: int = FRAMES) -> Check:
 def main() -> None:
     """Measure and print."""
     options = parser(__doc__ or "")
-    options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("--picture", type=Path, help="draw force against depth into this file")
     arguments = options.parse_args()
     if arguments.picture is not None:

@@ -592,7 +592,6 @@ def watch_motion(simulation: Simulation, linear: FloatArray, angular: FloatArray
 def main() -> None:
     """Make a motion, inspect it, and print."""
     options = parser(__doc__ or "")
-    options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("--scene", choices=motions.SCENES, default="seed")
     options.add_argument("--engine", choices=ENGINES, default="batch")
     options.add_argument("--motion", choices=tuple(motions.MOTIONS), default="slide")

@@ -65,7 +65,8 @@ def require_bullet(benchmark: str) -> None:
 def parser(description: str) -> argparse.ArgumentParser:
     """Make a command-line parser with the options that all benchmarks have; interruptions then print one word."""
     sys.excepthook = _excepthook
-    made = argparse.ArgumentParser(description=description)
+    # Descriptions have tables and commands in them.
+    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--json", action="store_true", help="print nothing but the JSON line")
     return made
 

@@ -453,7 +453,6 @@ def main() -> None:
     """Measure and print."""
     available = checks()
     options = parser(__doc__ or "")
-    options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("--checks", nargs="+", choices=tuple(available), default=list(available))
     arguments = options.parse_args()
     made: dict[str, Check] = {}

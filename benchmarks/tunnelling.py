@@ -238,7 +238,6 @@ def measure(jobs: Sequence[Job], workers: int, outcomes: dict[str, list[Outcome]
 def main() -> None:
     """Measure and print."""
     options = parser(__doc__ or "")
-    options.formatter_class = argparse.RawDescriptionHelpFormatter
     options.add_argument("--cases", type=int, default=2000, help="how many plunges the flags method makes")
     options.add_argument("--first", type=int, default=0, help="number of the first")
     options.add_argument("--subset", type=int, default=200, help="how many of them the other contact models make")
