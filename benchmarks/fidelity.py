@@ -21,7 +21,6 @@ nodes on the far side of the organ are fixed instead.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 from collections.abc import Callable, Sequence

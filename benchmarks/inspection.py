@@ -11,7 +11,6 @@ As a command it makes a motion in a scene, or repeats a recorded one, and inspec
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass
 from pathlib import Path

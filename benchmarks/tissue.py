@@ -25,7 +25,6 @@ and the benchmark then does not pass.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Callable
