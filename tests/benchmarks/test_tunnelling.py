@@ -317,7 +317,7 @@ def test_a_tally_counts():
     def add(flags, **seen):
         tally.add(np.array(flags, dtype=bool), replace(APART, **seen))
 
-    add([0, 0, 0, 0], node_depth=0.02)
+    add([0, 0, 0, 0], node_depth=0.008)
     assert (tally.missed, tally.pairs, tally.enclosed) == (0, 0, 0)
     add([0, 0, 0, 0], node_depth=0.04)
     add([0, 0, 0, 0], centre_inside=True)
