@@ -84,12 +84,12 @@ class LocalContact:
         place = None if contact.position is None else difference(contact.position, contact.shift)
         last, brought = self._told_place, 0.0
         moved = ZERO if place is None or last is None else difference(place, last)
-        if place is not None and (last is None or self._told_force == ZERO):
-            # No organ is so stiff that this motion alone could have loaded it.
-            if dot(told, told) > STIFFEST**2 * dot(moved, moved):
-                stiffness = self._settings.force_scale * max(self.stiffness, self._settings.stiffness)
-                self.work = brought = 0.5 * dot(force, force) / stiffness
-        elif place is not None:
+        begins = place is not None and (last is None or self._told_force == ZERO)
+        # No organ is so stiff that this motion alone could have loaded it.
+        if begins and dot(told, told) > STIFFEST**2 * dot(moved, moved):
+            stiffness = self._settings.force_scale * max(self.stiffness, self._settings.stiffness)
+            self.work = brought = 0.5 * dot(force, force) / stiffness
+        else:
             middle = scaled(
                 0.5, (force[0] + self._told_force[0], force[1] + self._told_force[1], force[2] + self._told_force[2])
             )
