@@ -78,7 +78,7 @@ def test_agrees_with_vectors_along_the_links(position):
 def test_force_comes_out_of_the_mechanism_as_it_was_asked_for(position, force):
     _, jacobian = kinematics.inverse_with_jacobian(position)
     torques = kinematics.torques(force, jacobian)
-    counts, scale = kinematics.torques_to_counts(torques)
+    counts, scale, _ = kinematics.torques_to_counts(torques)
     assert scale == 1.0
     # Half a count on each motor is what rounding may cost.
     rounding = 0.5e-4 * np.abs(np.array(jacobian)).sum(axis=0)
@@ -103,12 +103,21 @@ def test_a_turn_has_as_many_counts_as_encoder_and_gear_give():
 
 @given(st.tuples(*[st.floats(-10.0, 10.0)] * 3))
 def test_saturation_keeps_the_direction(torques):
-    counts, scale = kinematics.torques_to_counts(torques)
+    counts, scale, _ = kinematics.torques_to_counts(torques)
     assert max(map(abs, counts)) <= 4095
     assert 0.0 < scale <= 1.0
     np.testing.assert_allclose(counts, -10_000.0 * scale * np.array(torques), atol=0.5 + 1e-9)
     if scale < 1.0:
         assert max(map(abs, counts)) == 4095
+
+
+@given(st.tuples(*[st.floats(-0.4, 0.4)] * 3))
+def test_rounding_is_made_up_for_by_the_next_packets(torques):
+    owed, sent = (0.0, 0.0, 0.0), []
+    for _ in range(100):
+        counts, _, owed = kinematics.torques_to_counts(torques, owed=owed)
+        sent.append(counts)
+    np.testing.assert_allclose(np.mean(sent, axis=0), -10_000.0 * np.array(torques), atol=0.5 / 100 + 1e-9)
 
 
 @pytest.mark.parametrize("position", [(0.0, 0.0, 0.3), (0.2, 0.0, 0.12), (0.05, 0.0, 0.17)])

@@ -124,6 +124,7 @@ class ServoLoop:
         self._velocity = CountVelocity()
         self._state = ServoState(time=clock())
         self._command: tuple[Vector, float] = (ZERO, -math.inf)
+        self._owed: Vector = ZERO
         self._lights: Lights | None = None
         self._stopping = threading.Event()
         self._progressed = threading.Condition()
@@ -271,9 +272,11 @@ class ServoLoop:
         # periods, so that a force ends before its timeout, not after it.
         too_old = now - self._force_timeout + 2.0 * PERIOD
         if jacobian is None or force == ZERO or asked < too_old or self._state.time < too_old:
+            self._owed = ZERO
             return NO_MOTORS
         try:
-            counts, share = kinematics.torques_to_counts(kinematics.torques(force, jacobian))
+            torques = kinematics.torques(force, jacobian)
+            counts, share, self._owed = kinematics.torques_to_counts(torques, owed=self._owed)
         except kinematics.UnreachableError:
             return NO_MOTORS
         if share < 1.0:

@@ -15,6 +15,7 @@ share is zero, so nothing is given beyond the allowance, however much the organ 
 
 from __future__ import annotations
 
+from spatula_env.teleop.haptics.contact import ZERO, Vector, difference, dot
 from spatula_env.teleop.haptics.settings import HapticSettings
 
 SEED = 5e-6
@@ -23,6 +24,10 @@ TRUST_TIME, MOST_TRUST = 1.0, 2.0
 """Time in which the factor for energy that is not given back grows by one [s], and greatest factor [1]."""
 HOLD_TIME = 1.0
 """Time constant with which the energy that an organ has stored is forgotten [s]."""
+CLEAR_MOTION = 6e-5
+"""Motion of the hand that an encoder certainly shows; a Falcon's count is 20 to 40 um [m]."""
+SAME_PLACE = 1e-6
+"""Positions nearer to each other than this are of the same counts [m]."""
 FALL_TIME, RISE_TIME = 0.003, 0.3
 """Shortest times in which the share goes from 1 to 0 and from 0 to 1 [s]."""
 
@@ -47,14 +52,34 @@ class EnergyAccount:
         self.share = 1.0
         self._held = 0.0
         self._trust = 1.0
+        self._last: Vector | None = None
+        self._place: Vector = ZERO
+        self._booked = 0.0
 
-    def exchange(self, energy: float, step: float) -> None:
-        """Book energy from the hand, or to the hand if it is negative.
+    def exchange(self, force: Vector, position: Vector, step: float) -> None:
+        """Book the work of a force on the hand since the last call.
+
+        A hand at rest makes an encoder go to and fro between two counts, and a force that depends on the count would
+        seem to do work, up to a hundred times what it really does. So what was exchanged on a way that ended where it
+        began, without ever having been clearly away from there, is taken back.
 
         Args:
-            energy: Energy taken from the hand [J].
-            step: Time in which it was taken [s].
+            force: Force on the hand since the last call [N].
+            position: Position of the hand now [m].
+            step: Time since the last call [s].
         """
+        if self._last is None:
+            self._last = self._place = position
+        energy = -dot(force, difference(position, self._last))
+        self._last = position
+        self._booked += energy
+        away = difference(position, self._place)
+        far = dot(away, away)
+        if far > CLEAR_MOTION**2:
+            self._place, self._booked = position, 0.0
+        elif far < SAME_PLACE**2:
+            energy -= self._booked
+            self._booked = 0.0
         self.balance += energy
         self.content += energy
         if self.content < 0.0:

@@ -105,11 +105,9 @@ class ForceRenderer:
             Force of the grip on the hand [N].
         """
         step = PERIOD if self._time is None else min(max(now - self._time, 0.0), LONGEST_STEP)
-        if self._time is not None:
-            # Use position differences, as a filtered velocity lags. A force is sent with the packet of the next step,
-            # which also returns the position: so the force that has acted since the last position is that of the step
-            # before.
-            self.account.exchange(-dot(self._acting, difference(position, self._hand)), step)
+        # Use position differences, as a filtered velocity lags. A force is sent with the packet of the next step, which
+        # also returns the position: so the force that has acted since the last position is that of the step before.
+        self.account.exchange(self._acting, position, step)
         self._acting = self._sent
         self._time, self._hand = now, position
         life = self.heartbeat.listen(now, step, None if contact is None else contact.time)
