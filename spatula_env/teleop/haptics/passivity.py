@@ -24,8 +24,9 @@ TRUST_TIME, MOST_TRUST = 1.0, 2.0
 """Time in which the factor for energy that is not given back grows by one [s], and greatest factor [1]."""
 HOLD_TIME = 1.0
 """Time constant with which the energy that an organ has stored is forgotten [s]."""
-CLEAR_MOTION = 6e-5
-"""Motion of the hand that an encoder certainly shows; a Falcon's count is 20 to 40 um [m]."""
+CLEAR_MOTION = 9e-5
+"""Motion of the hand that is more than encoders going to and fro; a count of a Falcon's leg is 20 to 40 um, and two legs
+may change at once [m]."""
 SAME_PLACE = 1e-6
 """Positions nearer to each other than this are of the same counts [m]."""
 FALL_TIME, RISE_TIME = 0.003, 0.3

@@ -197,7 +197,8 @@ class ForceRenderer:
         held = (aside[0] + side_spring[0], aside[1] + side_spring[1], aside[2] + side_spring[2])
         holding = max(stiffness, scale * settings.stiffness)
         stored = 0.5 * max(0.0, push + spring) ** 2 / holding + 0.5 * dot(held, held) / max(holding, side_stiffness)
-        share = self.account.allow(max(0.0, min(stored, contact.work)), step)
+        # An organ that swings against the tool has more to give than the tool has stored in it.
+        share = self.account.allow(min(stored, abs(contact.work)), step)
         self.limited += share < FULL_SHARE
         return (
             share * (force[0] + lead * normal[0] + side_lead[0]),
