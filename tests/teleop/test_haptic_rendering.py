@@ -204,13 +204,20 @@ def test_after_a_pause_in_which_the_hand_went_on_the_whole_force_is_back_with_th
     assert back[2] == pytest.approx(1.0)
 
 
+def give(account: EnergyAccount, energy: float):
+    """Let the hand give energy, by one clear motion of 1 mm."""
+    account.exchange(ORIGIN, ORIGIN, 0.0)
+    account.exchange((0.0, 0.0, 1e3 * energy), (0.0, 0.0, -1e-3), 1e-3)
+    account.exchange(ORIGIN, ORIGIN, 0.0)
+
+
 def test_the_account_lets_go_what_it_cannot_bear():
     gains = HapticSettings(energy_allowance=1e-3, energy_leak=0.0, energy_hoard=1e-3)
     account = EnergyAccount(gains)
     assert account.allow(5e-4, 1e-3) == 1.0
-    account.exchange(2e-3, 1e-3)
+    give(account, 2e-3)
     assert account.allow(3e-3, 1e-3) == 1.0
-    account.exchange(-1e-3, 1e-3)
+    give(account, -1e-3)
     for _ in range(10):
         share = account.allow(4e-3, 1e-3)
     assert share == pytest.approx((2e-3 + SEED) / 4e-3, rel=0.02)
@@ -218,19 +225,87 @@ def test_the_account_lets_go_what_it_cannot_bear():
     for _ in range(3000):
         share = account.allow(4e-3, 1e-3)
     assert share == 1.0
-    account.exchange(-2e-3, 1e-3)
+    give(account, -2e-3)
     for _ in range(10):
         share = account.allow(4e-3, 1e-3)
     assert share <= 2.0 * SEED / 4e-3 + 1e-9
     assert account.balance == pytest.approx(-1e-3)
     # Nothing is hoarded, and a debt is no one's to forget at once.
-    account.exchange(1.0, 1e-3)
+    give(account, 1.0)
     account.allow(0.0, 1e-3)
     assert account.content <= 2.0 * 4e-3 + 1e-3
-    account.exchange(-1.0, 1e-3)
+    give(account, -1.0)
     debt = account.content
     account.begin()
     assert account.content == debt < 0.0
+
+
+@pytest.mark.parametrize("lag", [0, 1, 2])
+def test_an_encoder_between_two_counts_exchanges_no_energy(lag):
+    """A force that follows the count late seems to do work on a hand that rests."""
+    account = EnergyAccount(HapticSettings(energy_leak=0.0))
+    give(account, 1e-3)
+    balance = account.balance
+    counts = [index // 3 % 2 for index in range(5000)]
+    for index, count in enumerate(counts):
+        force = 1.0 - 0.02 * (counts[max(0, index - lag)])
+        account.exchange((0.0, 0.0, force), (0.0, 0.0, 3e-5 * count), 1e-3)
+    # At most what a single count holds.
+    assert abs(account.balance - balance) <= 3.1e-5
+
+
+@given(
+    steps=st.lists(st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(-2, 2)), min_size=1, max_size=60),
+    force=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+)
+def test_the_account_of_a_constant_force_depends_on_the_ends_alone(steps, force):
+    account, place = EnergyAccount(HapticSettings(energy_leak=0.0)), (0.0, 0.0, 0.0)
+    account.exchange(force, place, 1e-3)
+    for step in steps:
+        place = tuple(np.add(place, 3e-5 * np.array(step)).tolist())
+        account.exchange(force, place, 1e-3)
+    assert account.balance == pytest.approx(-np.dot(force, place), abs=1e-12)
+
+
+def test_what_moves_clearly_and_comes_back_is_booked():
+    account = EnergyAccount(HapticSettings(energy_leak=0.0))
+    account.exchange(ORIGIN, ORIGIN, 1e-3)
+    for index in range(1, 11):
+        account.exchange((0.0, 0.0, 1.0), (0.0, 0.0, -2e-5 * index), 1e-3)
+    for index in reversed(range(10)):
+        account.exchange((0.0, 0.0, 3.0), (0.0, 0.0, -2e-5 * index), 1e-3)
+    assert account.balance == pytest.approx(-4e-4)
+
+
+def test_an_organ_that_swings_against_the_tool_gives_no_more_than_the_allowance():
+    """An organ that returns faster than it was pressed does work that nobody gave it."""
+    gains = HapticSettings(damping=0.0)
+    renderer = ForceRenderer(gains)
+    energy, place = 0.0, 0.0
+    for index in range(400):
+        pushed = min(1.0, index / 20)
+        moved = 4e-5 * min(index, 20) if index < 20 else 0.0
+        last, place = place, place - moved if index < 20 else place + 1e-4
+        told = Contact(1e-3 * index, (0.0, 0.0, place), (0.0, 0.0, pushed))
+        force = renderer.step(1e-3 * index, (0.0, 0.0, place), ORIGIN, told)
+        energy += force[2] * (place - last)
+    assert energy <= gains.energy_allowance + 1.5e-4
+
+
+@pytest.mark.parametrize("stiffness", [40.0, 90.0])
+def test_jumps_of_a_count_teach_nothing_about_the_organ(stiffness):
+    """An organ answers a jump several times as stiffly as a slow motion, by its inertia and the contact's friction."""
+    model = LocalContact(PLAIN)
+    for index in range(2000):
+        depth = 1e-5 * min(index, 500)
+        model.hear(Contact(index / 240, (0.0, 0.0, -depth), (0.0, 0.0, stiffness * depth)))
+    known = model.stiffness
+    assert known == pytest.approx(stiffness, rel=0.05)
+    for index in range(2000, 9000):
+        jump = 3e-5 * (index // 4 % 2)
+        told = stiffness * 5e-3 + 5.0 * stiffness * jump
+        model.hear(Contact(index / 240, (0.0, 0.0, -5e-3 - jump), (0.0, 0.0, told)))
+    assert model.stiffness == pytest.approx(known, rel=1e-6)
 
 
 @settings(max_examples=30, deadline=None)

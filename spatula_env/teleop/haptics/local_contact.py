@@ -18,9 +18,9 @@ SMALL_FORCE = 1e-9
 """Forces below this have no direction [N]."""
 MEMORY = 0.1
 """Time constant with which past forces and positions count for the stiffness estimate [s]."""
-CLEAR_MOTION = 1e-4
-"""Root mean square motion from which on the change of force says something about the stiffness: several counts of an
-encoder, as to the jumps of a single one an organ answers several times as stiffly [m]."""
+JITTER, CLEAR_MOTION = 4e-5, 1e-4
+"""Root mean square motions below which the change of force says nothing about the stiffness, and from which on it says
+much: to the jumps of an encoder's counts, an organ answers several times as stiffly as to a motion [m]."""
 SOFTEST, STIFFEST = 5.0, 1000.0
 """Bounds of the estimated stiffness on the tool [N/m]."""
 GREATEST_TOLD = 1e4
@@ -178,8 +178,8 @@ def _corrected(stiffness: float, variance: float, covariance: float, share: floa
     if variance <= 0.0:
         return stiffness
     found = min(STIFFEST, max(least, -covariance / variance))
-    squared = variance * variance
-    return stiffness + share * squared / (squared + CLEAR_MOTION**4) * (found - stiffness)
+    clear = max(0.0, variance - JITTER**2) ** 2
+    return stiffness + share * clear / (clear + CLEAR_MOTION**4) * (found - stiffness)
 
 
 def _towards(value: Vector, target: Vector, share: float) -> Vector:
