@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, output_file, parser
 from benchmarks.rivals import LIBRARIES, WRITTEN_HERE, BruteForce, Question, Rival
 from spatula_env import Simulation, scenes
 from spatula_env.contact import Contacts, FlaggedDetector
@@ -479,7 +479,7 @@ def main() -> None:
     options = parser(__doc__ or "")
     options.add_argument("--repeats", type=int, default=2000, help="queries that count (default: %(default)s)")
     options.add_argument("--no-scaling", action="store_true", help="leave out how the times grow")
-    options.add_argument("--picture", type=Path, help="draw how the times grow into this file")
+    options.add_argument("--picture", type=output_file, help="draw how the times grow into this file")
     arguments = options.parse_args()
     if arguments.repeats < BLOCK:
         options.error(f"--repeats must be at least {BLOCK}, got {arguments.repeats}")

@@ -25,14 +25,13 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from benchmarks.curves import Curve
 from benchmarks.ledger import Ledger
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, output_file, parser
 from spatula_env import Simulation, scenes
 from spatula_env.geometry import Tool
 from spatula_env.geometry.transforms import quaternion_conjugate, quaternion_multiply, random_quaternion, rotate
@@ -397,7 +396,7 @@ def measure_frames(count: int = FRAMES) -> Check:
 def main() -> None:
     """Measure and print."""
     options = parser(__doc__ or "")
-    options.add_argument("--picture", type=Path, help="draw force against depth into this file")
+    options.add_argument("--picture", type=output_file, help="draw force against depth into this file")
     arguments = options.parse_args()
     if arguments.picture is not None:
         from benchmarks import pictures

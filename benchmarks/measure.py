@@ -13,6 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
+from spatula_env.data.files import check_can_write
 from spatula_env.engines import bullet_hint, bullet_is_there, bullet_version
 
 Name = TypeVar("Name", bound=str)
@@ -41,6 +42,24 @@ def resident_megabytes() -> float:
     if not file.exists():
         return 0.0
     return int(file.read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGESIZE") / 1e6
+
+
+def output_file(text: str) -> Path:
+    """Argument of the command line that names a file to be written; refused at once if it cannot be.
+
+    Raises:
+        argparse.ArgumentTypeError: If the file is a folder, or its folder is not there or cannot be written to.
+    """
+    file = Path(text)
+    if file.is_dir():
+        raise argparse.ArgumentTypeError(f"{text} is a folder, not a file")
+    if not file.parent.is_dir():
+        raise argparse.ArgumentTypeError(f"{text} cannot be written: there is no folder {file.parent}")
+    try:
+        check_can_write(file.parent)
+    except OSError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return file
 
 
 def without_bullet(names: Iterable[Name]) -> list[Name]:

@@ -26,14 +26,13 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, NoReturn, get_args
 
 import numpy as np
 
 from benchmarks import plunges
 from benchmarks.inspection import ALLOWED, Inspection
-from benchmarks.measure import finish, parser
+from benchmarks.measure import finish, output_file, parser
 from benchmarks.parallel import WorkerDied, available_cores, results
 from benchmarks.plunges import Outcome
 from spatula_env.engines import DEFAULT, ENGINES, choose_engine, load_engine
@@ -244,7 +243,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=SEED, help="other seeds give other cases")
     options.add_argument("--workers", type=int, default=available_cores(), help="processes")
     options.add_argument("--engine", choices=tuple(ENGINES), help=f"what integrates the organ (default: {DEFAULT})")
-    options.add_argument("--picture", type=Path, help="draw failures over speed and thickness into this file")
+    options.add_argument("--picture", type=output_file, help="draw failures over speed and thickness into this file")
     options.add_argument("--case", type=int, help="run only the case of this number, and print every step")
     options.add_argument("--contact", choices=get_args(ContactName), default="flags", help="contact model of --case")
     arguments = options.parse_args()

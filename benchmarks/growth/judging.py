@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from benchmarks.growth.memory import MOST_GROWTH
+
 EXPONENTS = {
     ("sizes", "worlds", "step of all worlds"): 1.03,
     ("sizes", "worlds", "reset of one world"): 0.1,
@@ -34,9 +36,9 @@ COUNTS: Mapping[tuple[str, ...], float] = {
     ("killing", "damaged"): 0,
     ("killing", "left_behind"): 0,
 }
-LEFT = {"growth": 5.0, "clients": 0, "descriptors": 0, "threads": 0, "files": 0}
+LEFT = {"growth": MOST_GROWTH, "clients": 0, "descriptors": 0, "threads": 0, "files": 0}
 """Most that environments may leave behind; memory in MB."""
-LONG = {"growth": 5.0}
+LONG = {"growth": MOST_GROWTH}
 """Greatest growth of memory over a long run [MB]."""
 
 

@@ -34,7 +34,7 @@ SAMPLES = 100
 """How often memory is read in a long run."""
 WARM_UP = 0.1
 """Share of a long run after which memory must stay constant."""
-LIMIT = 5.0
+MOST_GROWTH = 5.0
 """Greatest growth of memory [MB]."""
 
 
@@ -62,8 +62,10 @@ class Left:
 
     @property
     def passed(self) -> bool:
-        """Whether memory grows by no more than `LIMIT`, and nothing else is left behind."""
-        return self.growth <= LIMIT and not (self.clients or self.descriptors > 0 or self.threads > 0 or self.files)
+        """Whether memory grows by no more than `MOST_GROWTH`, and nothing else is left behind."""
+        return self.growth <= MOST_GROWTH and not (
+            self.clients or self.descriptors > 0 or self.threads > 0 or self.files
+        )
 
 
 @dataclass(frozen=True)
@@ -86,8 +88,8 @@ class LongRun:
 
     @property
     def passed(self) -> bool:
-        """Whether memory grows by no more than `LIMIT`."""
-        return self.growth <= LIMIT
+        """Whether memory grows by no more than `MOST_GROWTH`."""
+        return self.growth <= MOST_GROWTH
 
 
 def in_fresh_process(work: Callable[..., Result], *arguments: Any) -> Result:

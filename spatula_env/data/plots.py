@@ -10,6 +10,7 @@ import numpy as np
 from spatula_env.data.files import check_can_write
 from spatula_env.data.statistics import Curve, DatasetStatistics
 from spatula_env.installing import install_hint
+from spatula_env.tasks.limits import COST_PRESSURE, VIOLATION_PRESSURE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,7 +21,7 @@ RULE = "#e4e5e8"
 SUCCESS = "#2f7f86"
 FAILURE = "#d0782f"
 COURSE = "#9a3f4d"
-LIMITS = ((2.67, "dose"), (4.0, "violation"))
+LIMITS = ((1e-3 * COST_PRESSURE, "dose"), (1e-3 * VIOLATION_PRESSURE, "violation"))
 """Pressures from which dose and violations are counted [kPa]; see `SpatulaEnv`."""
 BINS = 16
 """Greatest number of bins of a histogram."""

@@ -13,6 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from spatula_env.tasks.limits import COST_PRESSURE, VIOLATION_PRESSURE
+
 Color = tuple[float, float, float]
 """Red, green and blue in 0..1, sRGB-encoded."""
 
@@ -174,8 +176,8 @@ class ColorMap:
         return np.asarray(self.table[index] * (1.0 - part) + self.table[index + 1] * part)
 
 
-PRESSURE_LIMITS = (2670.0, 4000.0)
-"""Contact pressures at which the colours change as a warning: 20 and 30 mmHg [Pa]."""
+PRESSURE_LIMITS = (COST_PRESSURE, VIOLATION_PRESSURE)
+"""Contact pressures at which the colours change as a warning [Pa]."""
 
 HIGHEST_PRESSURE = 8000.0
 """Pressure at the upper end of the colour map [Pa]."""

@@ -31,8 +31,8 @@ EDGE_DEPTH = 0.008
 PLACE_GAIN = 8.0
 """Speed per distance to a place, in the air [1/s]."""
 
-LIFT_SPEED, PUSH_SPEED = 0.04, 0.015
-"""Speed upwards in the air, and speed against the fold [m/s]."""
+LIFT_SPEED, LEAST_DESCENT, PUSH_SPEED = 0.04, 0.005, 0.015
+"""Speed upwards in the air, speed downwards where the wanted height is near, and speed against the fold [m/s]."""
 
 SHIFT_GAIN = 6.0
 """Speed per error of the patch's displacement [1/s]."""
@@ -40,8 +40,11 @@ SHIFT_GAIN = 6.0
 TOUCH = 0.005
 """Force from which on the blade counts as touching the fold [N]."""
 
-LOW, BESIDE, ALIGNED = 0.003, 0.002, 0.004
-"""Tolerances of the blade's position for going down or pushing: in height, across the fold, and along it [m]."""
+LOW, BESIDE = 0.003, 0.002
+"""Tolerances of the blade's position for pushing: in height, and beyond its place across the fold [m]."""
+
+ACROSS, ALONG = 0.003, 0.004
+"""Tolerances of the blade's position for going down: across the fold, and along it [m]."""
 
 
 class RetractExpert(Expert):
@@ -62,12 +65,12 @@ class RetractExpert(Expert):
         low = z - height < LOW
         beside = side * (place_x - x) > -BESIDE
         lifting = ~low & ~beside & (z - EDGE < TOP + CLEARANCE)
-        aligned = (np.abs(place_x - x) < LOW) & (np.abs(rest[..., 1] - y) < ALIGNED)
+        aligned = (np.abs(place_x - x) < ACROSS) & (np.abs(rest[..., 1] - y) < ALONG)
         touching = np.abs(force[..., 0]) > TOUCH
 
         over_x = np.where(lifting, 0.0, PLACE_GAIN * (place_x - x))
         over_y = np.where(lifting, 0.0, PLACE_GAIN * (rest[..., 1] - y))
-        over_z = np.where(lifting, LIFT_SPEED, np.where(aligned, PLACE_GAIN * (height - z) - GAP, 0.0))
+        over_z = np.where(lifting, LIFT_SPEED, np.where(aligned, PLACE_GAIN * (height - z) - LEAST_DESCENT, 0.0))
         push = np.clip(SHIFT_GAIN * error, -PUSH_SPEED, PUSH_SPEED)
         push_x = np.where(touching, push[..., 0], side * PUSH_SPEED)
         push_y = np.where(touching, push[..., 1], PLACE_GAIN * (rest[..., 1] - y))

@@ -25,8 +25,8 @@ TRUST_TIME, MOST_TRUST = 1.0, 2.0
 HOLD_TIME = 1.0
 """Time constant with which the energy that an organ has stored is forgotten [s]."""
 CLEAR_MOTION = 9e-5
-"""Motion of the hand that is more than encoders going to and fro; a count of a Falcon's leg is 20 to 40 um, and two legs
-may change at once [m]."""
+"""Motion of the hand that is more than encoders going to and fro; a count of a Falcon's leg is 20 to 40 um, and two
+legs may change at once [m]."""
 SAME_PLACE = 1e-6
 """Positions nearer to each other than this are of the same counts [m]."""
 FALL_TIME, RISE_TIME = 0.003, 0.3
