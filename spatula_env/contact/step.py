@@ -86,6 +86,10 @@ SLOW = 1e-3
 PATH_PART = 0.5
 """Greatest motion of a tool between two queries, as a multiple of its thickness."""
 
+MOST_QUERIES = 4096
+"""Most parts into which the tools' paths are divided, so that no step takes long: enough for a sheet of 0.02 u at 9,800
+u/s. A thinner sheet at such a speed moves farther between two queries."""
+
 ORGAN_PART = 0.5
 """Greatest motion of an organ's node between two queries, in mean edges of the organ."""
 
@@ -174,7 +178,7 @@ def divide_paths(world: Any, motions: Any, organs: Any, passes: np.ndarray) -> i
         if passes[k]:
             speed = greatest_speed(extent, motions.linear_velocities[k], motions.angular_velocities[k])
             parts = max(parts, int(np.ceil(speed * world.settings[DT] / (PATH_PART * extent[7]))))
-    return parts
+    return min(parts, MOST_QUERIES)
 
 
 @array_kernel

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
     from spatula_env.arrays import BoolArray, FloatArray, IntArray
 
+GREATEST_SPEED = 1e4
+"""Greatest speed of a tool along an axis [u/s], and of its rotation [rad/s]: 200 m/s in the preset scenes."""
+
 
 def world_indices(worlds: ArrayLike | None, count: int, *, once: bool = False) -> IntArray:
     """Indices of selected worlds.
@@ -64,6 +67,25 @@ def rows_of(value: ArrayLike, name: str, shape: tuple[int, ...], worlds: IntArra
     if bad.any():
         raise ValueError(f"{name} must be finite, in world {worlds[int(np.argmax(bad))]} they are not")
     return array
+
+
+def check_speeds(array: FloatArray, name: str, unit: str) -> None:
+    """Check that velocities (..., 3) are such that a step takes no more than a moment.
+
+    Args:
+        array: The velocities, finite.
+        name: Name of the argument.
+        unit: Unit of the velocities.
+
+    Raises:
+        ValueError: If a component is greater than `GREATEST_SPEED`.
+    """
+    fastest = float(np.abs(array).max(initial=0.0))
+    if fastest > GREATEST_SPEED:
+        raise ValueError(
+            f"{name} must be at most {GREATEST_SPEED:g} {unit} along each axis, got {fastest:g}: contact is looked for "
+            f"each time a tool has moved by half its thickness"
+        )
 
 
 def refuse(bad: BoolArray, worlds: IntArray, name: str, allowed: str, values: FloatArray | None = None) -> None:

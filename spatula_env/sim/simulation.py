@@ -17,6 +17,7 @@ from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.scenes import PlacedTool
 from spatula_env.sim.engine import ContactName
 from spatula_env.sim.report import Pressures, Report
+from spatula_env.sim.selection import check_speeds
 from spatula_env.sim.states import SimulationState
 from spatula_env.sim.worlds import NO_COPY, SimulationDiverged, Worlds
 
@@ -162,13 +163,16 @@ class Simulation:
             What happened.
 
         Raises:
-            ValueError: If a velocity is malformed or not finite; nothing has then changed.
+            ValueError: If a velocity is malformed, not finite or beyond `selection.GREATEST_SPEED`; nothing has then
+                changed.
             SimulationDiverged: If positions are no longer finite, or an organ has turned inside out.
         """
         self._check_open()
         shape = self.worlds.state.tool_positions.shape[1:]
         linear = _as_velocities(linear_velocity, "linear_velocity", shape)
         angular = _as_velocities(angular_velocity, "angular_velocity", shape)
+        check_speeds(linear, "linear_velocity", "u/s")
+        check_speeds(angular, "angular_velocity", "rad/s")
         self.worlds.move(linear, angular)
         if self.worlds.state.diverged[0]:
             raise SimulationDiverged(self.worlds.why_diverged(0))

@@ -34,7 +34,7 @@ from spatula_env.sim.scene_checks import (
     warn_of_rest,
     warn_of_scene,
 )
-from spatula_env.sim.selection import one_each, refuse, rows_of, world_indices
+from spatula_env.sim.selection import check_speeds, one_each, refuse, rows_of, world_indices
 from spatula_env.sim.states import WorldMemory, WorldsState
 from spatula_env.sim.threads import share_out
 from spatula_env.sim.volumes import Volumes
@@ -685,13 +685,16 @@ class Worlds:
             not finite, does not affect the others; it waits to be reset.
 
         Raises:
-            ValueError: If a velocity is malformed or not finite; nothing has then changed.
+            ValueError: If a velocity is malformed, not finite or beyond `selection.GREATEST_SPEED`; nothing has then
+                changed.
         """
         shape, every = self.state.tool_positions.shape, np.arange(self.count)
         linear = rows_of(linear_velocities, "linear_velocities", shape, every)
         angular = np.zeros(shape)
         if angular_velocities is not None:
             angular = rows_of(angular_velocities, "angular_velocities", shape, every)
+        check_speeds(linear, "linear_velocities", "u/s")
+        check_speeds(angular, "angular_velocities", "rad/s")
         if not isinstance(steps, int | np.integer) or steps < 1:
             raise ValueError(f"steps must be an integer, 1 or more, got {steps!r}")
         pressures, forces = (

@@ -310,7 +310,8 @@ def test_a_world_that_diverges_leaves_the_others_alone(top):
     assert loads.ground_forces[3, 2] == pytest.approx(WEIGHT, abs=0.5)
 
 
-NAN_IN_TWO = np.zeros((COUNT, 1, 3))
+ZEROS = np.zeros((COUNT, 1, 3))
+NAN_IN_TWO = ZEROS.copy()
 NAN_IN_TWO[2, 0, 1] = np.nan
 
 
@@ -321,6 +322,11 @@ NAN_IN_TWO[2, 0, 1] = np.nan
         (lambda b: b.advance(NAN_IN_TWO), "linear_velocities must be finite, in world 2"),
         (lambda b: b.advance(np.zeros((COUNT, 1, 3)), NAN_IN_TWO), "angular_velocities must be finite, in world 2"),
         (lambda b: b.advance("fast"), "linear_velocities must be numbers"),
+        (
+            lambda b: b.advance(np.full((COUNT, 1, 3), -2e4)),
+            "linear_velocities must be at most 10000 u/s along each axis",
+        ),
+        (lambda b: b.advance(ZEROS, np.full((COUNT, 1, 3), 1e9)), "angular_velocities must be at most 10000 rad/s"),
         (lambda b: b.advance(np.zeros((COUNT, 1, 3)), steps=0), "steps must be an integer, 1 or more, got 0"),
         (lambda b: b.place_tools(np.zeros((2, 1, 3)), worlds=[1]), r"positions must have shape \(1, 1, 3\)"),
         (

@@ -317,6 +317,7 @@ def test_dragging_a_pressed_tool(friction):
     [
         (0.0, 0.0, np.nan),
         (np.inf, 0.0, 0.0),
+        (0.0, 0.0, -1.1e4),
         (0.0, 0.0),
         5.0,
         np.zeros((2, 3)),
