@@ -184,15 +184,14 @@ def depth_of_surface(vertices: np.ndarray, triangles: np.ndarray, normals: np.nd
     return greatest
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8, i4[::1], i4[::1])")
 def find_passages(
-    before: np.ndarray,
-    after: np.ndarray,
-    normals: np.ndarray,
-    offsets: np.ndarray,
+    before: FloatArray,
+    after: FloatArray,
+    normals: FloatArray,
+    offsets: FloatArray,
     rim: float,
-    entries: np.ndarray,
-    ways: np.ndarray,
+    entries: NDArray[np.int32],
+    ways: NDArray[np.int32],
 ) -> None:
     """Find the vertices that have gone right through a convex body, on straight paths in its frame.
 
@@ -206,52 +205,40 @@ def find_passages(
             from call to call.
         ways: (V,) output: face by which each vertex came in that left by the opposite one, -1 for other vertices.
     """
-    faces = normals.shape[0]
-    for v in range(before.shape[0]):
-        ways[v] = -1
-        first, last = 0.0, 1.0
-        entry, out = entries[v], -1
-        for f in range(faces):
-            start, end = -offsets[f], -offsets[f]
-            for k in range(3):
-                start += normals[f, k] * before[v, k]
-                end += normals[f, k] * after[v, k]
-            if start >= 0.0 and end >= 0.0:
-                first = 2.0
-                break
-            if start >= 0.0:
-                part = start / (start - end)
-                if part >= first:
-                    first, entry = part, f
-            elif end >= 0.0:
-                part = start / (start - end)
-                if part <= last:
-                    last, out = part, f
-        if first > last:
-            entries[v] = -1
+    ways[:] = -1
+    was, now = _heights(before, normals, offsets), _heights(after, normals, offsets)
+    for v in range(len(before)):
+        comes_in, goes_out = (was[v] >= 0.0) & (now[v] < 0.0), (was[v] < 0.0) & (now[v] >= 0.0)
+        # Where, on the way, the vertex crosses the faces' planes.
+        places = np.divide(was[v], was[v] - now[v], out=np.zeros(len(normals)), where=comes_in | goes_out)
+        first, last = places[comes_in].max(initial=0.0), places[goes_out].min(initial=1.0)
+        entry = _last_index(comes_in & (places == first), entries[v])
+        way_out = _last_index(goes_out & (places == last), -1)
+        entries[v] = -1
+        if ((was[v] >= 0.0) & (now[v] >= 0.0)).any() or first > last:
             continue
-        if out < 0:
+        if way_out < 0:
             entries[v] = entry
             continue
-        entries[v] = -1
-        if entry < 0:
+        if entry < 0 or normals[entry] @ normals[way_out] > -1.0 + PARALLEL:
             continue
-        across = 0.0
-        for k in range(3):
-            across += normals[entry, k] * normals[out, k]
-        if across > -1.0 + PARALLEL:
-            continue
-        within = True
-        for f in range(faces):
-            alignment, depth_in, depth_out = 0.0, offsets[f], offsets[f]
-            for k in range(3):
-                alignment += normals[f, k] * normals[entry, k]
-                depth_in -= normals[f, k] * (before[v, k] + first * (after[v, k] - before[v, k]))
-                depth_out -= normals[f, k] * (before[v, k] + last * (after[v, k] - before[v, k]))
-            if abs(alignment) < 1.0 - PARALLEL and min(depth_in, depth_out) < rim:
-                within = False
-        if within:
+        ends = before[v] + np.array([[first], [last]]) * (after[v] - before[v])
+        beside = np.abs(normals @ normals[entry]) < 1.0 - PARALLEL
+        if (-_heights(ends, normals, offsets)[:, beside] >= rim).all():
             ways[v] = entry
+
+
+def _heights(points: FloatArray, normals: FloatArray, offsets: FloatArray) -> FloatArray:
+    """(n, F) heights of points (n, 3) above planes [u]."""
+    heights: FloatArray = -offsets
+    for axis in range(3):
+        heights = heights + normals[:, axis] * points[:, axis, None]
+    return heights
+
+
+def _last_index(mask: NDArray[np.bool_], otherwise: int) -> int:
+    found = np.flatnonzero(mask)
+    return int(found[-1]) if len(found) else int(otherwise)
 
 
 class Inspector:
