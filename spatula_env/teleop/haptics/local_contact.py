@@ -19,8 +19,9 @@ SMALL_FORCE = 1e-9
 MEMORY = 0.1
 """Time constant with which past forces and positions count for the stiffness estimate [s]."""
 JITTER, CLEAR_MOTION = 4e-5, 1e-4
-"""Root mean square motions below which the change of force says nothing about the stiffness, and from which on it says
-much: to the jumps of an encoder's counts, an organ answers several times as stiffly as to a motion [m]."""
+"""Root mean square motions below which the change of force says nothing about the stiffness along it, and from which on
+it says much: to the jumps of an encoder's counts, an organ answers several times as stiffly as to a motion. To the side
+such jumps do count: what a hand at rest meets there is how stiffly the organ sticks to the tool [m]."""
 SOFTEST, STIFFEST = 5.0, 1000.0
 """Bounds of the estimated stiffness on the tool [N/m]."""
 GREATEST_TOLD = 1e4
@@ -160,7 +161,7 @@ class LocalContact:
         self._mean_place = _towards(self._mean_place, place, share)
         self._mean_force = _towards(self._mean_force, force, share)
         self.direction = _unit(self._mean_force)
-        self.stiffness = _corrected(self.stiffness, self._variance, self._covariance, share, SOFTEST)
+        self.stiffness = _corrected(self.stiffness, self._variance, self._covariance, share, SOFTEST, JITTER)
         self.side_stiffness = _corrected(self.side_stiffness, self._side_variance, self._side_covariance, share, 0.0)
 
 
@@ -173,12 +174,14 @@ def _unit(vector: Vector) -> Vector:
     return ZERO if size < SMALL_FORCE else scaled(1.0 / size, vector)
 
 
-def _corrected(stiffness: float, variance: float, covariance: float, share: float, least: float) -> float:
-    """A stiffness, updated by the covariance of position and force."""
+def _corrected(
+    stiffness: float, variance: float, covariance: float, share: float, least: float, jitter: float = 0.0
+) -> float:
+    """A stiffness, updated by the covariance of position and force; motions up to `jitter` say nothing."""
     if variance <= 0.0:
         return stiffness
     found = min(STIFFEST, max(least, -covariance / variance))
-    clear = max(0.0, variance - JITTER**2) ** 2
+    clear = max(0.0, variance - jitter**2) ** 2
     return stiffness + share * clear / (clear + CLEAR_MOTION**4) * (found - stiffness)
 
 
