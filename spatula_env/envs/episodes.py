@@ -148,6 +148,7 @@ class Episodes:
             settings.control,
             goal_interface=self.has_goal_interface,
             hold_progress=not self.has_goal_interface or settings.terminate_on_success,
+            dose_share=settings.damage_limit is not None,
         )
         self.action_space = spaces.Box(-1.0, 1.0, (self.control.size,), dtype=np.float32)
         self.incentives = Incentives(settings, self.task)
@@ -604,7 +605,9 @@ class Episodes:
         noise = self._variation.sensor_noise(worlds, sum(part.size for part in builder.parts))
         pictures = None if self._draw_pictures is None else self._draw_pictures(worlds)
         held = np.minimum(self._held[worlds] / self._steps_to_hold, 1.0)
-        frames = builder.build(situation, goals, evaluation, held, noise, pictures)
+        limit = self.settings.damage_limit
+        dose = None if limit is None else self._safety.dose_share(limit, worlds)
+        frames = builder.build(situation, goals, evaluation, held, noise, pictures, dose)
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames = self._frames.show(worlds)

@@ -1,12 +1,16 @@
 """Payments at the ends of episodes, so that ending badly never pays, and ending by success loses nothing.
 
 The end of an episode takes away what the rest of it would have paid. With positive rewards, an agent would then do best
-to stay just short of success for ever; with negative ones, to damage the organ at once. Two rules prevent both, for any
-discount, and whether or not the learner looks beyond the time limit:
+to stay just short of success for ever; with negative ones, to damage the organ at once. Two rules prevent both:
 
 - If success ends episodes, each step of the dense reward pays the task's reward minus that of the best step. This is
   zero at best, and zero is what a finished episode goes on to pay: success is worth as much as the best way of staying.
-- An end by damage or by a tangle pays minus the cost of a whole episode in which nothing is achieved, and nothing else.
+- An end by damage or by a tangle pays minus the cost of a whole episode in which nothing is achieved, or of
+  `LEAST_HORIZON` steps if that is more, and nothing else.
+
+The first holds for any discount, and whether or not the learner looks beyond the time limit. A learner that does, and
+so expects to pay for 1 / (1 - discount) more steps, finds the second charge greater as long as that is no more steps
+than are charged for.
 """
 
 from __future__ import annotations
@@ -20,6 +24,10 @@ if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray
     from spatula_env.envs.settings import EnvSettings
     from spatula_env.tasks.base import Task
+
+
+LEAST_HORIZON = 200
+"""Least number of control steps that an end by damage or by a tangle costs: enough for discounts up to 0.995."""
 
 
 class Incentives:
@@ -53,7 +61,7 @@ class Incentives:
 
     def charge(self, horizon: int | None) -> float:
         """Cost of an end by damage or a tangle, zero or more, in an episode of a number of control steps."""
-        return 0.0 if horizon is None else horizon * self._forfeit
+        return 0.0 if horizon is None else max(horizon, LEAST_HORIZON) * self._forfeit
 
     def pay(self, reward: FloatArray, badly: BoolArray, horizon: int | None) -> FloatArray:
         """Compute the reward of a step.

@@ -49,8 +49,8 @@ NOISE: Mapping[str, float] = MappingProxyType(
 )
 """Standard deviations of measurement noise by unit, at `noise=1`: 0.1 mm, 0.02 N and so on."""
 
-EXACT_PARTS = ("goal", "hold_progress")
-"""Parts that are not measured: they have neither noise nor delay."""
+EXACT_PARTS = ("goal", "hold_progress", "dose_share")
+"""Parts that are not measured and have no noise. With a delay they come as late as the others."""
 
 ROBOT_PARTS = (
     "tool_position",
@@ -151,6 +151,7 @@ class ObservationBuilder:
         *,
         goal_interface: bool,
         hold_progress: bool,
+        dose_share: bool = False,
     ) -> None:
         """Define the layout of the observation.
 
@@ -166,13 +167,14 @@ class ObservationBuilder:
             goal_interface: Whether goals are separate entries.
             hold_progress: Whether to observe for how long the goal has been held, which rewards or the end of an
                 episode may depend on.
+            dose_share: Whether to observe the episode's dose, on which its end may depend.
 
         Raises:
             ValueError: If the mode does not allow this selection of parts.
         """
         check_parts(settings.parts, obs_mode)
         self.settings = settings
-        self._hold_progress = hold_progress
+        self._hold_progress, self._dose_share = hold_progress, dose_share
         self._mode = obs_mode
         self._control = control
         self._goal_interface = goal_interface
@@ -225,6 +227,8 @@ class ObservationBuilder:
             specs += [PartSpec("goal", unit, low, high, sensed=True), PartSpec("error", unit, low - high, high - low)]
         if self._hold_progress:
             specs.append(PartSpec("hold_progress", "1", np.zeros(1), np.ones(1)))
+        if self._dose_share:
+            specs.append(PartSpec("dose_share", "1", np.zeros(1), np.ones(1)))
         return [
             Part(spec.name, spec.unit, spec.low.astype(np.float32), spec.high.astype(np.float32), spec.sensed)
             for spec in specs
@@ -267,6 +271,7 @@ class ObservationBuilder:
         held: FloatArray,
         noise: FloatArray | None = None,
         pictures: Mapping[str, NDArray[Any]] | None = None,
+        dose: FloatArray | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Build one frame of the observations of W worlds.
 
@@ -277,6 +282,7 @@ class ObservationBuilder:
             held: (W,) time for which the goal has been held, relative to the time needed for success, at most 1.
             noise: (W, size of the vector) measurement errors in standard deviations; None for none.
             pictures: "image" (W, height, width, 3) and "depth" (W, height, width, 1) [m], if they are needed.
+            dose: (W,) dose of the episode, relative to its limit, if it is observed.
 
         Returns:
             (W, ...) entries by name; a single vector has the name "". New arrays.
@@ -298,6 +304,8 @@ class ObservationBuilder:
             "error": evaluation.error,
             "hold_progress": held[:, None],
         }
+        if dose is not None:
+            values["dose_share"] = dose[:, None]
         wide = np.concatenate([values[part.name] for part in self.parts], axis=1)
         if noise is not None:
             wide = wide + noise * self._deviations

@@ -101,6 +101,11 @@ class Safety:
         """(W,) whether the dose of the episode exceeds a limit [Pa s]."""
         return np.asarray(self._episode["dose"] > limit)
 
+    def dose_share(self, limit: float, worlds: IntArray) -> FloatArray:
+        """(n,) doses of the episodes in some worlds, relative to a limit [Pa s]; 1 for any dose if that is zero."""
+        dose = self._episode["dose"][worlds]
+        return np.asarray(dose / limit if limit > 0.0 else (dose > 0.0).astype(np.float64))
+
     def within(self, budget: float, worlds: IntArray) -> BoolArray:
         """(n,) whether the episodes' costs are within a budget [s] in some worlds."""
         return np.asarray(self._episode["cost"][worlds] <= budget)

@@ -79,7 +79,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     With `reward="sparse"` observations are dictionaries with Gymnasium-Robotics' goal interface: "achieved_goal" and
     "desired_goal", beside "observation" (in the mode `state`) or the others, and no part depends on the goal, unless
     success ends episodes: then `hold_progress` is a part, for how long the goal has been held, and hindsight replay is
-    not to be used. Press, Retract and Clamp have it. In Fissure and Palpate what is achieved depends on what is asked,
+    not to be used. With a `damage_limit` the last part is `dose_share`, the episode's dose relative to the limit.
+    Press, Retract and Clamp have the goal interface. In Fissure and Palpate what is achieved depends on what is asked,
     so that no step can be replayed as if something else had been asked: there is no `compute_reward`, and observations
     are as with the dense reward.
 
@@ -121,8 +122,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     many, as hindsight replay needs.
 
     What ends an episode takes away what the rest of it would have paid. So that no end is worth more than going on,
-    whatever the discount, ends pay as follows, with B the sum of the positive weights (the best that a step can pay)
-    and H the control steps of a whole episode:
+    ends pay as follows, with B the sum of the positive weights (the best that a step can pay) and H the control steps
+    of a whole episode, or 200 if that is more. A learner that looks beyond the time limit, as those of
+    Stable-Baselines3 do, finds damage dearer than going on without success if its discount is at most 1 - 1/H:
 
     | Option                                | `reward="dense"`                                  | `reward="sparse"` |
     | ------------------------------------- | ------------------------------------------------- | ----------------- |
@@ -136,7 +138,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     time by which limits were exceeded, weighted by how far: its length times the sum of two parts, what the force on a
     tool has grown faster than the task's `loading_limit`, as a part of that, and what the greatest contact pressure
     exceeds by what the goal needs, as a part of that. The same thing done more slowly costs less, and done with care
-    next to nothing: success is *safe* if the cost until then is within the task's `cost_budget`. The *dose* of a step
+    next to nothing: success is *safe* if the cost until then is within the task's `cost_budget`. The force is the mean
+    of a control step and the pressure the greatest of its physics steps, so costs and budgets are those of 20 control
+    steps a second: with another `control_frequency` the same motion has another cost. The *dose* of a step
     is the integral over time of what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is
     a pressure above 4.0 kPa (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15
     minutes (J. Rosenorn and N. Diemer, J Neurosurg 63:608, 1985): they are no limits for a moment. A dose grows with

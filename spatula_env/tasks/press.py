@@ -24,6 +24,9 @@ LEAST_DEPTH, GREATEST_DEPTH = -0.03, 0.06
 UPWARDS = (0.0, 0.0, 1.0)
 """Direction in the spatula's frame in which the organ pushes on its lower face."""
 
+LEAST_NORMAL_SHARE = 0.5
+"""Least part of the force on the spatula that is along the normal of its lower face if that face presses."""
+
 RING_RATIO = 1.64
 """Radius of the rings that show a goal, relative to half the spatula's width: they reach around it."""
 
@@ -140,7 +143,6 @@ class PressTask(Task):
         low, high = setting.workspace_low, setting.workspace_high
         super().__init__(config, setting, [low[0], low[1], LEAST_DEPTH], [high[0], high[1], GREATEST_DEPTH])
         self.config = config
-        self._underside = float(setting.tool_low[2])
         self._check_reach()
 
     def sample(self, generator: np.random.Generator, count: int, setting: Setting) -> Start:
@@ -173,6 +175,12 @@ class PressTask(Task):
             raise ValueError(f"goal must be at a place from {low} to {high} m, got {goal[:2]}")
         if not least <= goal[2] <= greatest:
             raise ValueError(f"goal must have a depth from {least} to {greatest} m, got {goal[2]}")
+        there = self.setting.surface_heights(self.setting.rest_nodes[None], goal[None, :2])[0]
+        if there - self.setting.ground_height <= goal[2]:
+            raise ValueError(
+                f"goal must be at a place where the organ is higher than the goal's depth of {goal[2]:g} m, got "
+                f"{goal[:2]}, where it is {there - self.setting.ground_height:.4g} m high"
+            )
 
     def pressure_limit(self, goal: FloatArray) -> FloatArray:
         """See `Task`: the pressure grows with the depth."""
@@ -200,11 +208,16 @@ class PressTask(Task):
         untouched = moved_as_a_whole(situation.nodes, situation.rest_nodes)
         pressing = (situation.contact_forces[:, 0] * turn(situation.tool_orientation, UPWARDS)).sum(axis=1)
         depth = heights(untouched, place) - heights(situation.nodes, place)
-        depth = np.where(pressing >= config.least_force, depth, 0.0)
+        # An edge or a corner that is pushed in is pushed back across the normal of the lower face; friction alone, with
+        # a coefficient up to 1.7, leaves at least half of a force on a face along its normal.
+        whole = np.sqrt((situation.contact_forces[:, 0] ** 2).sum(axis=1))
+        depth = np.where(pressing >= np.maximum(config.least_force, LEAST_NORMAL_SHARE * whole), depth, 0.0)
         achieved, error, within = self.compare(as_seen(np.column_stack([place, depth])), goal)
         place_error, depth_error = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 
-        underside = situation.tool_position[:, 2] + situation.tool_scale * self._underside
+        underside = self.setting.tools[0].lowest(
+            situation.tool_positions[:, 0], situation.tool_orientations[:, 0], situation.tool_scale
+        )
         distance = np.hypot(place_error, underside - memory["target_height"])
         return Evaluation(
             terms={

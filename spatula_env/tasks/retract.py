@@ -145,7 +145,6 @@ class RetractTask(Task):
         # Nodes where patches can be: a flank, and its half of the crest.
         self._sides = (np.union1d(first, crest[place > 0.0]), np.union1d(second, crest[place < 0.0]))
         self._half_thickness = 0.5 * float(setting.tool_high[0] - setting.tool_low[0])
-        self._underside = float(setting.tool_low[2])
         self.extra_parts = (
             PartSpec("patch_position", "m", np.full(3, -GREATEST_PLACE), np.full(3, GREATEST_PLACE)),
             PartSpec("patch_shift", "m", np.full(3, -GREATEST_SHIFT), np.full(3, GREATEST_SHIFT)),
@@ -237,7 +236,7 @@ class RetractTask(Task):
         direction = goal / np.maximum(np.hypot(goal[:, 0], goal[:, 1]), 1e-9)[:, None]
         wanted = patch.copy()
         wanted[:, :2] -= (scale * self._half_thickness)[:, None] * direction
-        wanted[:, 2] -= config.edge_depth + scale * self._underside
+        wanted[:, 2] -= config.edge_depth + (self._lowest_edge(situation) - situation.tool_position[:, 2])
         distance = np.sqrt(((situation.tool_position - wanted) ** 2).sum(axis=1))
         return Evaluation(
             terms={
@@ -289,11 +288,17 @@ class RetractTask(Task):
         deep it is; a blade beside the fold is hardly pushed up.
         """
         push = -(situation.contact_force[:, :2] * inwards).sum(axis=1)
-        edge = situation.tool_position[:, 2] + situation.tool_scale * self._underside
+        edge = self._lowest_edge(situation)
         return np.asarray(
             (push >= np.maximum(self.config.least_push, 2.0 * situation.contact_force[:, 2]))
             & (patch[:, 2] - edge >= self.config.least_overlap),
             dtype=np.bool_,
+        )
+
+    def _lowest_edge(self, situation: Situation) -> FloatArray:
+        """(W,) heights of the blades' lowest corners, however they are turned [m]."""
+        return self.setting.tools[0].lowest(
+            situation.tool_positions[:, 0], situation.tool_orientations[:, 0], situation.tool_scale
         )
 
     def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

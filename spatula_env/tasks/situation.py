@@ -43,6 +43,20 @@ class ToolShape:
     face: NDArray[np.int32]
     triangles: NDArray[np.int32]
 
+    def lowest(self, position: FloatArray, orientation: FloatArray, scale: FloatArray) -> FloatArray:
+        """Height of the lowest corner of a tool in several poses.
+
+        Args:
+            position: (W, 3) positions [m].
+            orientation: (W, 4) orientations, quaternions xyzw.
+            scale: (W,) factors on its lengths.
+
+        Returns:
+            (W,) heights [m].
+        """
+        corners = turn(orientation[:, None], scale[:, None, None] * self.vertices)
+        return np.asarray(position[:, 2] + corners[:, :, 2].min(axis=1))
+
     @property
     def corners_about_grip(self) -> FloatArray:
         """(K, 3) corners at the start, relative to the grip [m]."""

@@ -52,25 +52,26 @@ def test_damage_costs_what_an_episode_does_in_which_nothing_is_achieved(reward: 
         *_, (_, last, terminated, info) = shown
         assert terminated
         assert info["is_damaged"]
-        assert last == -60.0
+        # No less than 200 steps, for learners that look beyond the time limit.
+        assert last == -200.0
         assert min(reward for _, reward, _, _ in shown[:-1]) >= -1.0
         # A later limit, a greater charge.
-        env._max_episode_steps = 90
-        assert play(env, lambda _: DOWN, 60)[-1][1] == -90.0
+        env._max_episode_steps = 290
+        assert play(env, lambda _: DOWN, 60)[-1][1] == -290.0
 
 
 def test_the_charge_is_paid_to_goals_of_hindsight_too() -> None:
     with gym.make(ID, engine="batch", reward="sparse", damage_limit=10.0, max_episode_steps=30) as env:
         shown = play(env, lambda _: DOWN, 30)
         rewards, infos = [reward for _, reward, _, _ in shown], [info for *_, info in shown]
-        assert rewards[-1] == -30.0
+        assert rewards[-1] == -200.0
         achieved, desired = (
             np.stack([observation[name] for observation, *_ in shown]) for name in ("achieved_goal", "desired_goal")
         )
         compute: Any = env.get_wrapper_attr("compute_reward")
         assert compute(achieved, desired, infos).tolist() == rewards
         assert [float(compute(*pair)) for pair in zip(achieved, desired, infos, strict=True)] == rewards
-        assert compute(achieved, achieved, infos)[-1] == -30.0
+        assert compute(achieved, achieved, infos)[-1] == -200.0
         together = {name: np.array([info[name] for info in infos]) for name in ("is_damaged", "tangled")}
         assert compute(achieved, desired, together).tolist() == rewards
         assert compute(achieved, desired, [{}] * len(infos))[-1] == -1.0
@@ -84,7 +85,7 @@ def test_each_world_pays_for_its_own_end() -> None:
         if terminated.any():
             break
     assert terminated.tolist() == infos["is_damaged"].tolist() == [True, False]
-    assert rewards[0] == -40.0
+    assert rewards[0] == -200.0
     assert rewards[1] > -1.0
     env.close()
 
@@ -146,6 +147,33 @@ def test_for_how_long_the_goal_has_been_held_is_observed(reward: str) -> None:
         np.testing.assert_allclose(progress, [info["hold_time"] / env.task.hold_time for *_, info in shown], rtol=1e-6)
         assert progress[0] == 0.0
         assert progress[-1] == 1.0
+
+
+@pytest.mark.parametrize("reward", ["dense", "sparse"])
+@pytest.mark.parametrize("limit", [0.0, 10.0])
+def test_how_near_an_end_by_damage_is_is_observed(reward: str, limit: float) -> None:
+    with PressEnv(engine="batch", reward=reward, damage_limit=limit, episode_time=3.0) as env:
+        part = env.observation_builder.slices["dose_share"]
+        assert not next(each for each in env.observation_builder.parts if each.name == "dose_share").sensed
+        shown = play(env, lambda _: DOWN, 60)
+        vectors = [seen["observation"] if reward == "sparse" else seen for seen, *_ in shown]
+        share = np.array([float(vector[part][0]) for vector in vectors])
+        doses = np.array([info["episode_dose"] for *_, info in shown])
+        expected = np.minimum(doses / limit, 1.0) if limit else (doses > 0.0).astype(np.float64)
+        np.testing.assert_allclose(share, expected, rtol=1e-6)
+        assert share[0] == 0.0
+        assert share[-1] == 1.0
+    with PressEnv(engine="batch", reward=reward) as env:
+        assert "dose_share" not in env.observation_builder.slices
+
+
+@pytest.mark.parametrize("horizon", [1, 50, 200, 500])
+def test_a_learner_that_looks_beyond_the_time_limit_does_not_want_damage(horizon: int) -> None:
+    """It expects to pay for 1 / (1 - discount) more steps in which nothing is achieved."""
+    with PressEnv(engine="batch", reward="sparse", damage_limit=10.0, episode_time=3.0) as env:
+        for discount in (0.9, 0.99, 0.995, 1.0 - 1.0 / horizon):
+            if 1.0 / (1.0 - discount) <= max(horizon, 200) + 1e-6:
+                assert env.incentives.charge(horizon) >= 1.0 / (1.0 - discount) - 1e-6
 
 
 def test_hindsight_sees_nothing_of_how_long_the_goal_has_been_held() -> None:

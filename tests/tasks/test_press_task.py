@@ -98,6 +98,30 @@ def test_a_sunken_spatula_achieves_nothing_if_the_organ_has_not_moved(task: Pres
     assert not inside.within_tolerance[0]
 
 
+@pytest.mark.parametrize("degrees", [61.0, 80.0, 90.0, 180.0])
+def test_an_edge_that_is_pushed_in_does_not_press(task: PressTask, degrees: float) -> None:
+    goal = np.array([[0.0, 0.0, 0.01]])
+    half = 0.5 * np.radians(degrees)
+    for axis in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]):
+        tilted = replace(
+            make_situation([0.0, 0.0, 0.0], 0.01, 0.5),
+            tool_orientation=np.array([[*(np.sin(half) * np.array(axis)), np.cos(half)]]),
+        )
+        assert judge(task, tilted, goal).measures["depth"].tolist() == [0.0]
+    slightly = replace(
+        make_situation([0.0, 0.0, 0.0], 0.01, 0.5),
+        tool_orientation=np.array([[np.sin(0.2), 0.0, 0.0, np.cos(0.2)]]),
+    )
+    assert judge(task, slightly, goal).measures["depth"] == pytest.approx([0.01])
+
+
+@pytest.mark.parametrize("place", [(0.05, 0.05), (-0.0508, 0.04), (0.0, 0.0599)])
+def test_a_goal_beside_the_organ_is_refused(task: PressTask, place: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match=r"^goal must be at a place"):
+        task.check_goal(np.array([*place, 0.01]))
+    task.check_goal(np.array([0.03, -0.03, 0.01]))
+
+
 @given(st.floats(0.0, 0.019), st.floats(-0.05, 0.03))
 def test_without_a_touch_nothing_is_achieved(task: PressTask, force: float, sunk: float) -> None:
     found = judge(task, make_situation([0.0, 0.0, 0.0], sunk, force), np.array([[0.0, 0.0, 0.01]]))

@@ -11,6 +11,7 @@ from task_helpers import setting_of_task
 from spatula_env import scenes
 from spatula_env.arrays import FloatArray
 from spatula_env.envs.workspace import place_workspace, setting_of
+from spatula_env.geometry.rotations import multiply
 from spatula_env.tasks import Patch, Path, RetractConfig, RetractTask, Situation, Start
 from spatula_env.tasks.base import Evaluation, Memory, weighted_sum
 
@@ -73,6 +74,20 @@ def test_a_fold_that_is_not_pushed_by_its_flank_is_not_retracted(task: RetractTa
         assert not found.within_tolerance.any()
         # What is seen of the patch does not depend on it.
         assert found.measures["shift"] == pytest.approx([0.006, 0.006])
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_an_edge_is_as_low_as_the_blade_is_turned(task: RetractTask, axis: tuple[float, float, float]) -> None:
+    """A blade that lies on its side reaches 10 or 1 mm down instead of 20."""
+    goal, moved = [[0.006, 0.0]], np.array([[[0.006, 0.0, 0.0]]])
+    upright = task.setting.tools[0].orientation
+    patch = judge(task, goal, moved).parts["patch_position"][0, 2]
+    grip = (0.0, 0.0, patch + 0.02 - 0.004)
+    assert judge(task, goal, moved, grip).measures["pushing"].tolist() == [1.0]
+    turned = multiply(np.array([*(np.sqrt(0.5) * np.array(axis)), np.sqrt(0.5)]), upright)
+    found = judge(task, goal, moved, grip, tool_orientation=turned[None])
+    assert found.measures["pushing"].tolist() == [0.0]
+    assert not found.within_tolerance.any()
 
 
 def test_only_the_patch_counts(task: RetractTask) -> None:
