@@ -173,7 +173,7 @@ def test_a_learner_that_looks_beyond_the_time_limit_does_not_want_damage(horizon
     with PressEnv(engine="batch", reward="sparse", damage_limit=10.0, episode_time=3.0) as env:
         for discount in (0.9, 0.99, 0.995, 1.0 - 1.0 / horizon):
             if 1.0 / (1.0 - discount) <= max(horizon, 200) + 1e-6:
-                assert env.incentives.charge(horizon) >= 1.0 / (1.0 - discount) - 1e-6
+                assert env._episodes.incentives.charge(horizon) >= 1.0 / (1.0 - discount) - 1e-6
 
 
 def test_hindsight_sees_nothing_of_how_long_the_goal_has_been_held() -> None:
