@@ -25,7 +25,7 @@ TRUST_TIME, MOST_TRUST = 1.0, 2.0
 HOLD_TIME = 1.0
 """Time constant with which the energy that an organ has stored is forgotten [s]."""
 CLEAR_MOTION = 9e-5
-"""Motion of the hand that is more than encoders going to and fro; a count of a Falcon's leg is 20 to 40 um, and two
+"""Motion of the hand that is more than encoders going back and forth; a count of a Falcon's leg is 20 to 40 um, and two
 legs may change at once [m]."""
 SAME_PLACE = 1e-6
 """Positions nearer to each other than this are of the same counts [m]."""
@@ -60,9 +60,9 @@ class EnergyAccount:
     def exchange(self, force: Vector, position: Vector, step: float) -> None:
         """Book the work of a force on the hand since the last call.
 
-        A hand at rest makes an encoder go to and fro between two counts, and a force that depends on the count would
-        seem to do work, up to a hundred times what it really does. So what was exchanged on a way that ended where it
-        began, without ever having been clearly away from there, is taken back.
+        A hand at rest makes an encoder go back and forth between two counts, and a force that depends on the count
+        would seem to do work, up to a hundred times what it really does. So what was exchanged on a way that ended
+        where it began, without ever having been clearly away from there, is taken back.
 
         Args:
             force: Force on the hand since the last call [N].
