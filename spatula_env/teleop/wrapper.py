@@ -17,6 +17,7 @@ from spatula_env.geometry.checks import check_positive
 from spatula_env.tasks.plain import as_plain
 from spatula_env.teleop.device import DeviceError, DeviceSample, FloatArray, TeleopDevice
 from spatula_env.teleop.haptics.device import HapticDevice
+from spatula_env.teleop.haptics.settings import HapticSettings
 from spatula_env.teleop.haptics.tap import EnvironmentTap
 from spatula_env.teleop.registry import make_device
 
@@ -519,7 +520,8 @@ class Pace:
         if share >= SLOW or now - self._told < TELL_AGAIN:
             return None
         self._told = now
-        return f"The simulation is slow: {share:.2f} of real time. Forces come late, and below 0.17 there are none."
+        least = time_step / HapticSettings.longest_stall
+        return f"The simulation is slow: {share:.2f} of real time. Forces come late, and below {least:.2f} there are none."
 
 
 def way_in_words(way: FloatArray) -> str:
