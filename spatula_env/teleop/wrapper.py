@@ -521,7 +521,9 @@ class Pace:
             return None
         self._told = now
         least = time_step / HapticSettings.longest_stall
-        return f"The simulation is slow: {share:.2f} of real time. Forces come late, and below {least:.2f} there are none."
+        return (
+            f"The simulation is slow: {share:.2f} of real time. Forces come late, and below {least:.2f} there are none."
+        )
 
 
 def way_in_words(way: FloatArray) -> str:
