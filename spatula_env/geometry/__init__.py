@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from spatula_env.geometry.blocks import FissuredBlock, RidgedBlock, fissured_block, ridged_block
 from spatula_env.geometry.hull import convex_hull
-from spatula_env.geometry.meshes import Organ, box_surface, icosphere, load_organ, seed_sphere, torus
+from spatula_env.geometry.loading import load_organ
+from spatula_env.geometry.meshes import Organ, box_surface, icosphere, seed_sphere, torus
+from spatula_env.geometry.prepared import PreparedOrgan
 from spatula_env.geometry.surface import check_surface
 from spatula_env.geometry.tools import Tool
 
 __all__ = [
     "FissuredBlock",
     "Organ",
+    "PreparedOrgan",
     "RidgedBlock",
     "Tool",
     "box_surface",

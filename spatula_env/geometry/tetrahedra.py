@@ -172,7 +172,7 @@ def tetrahedron_volumes(nodes: FloatArray, tetrahedra: IntArray | Int32Array) ->
 
 
 def fill_organ(organ: Organ) -> TetrahedralMesh:
-    """Fill an organ with tetrahedra: those that come with the organs of the presets, or else Netgen's.
+    """Fill an organ with tetrahedra: its own, those that come with the organs of the presets, or else Netgen's.
 
     Args:
         organ: The organ; it may have several parts and cavities.
@@ -185,7 +185,9 @@ def fill_organ(organ: Organ) -> TetrahedralMesh:
             install.
         ValueError: If the organ cannot be filled.
     """
-    return _fill_organ(organ)
+    # Of an organ that was prepared with tetrahedra; its class is made of the one in this module.
+    own: TetrahedralMesh | None = getattr(organ, "filling", None)
+    return _fill_organ(organ) if own is None else own
 
 
 @lru_cache(maxsize=16)

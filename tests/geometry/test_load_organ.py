@@ -102,7 +102,7 @@ def test_missing_file(tmp_path):
 
 @pytest.mark.parametrize("name", ["liver.gltf", "liver"])
 def test_unknown_suffix(tmp_path, name):
-    with pytest.raises(ValueError, match=r"must be one of \.obj, \.stl, \.ply, got"):
+    with pytest.raises(ValueError, match=r"must be one of \.obj, \.stl, \.ply, \.npz, got"):
         load_organ(write(tmp_path, name, TETRAHEDRON + FACES))
 
 
