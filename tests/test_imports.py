@@ -23,6 +23,7 @@ LAYERS = (
     {"tasks"},
     {"contact"},
     {"scenes"},
+    {"anatomy"},
     {"geometry"},
     {
         "engines",

@@ -16,7 +16,20 @@ from spatula_env.cli.common import FAILURE, INTERRUPTED, CommandError, Stopped, 
 from spatula_env.cli.interrupting import endings_like_ctrl_c
 from spatula_env.printing import printable
 
-MODULES = ("demo", "envs", "play", "record", "replay", "datasets", "falcon", "view", "forward", "bench", "compile")
+MODULES = (
+    "demo",
+    "envs",
+    "play",
+    "record",
+    "replay",
+    "datasets",
+    "organ",
+    "falcon",
+    "view",
+    "forward",
+    "bench",
+    "compile",
+)
 """Modules of the commands, in the order in which help lists them; all but `forward` have the name of their command."""
 
 
