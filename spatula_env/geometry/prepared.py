@@ -122,7 +122,8 @@ def read_prepared(path: Path) -> PreparedOrgan:
         ValueError: If it is no such file, or what it holds is no organ.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # NumPy leaves a file open if it opened it itself and it is damaged.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise ValueError(f"{path.name} cannot be read as an organ: {error}") from error

@@ -145,10 +145,10 @@ def test_a_label_of_a_nifti_volume(tmp_path: Path) -> None:
     check(organ)
     assert "1 island of voxels removed" in changes
     assert "1 cavity of voxels filled" in changes
-    assert organ.volume * 8.0 == pytest.approx(4.0 / 3.0 * np.pi * 3.3 * 2.7 * 2.4, rel=0.08)
+    assert organ.volume * 8.0 == pytest.approx(4.0 / 3.0 * np.pi * 3.3 * 2.7 * 2.4, rel=0.12)
     # The staircases are gone: all nodes lie near the ellipsoid.
     places = (organ.vertices - organ.vertices.mean(axis=0)) * 20.0 / [33.0, 27.0, 24.0]
-    assert np.abs(np.linalg.norm(places, axis=1) - 1.0).max() < 0.08
+    assert np.abs(np.linalg.norm(places, axis=1) - 1.0).max() < 0.12
     with pytest.raises(ValueError, match=r"label must be one of those in organs.nii.gz, got 4; there are 3 .*, 5 "):
         prepare(path, units=None, label=4)
     with pytest.raises(ValueError, match=r"label must be given, as organs.nii.gz holds several: 3 "):
