@@ -34,10 +34,11 @@ def posed(vertices: FloatArray, up: str, place: str) -> FloatArray:
     low, high = turned.min(axis=0), turned.max(axis=0)
     if place == "keep":
         return turned
-    origin = 0.5 * (low + high)
+    origin: FloatArray = 0.5 * (low + high)
     if place == "ground":
         origin[2] = low[2]
-    return turned - origin
+    moved: FloatArray = turned - origin
+    return moved
 
 
 def held_nodes(vertices: FloatArray, options: PrepareOptions) -> tuple[int, ...]:
@@ -58,7 +59,7 @@ def held_nodes(vertices: FloatArray, options: PrepareOptions) -> tuple[int, ...]
             raise ValueError(f"hold must name nodes, {text!r} has none: the organ spans {span} m")
         held |= chosen
     for box in options.hold_boxes:
-        chosen = ((vertices >= box[:3]) & (vertices <= box[3:])).all(axis=1)
+        chosen = np.all((vertices >= box[:3]) & (vertices <= box[3:]), axis=1)
         if not chosen.any():
             raise ValueError(f"hold_boxes must have nodes in them, {list(box)} has none: the organ spans {span} m")
         held |= chosen

@@ -222,7 +222,8 @@ def _chosen_pieces(surface: Surface, options: PrepareOptions, log: _Log) -> Surf
 def _posed_like(vertices: FloatArray, like: FloatArray, options: PrepareOptions) -> FloatArray:
     """Positions in the frame of an organ that was posed: turned alike, moved alike."""
     shift = posed(like, options.up, options.place)[0] - posed(like[:1], options.up, "keep")[0]
-    return posed(vertices, options.up, "keep") + shift
+    moved: FloatArray = posed(vertices, options.up, "keep") + shift
+    return moved
 
 
 def _finished(
@@ -231,7 +232,7 @@ def _finished(
     """The organ, posed, held and filled, and its numbers."""
     vertices = posed(surface.vertices, options.up, options.place)
     held = held_nodes(vertices, options)
-    organ = Organ(vertices / UNIT_LENGTH, surface.triangles, name)
+    organ = Organ(vertices / UNIT_LENGTH, surface.triangles.astype(np.int32), name)
     filling = None
     if options.fill == "yes" or (options.fill == "auto" and find_spec("netgen") is not None):
         log.progress("filling with tetrahedra")

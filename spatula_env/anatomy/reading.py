@@ -12,6 +12,8 @@ import numpy as np
 from spatula_env.anatomy.libraries import load
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from spatula_env.arrays import FloatArray, IntArray
@@ -84,7 +86,7 @@ def read_file(path: Path) -> RawSurface | RawVolume:
         raise FileNotFoundError(f"there is no file {os.fspath(path)!r}")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
-    reader = {
+    readers: dict[str, Callable[[Path], RawSurface | RawVolume]] = {
         ".gii": _read_gifti,
         ".nii": _read_nifti,
         ".nii.gz": _read_nifti,
@@ -92,9 +94,9 @@ def read_file(path: Path) -> RawSurface | RawVolume:
         ".nhdr": _read_nrrd,
         ".vtk": _read_vtk,
         ".vtp": _read_vtk,
-    }.get(kind, _read_mesh)
+    }
     try:
-        raw = reader(path)
+        raw = readers.get(kind, _read_mesh)(path)
     except (ImportError, FileNotFoundError, _Refused):
         raise
     except Exception as error:  # the libraries raise whatever the malformed content leads to

@@ -314,7 +314,7 @@ def _nearest_on_triangles(points: FloatArray, corners: FloatArray) -> FloatArray
     wu, wv = (w * u).sum(-1), (w * v).sum(-1)
     scale = np.maximum(uu * vv - uv * uv, 1e-300)
     s, t = (vv * wu - uv * wv) / scale, (uu * wv - uv * wu) / scale
-    best = a + s[..., None] * u + t[..., None] * v
+    best: FloatArray = a + s[..., None] * u + t[..., None] * v
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
     distance = np.where(inside, ((best - points) ** 2).sum(-1), np.inf)
     for start, side in ((a, u), (a, v), (b, c - b)):

@@ -109,7 +109,8 @@ def write_prepared(path: Path, organ: PreparedOrgan) -> None:
     if organ.filling is not None:
         arrays |= {"nodes": organ.filling.nodes, "tetrahedra": organ.filling.tetrahedra}
     with whole_file(path) as unfinished:
-        np.savez_compressed(unfinished, **arrays)
+        # NumPy's own annotations take any keyword for its switch of pickles.
+        np.savez_compressed(unfinished, **arrays)  # type: ignore[arg-type]
 
 
 def read_prepared(path: Path) -> PreparedOrgan:
