@@ -14,8 +14,9 @@ if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray, IndexArray
     from spatula_env.geometry.prepared import PreparedOrgan
 
-MOST_DRAWN = 20_000
-"""Most triangles that are drawn of the surface before; of more, every second or third and so on is left out."""
+MOST_DRAWN = 40_000
+"""Most triangles that are drawn of the surface before; of more, every second or third and so on is left out, and the
+others are drawn larger."""
 
 VIEWS = ((12.0, -60.0, "before"), (12.0, -60.0, "after"), (12.0, 30.0, "after, from the right"))
 
@@ -37,7 +38,7 @@ def before_after(before: Surface, organ: PreparedOrgan, kind: str = "png") -> by
     figure = load("matplotlib.figure").Figure(figsize=(12.0, 4.4), layout="constrained")
     after = 1e3 * organ.unit_length * organ.vertices
     step = 1 + len(before.triangles) // MOST_DRAWN
-    shown = {"before": (1e3 * before.vertices, before.triangles[::step])}
+    shown = {"before": _thinned(1e3 * before.vertices, before.triangles, step)}
     for index, (elevation, azimuth, title) in enumerate(VIEWS):
         vertices, triangles = shown.get(title, (after, organ.triangles))
         axes = figure.add_subplot(1, 3, index + 1, projection="3d")
@@ -51,6 +52,16 @@ def before_after(before: Surface, organ: PreparedOrgan, kind: str = "png") -> by
     stream = io.BytesIO()
     figure.savefig(stream, format=kind, dpi=120)
     return stream.getvalue()
+
+
+def _thinned(vertices: FloatArray, triangles: IndexArray, step: int) -> tuple[FloatArray, IndexArray]:
+    """Each `step`-th triangle, larger around its middle so that all together cover the surface."""
+    if step == 1:
+        return vertices, triangles
+    corners = vertices[triangles[::step]]
+    middles = corners.mean(axis=1, keepdims=True)
+    corners = middles + 1.3 * np.sqrt(step) * (corners - middles)
+    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
 def _draw(axes: Any, vertices: FloatArray, triangles: IndexArray, frame: FloatArray) -> None:
@@ -70,4 +81,5 @@ def _draw(axes: Any, vertices: FloatArray, triangles: IndexArray, frame: FloatAr
     for name, value in zip("xyz", middle.tolist(), strict=True):
         getattr(axes, f"set_{name}lim")(value - half, value + half)
         getattr(axes, f"set_{name}label")(f"{name} [mm]")
+    axes.locator_params(nbins=4)
     axes.set_box_aspect((1.0, 1.0, 1.0))

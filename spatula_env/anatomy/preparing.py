@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from spatula_env.anatomy.holes import Hole, fill_holes
-from spatula_env.anatomy.options import METRES, PrepareOptions, Report
+from spatula_env.anatomy.options import METRES, PrepareOptions, Report, Step
 from spatula_env.anatomy.posing import held_nodes, posed
 from spatula_env.anatomy.reading import RawVolume, read_file
-from spatula_env.anatomy.reducing import reduced
+from spatula_env.anatomy.reducing import measured, reduced
 from spatula_env.anatomy.topology import (
     Surface,
     angles,
@@ -25,6 +25,7 @@ from spatula_env.anatomy.topology import (
     orient,
     weld,
 )
+from spatula_env.anatomy.volumes import restored
 from spatula_env.anatomy.voxels import choose_label, clean_voxels, crop, surface_of_voxels
 from spatula_env.geometry.meshes import Organ
 from spatula_env.geometry.prepared import UNIT_LENGTH, PreparedOrgan
@@ -90,16 +91,20 @@ def prepare_organ(
         raise ValueError(f"units must be given, mm or m: {file.name} does not say which unit its coordinates have")
     if raw.units is not None and raw.units != units:
         log.warnings.append(f"{file.name} says that it is in {raw.units}, and was read in {units} as asked")
+    volume = None
     if isinstance(raw, RawVolume):
-        start = _from_volume(raw, wanted, file.name, METRES[units], log)
+        start, volume = _from_volume(raw, wanted, file.name, METRES[units], log)
     else:
         if wanted.label is not None:
             raise ValueError(f"label must not be given, as {file.name} is a surface: got {wanted.label}")
         start = Surface(raw.vertices * METRES[units], raw.triangles)
     _check_size(start, units, file.name)
     mended = _mended(start, wanted, file.name, log)
+    if volume is None and (count_edges(mended.triangles)[1] == 2).all():
+        volume = float(mended.volumes.sum())
     surface, steps = reduced(mended, wanted.nodes, file.name, progress)
-    organ, result = _finished(surface, mended, wanted, file.name, units, log)
+    surface, change = _with_volume(surface, volume, steps, log)
+    organ, result = _finished(surface, change, wanted, file.name, log)
     report = Report(
         file.name,
         units,
@@ -120,7 +125,8 @@ def prepare_organ(
     return organ, report, Surface(_posed_like(start.vertices, surface.vertices, wanted), start.triangles)
 
 
-def _from_volume(raw: RawVolume, options: PrepareOptions, name: str, metres: float, log: _Log) -> Surface:
+def _from_volume(raw: RawVolume, options: PrepareOptions, name: str, metres: float, log: _Log) -> tuple[Surface, float]:
+    """The surface of a label, and the volume of its voxels [m3], which the blur does not change."""
     label = choose_label(raw, options.label, name)
     log.progress(f"taking label {label} out of {' x '.join(map(str, raw.labels.shape))} voxels")
     affine = raw.affine.copy()
@@ -132,7 +138,7 @@ def _from_volume(raw: RawVolume, options: PrepareOptions, name: str, metres: flo
     log.progress("marching cubes")
     surface = surface_of_voxels(inside, matrix)
     log.changes.append(f"surface of label {label} made by marching cubes, staircases blurred")
-    return surface
+    return surface, float(inside.sum() * abs(np.linalg.det(matrix[:3, :3])))
 
 
 def _check_size(surface: Surface, units: str, name: str) -> None:
@@ -226,8 +232,31 @@ def _posed_like(vertices: FloatArray, like: FloatArray, options: PrepareOptions)
     return moved
 
 
+def _with_volume(surface: Surface, volume: float | None, steps: list[Step], log: _Log) -> tuple[Surface, float | None]:
+    """Give a surface the volume that it had at first, where a small offset of the nodes does that.
+
+    Args:
+        surface: Closed, wound outwards.
+        volume: What the segmentation encloses [m3]; None if it is not closed.
+        steps: The step is added.
+        log: Is told what was done.
+
+    Returns:
+        The surface, and the change of the volume that is left, as a part of it; None if there was none to compare.
+    """
+    if volume is None or volume <= 0.0:
+        return surface, None
+    lost = float(surface.volumes.sum()) / volume - 1.0
+    moved = restored(surface, volume)
+    if moved is None:
+        return surface, lost
+    steps.append(measured(moved, "volume restored"))
+    log.changes.append(f"volume brought back to {1e6 * volume:.4g} cm3 of the segmentation, from {lost:+.1%}")
+    return moved, float(moved.volumes.sum()) / volume - 1.0
+
+
 def _finished(
-    surface: Surface, before: Surface, options: PrepareOptions, name: str, units: str, log: _Log
+    surface: Surface, change: float | None, options: PrepareOptions, name: str, log: _Log
 ) -> tuple[PreparedOrgan, dict[str, Any]]:
     """The organ, posed, held and filled, and its numbers."""
     vertices = posed(surface.vertices, options.up, options.place)
@@ -245,6 +274,7 @@ def _finished(
         "held": len(held),
         "size_mm": (1e3 * np.ptp(vertices, axis=0)).round(2).tolist(),
         "volume_cm3": round(1e6 * float(surface.volumes.sum()), 4),
+        "volume_change": None if change is None else round(change, 4),
         "edges_mm": [round(float(value), 3) for value in (lengths.min(), np.median(lengths), lengths.max())],
         "angles_deg": [round(float(v), 2) for v in (corners.min(), np.percentile(corners, 5), corners.max())],
         "tetrahedra": 0 if filling is None else len(filling.tetrahedra),
@@ -253,8 +283,9 @@ def _finished(
         result["tetrahedron_quality"] = [
             round(float(v), 3) for v in (filling.qualities.min(), filling.qualities.mean())
         ]
-    change = float(surface.volumes.sum() / max(float(before.volumes.sum()), 1e-300)) - 1.0
-    if abs(change) > CHANGED_VOLUME and (count_edges(before.triangles)[1] == 2).all():
+    if change is None:
+        log.warnings.append("the volume cannot be compared, as the surface of the file is not closed")
+    elif abs(change) > CHANGED_VOLUME:
         log.warnings.append(f"the volume has changed by {change:+.1%}: more nodes keep more of the shape")
     if result["angles_deg"][0] < SMALL_ANGLE:
         log.warnings.append(f"the least angle is {result['angles_deg'][0]:g} degrees: look at the picture")

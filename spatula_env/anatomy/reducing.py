@@ -23,8 +23,9 @@ from spatula_env.geometry.surface import connected_components
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-FINE = 3
-"""The decimation leaves this many times the wanted nodes to the remeshing."""
+FINE = (3, 6, 12)
+"""The decimation leaves this many times the wanted nodes to the remeshing: the first of these that gives a manifold
+that does not cross itself, or else a manifold. Where furrows are narrow, that may need more nodes."""
 
 GOOD_ANGLE = 15.0
 """A surface whose least angle is greater is taken at once; else the best of all is [deg]."""
@@ -93,13 +94,10 @@ def _starts(
 ) -> Iterator[tuple[str, Surface]]:
     """Surfaces with which a remeshing can begin, closed manifolds all, and how they were made."""
     if is_manifold(surface):
-        start = surface
-        if len(surface.vertices) > FINE * node_count:
-            progress(f"decimating {len(surface.triangles)} triangles")
-            start = _decimated(surface, FINE * node_count)
-            steps.append(measured(start, "decimated"))
-        if is_manifold(start):
-            yield "decimated", start
+        progress(f"decimating {len(surface.triangles)} triangles")
+        start = _decimated_manifold(surface, node_count)
+        steps.append(measured(start, "decimated"))
+        yield "decimated", start
     length = math.sqrt(2.0 * surface.area / (math.sqrt(3.0) * node_count))
     # As many voxels as marching cubes of a volume would have, at most.
     pitch = max(length / PITCHES, float(np.ptp(surface.vertices, axis=0).max()) / 160.0)
@@ -113,10 +111,33 @@ def _starts(
                 raise
             continue
         wrapped = orient(_largest(weld(wrapped)[0]))[0]
-        if len(wrapped.vertices) > FINE * node_count:
-            wrapped = _decimated(wrapped, FINE * node_count)
         if is_manifold(wrapped):
-            yield way, wrapped
+            yield way, _decimated_manifold(wrapped, node_count)
+
+
+def _decimated_manifold(surface: Surface, node_count: int) -> Surface:
+    """A closed manifold with `FINE` times a number of nodes, see there; the surface as it is if there is none."""
+    crossing = None
+    for times in FINE:
+        if len(surface.vertices) <= times * node_count:
+            break
+        decimated = _without_flaps(_decimated(surface, times * node_count))
+        if not is_manifold(decimated):
+            continue
+        if not len(self_crossings(decimated.vertices, decimated.triangles)):
+            return decimated
+        crossing = decimated if crossing is None else crossing
+    return surface if crossing is None else crossing
+
+
+def _without_flaps(surface: Surface) -> Surface:
+    """Remove pairs of triangles with the same three vertices, which lie on each other and enclose nothing.
+
+    The decimation leaves some, as it does not check whether a collapse folds the surface, most of all on the flat steps
+    of voxels. Each of their edges stays in an even number of triangles.
+    """
+    _, kind, uses = np.unique(np.sort(surface.triangles, axis=1), axis=0, return_inverse=True, return_counts=True)
+    return surface.kept(uses[kind.reshape(-1)] != 2)
 
 
 def _decimated(surface: Surface, node_count: int) -> Surface:

@@ -24,6 +24,9 @@ FINEST = 160
 BLUR = 1.0
 """Standard deviation of the blur that takes the staircases off, in voxels."""
 
+MOST_LISTED = 40
+"""Most labels that an error lists."""
+
 MARGIN = 4
 """Empty voxels around an organ, for the blur."""
 
@@ -54,7 +57,9 @@ def choose_label(volume: RawVolume, label: int | None, name: str) -> int:
     """
     found, counts = np.unique(volume.labels, return_counts=True)
     there = {int(value): int(count) for value, count in zip(found, counts, strict=True) if value != 0}
-    listed = ", ".join(f"{value} ({count} voxels)" for value, count in list(there.items())[:40])
+    listed = ", ".join(f"{value} ({count} voxels)" for value, count in list(there.items())[:MOST_LISTED])
+    if len(there) > MOST_LISTED:
+        listed += f" and {len(there) - MOST_LISTED} more; if it is an image and no segmentation, segment it first"
     if not there:
         raise ValueError(f"{name} holds no label: all its voxels are 0")
     if label is None and len(there) == 1:

@@ -6,7 +6,7 @@ import argparse
 import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.common import CommandError, add_json_option, at_least, new_parser, note, print_json, say
 
@@ -146,6 +146,12 @@ def _check_writable(path: Path, option: str, endings: tuple[str, ...], overwrite
         raise CommandError(f"{option}: {path} cannot be written, {folder} is no folder that you may write to")
 
 
+def _change(result: dict[str, Any]) -> str:
+    """How much the volume has changed, in words."""
+    change = result["volume_change"]
+    return "" if change is None else f", {change:+.1%} of the segmentation's"
+
+
 def _tell(report: Report, output: Path) -> None:
     """Print what was done, and what came out."""
     say(f"{report.source}, read in {report.units}: {report.read[0]} vertices, {report.read[1]} triangles")
@@ -159,7 +165,9 @@ def _tell(report: Report, output: Path) -> None:
         )
     result = report.result
     say(f"{output}: {result['nodes']} nodes, {result['triangles']} triangles, {result['tetrahedra']} tetrahedra")
-    say(f"  {' x '.join(f'{value:.4g}' for value in result['size_mm'])} mm, {result['volume_cm3']:.4g} cm3")
+    say(
+        f"  {' x '.join(f'{value:.4g}' for value in result['size_mm'])} mm, {result['volume_cm3']:.4g} cm3{_change(result)}"
+    )
     say("  edges {:.3g} / {:.3g} / {:.3g} mm (least, median, greatest)".format(*result["edges_mm"]))
     say("  angles {:.3g} / {:.3g} / {:.3g} degrees (least, 5%, greatest)".format(*result["angles_deg"]))
     say(f"  {result['held']} nodes held")
