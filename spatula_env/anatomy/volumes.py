@@ -1,9 +1,9 @@
 """The volume that an organ has lost on the way, given back.
 
-Two steps take volume away where a surface bulges, as most of an organ's does. The blur of voxels moves it inwards by the
-square of the blur's standard deviation over the radius of curvature. Chords between nodes that lie on the surface are
-inside of it. Both losses are mended by moving all nodes along their normals by the same length, which keeps the shape
-better than a scaling: a long organ would grow mostly at its ends. What a wrap adds by closing furrows is not taken away.
+Two steps take volume away where a surface bulges, as most of an organ's does. The blur of voxels moves it inwards by
+the square of the blur's standard deviation over the radius of curvature. Chords between nodes that lie on the surface
+are inside of it. Both losses are mended by moving all nodes along their normals by the same length, which keeps the
+shape better than a scaling: a long organ would grow mostly at its ends. What a wrap adds by closing furrows stays.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray
 
 FARTHEST = 0.25
-"""Greatest offset, in median edges: a greater change of the volume is not of the blur or of chords, but of the shape."""
+"""Greatest offset, in median edges: a greater loss is not of the blur or of chords, but of the shape."""
 
 NEAR = 1e-4
 """A volume is restored if what is missing is a smaller part of it."""

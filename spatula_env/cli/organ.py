@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,16 @@ from spatula_env.cli.common import CommandError, add_json_option, at_least, new_
 if TYPE_CHECKING:
     from spatula_env.anatomy import PrepareOptions, Report
     from spatula_env.cli.common import Parsers
+
+FLAGS = {"hold_boxes": "hold-box", "fill": "tetrahedra"}
+"""Options that are named otherwise than the arguments of `PrepareOptions`."""
+
+NAMED = (
+    re.compile(r"^(units|label|nodes|widest_hole|hold|hold_boxes|hold_nodes|fill)( must )"),
+    re.compile(r"(?<=; )(widest_hole)( allows )"),
+    re.compile(r"(?<=: )(units)(=(?:mm|m)\?)$"),
+)
+"""Where errors of `prepare_organ` name its arguments."""
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -84,7 +95,10 @@ def _prepare(chosen: argparse.Namespace) -> int:
     _check_writable(chosen.output, "--output", (PREPARED_SUFFIX,), chosen.overwrite)
     if chosen.picture is not None:
         _check_writable(chosen.picture, "--picture", PICTURES, chosen.overwrite)
-    organ, report, before = prepare_organ(chosen.file, _options(chosen), note)
+    try:
+        organ, report, before = prepare_organ(chosen.file, _options(chosen), note)
+    except ValueError as error:
+        raise CommandError(_with_flags(str(error))) from error
     picture = None
     if chosen.picture is not None:
         note("drawing")
@@ -96,6 +110,13 @@ def _prepare(chosen: argparse.Namespace) -> int:
     if chosen.json:
         print_json(asdict(report))
     return 0
+
+
+def _with_flags(message: str) -> str:
+    """An error about an option of `prepare_organ` in the words of the command line."""
+    for pattern in NAMED:
+        message = pattern.sub(lambda match: f"--{FLAGS.get(match[1], match[1].replace('_', '-'))}{match[2]}", message)
+    return re.sub(r"(--units)=(mm|m)\?$", r"\1 \2?", message)
 
 
 def _options(chosen: argparse.Namespace) -> PrepareOptions:
@@ -165,9 +186,8 @@ def _tell(report: Report, output: Path) -> None:
         )
     result = report.result
     say(f"{output}: {result['nodes']} nodes, {result['triangles']} triangles, {result['tetrahedra']} tetrahedra")
-    say(
-        f"  {' x '.join(f'{value:.4g}' for value in result['size_mm'])} mm, {result['volume_cm3']:.4g} cm3{_change(result)}"
-    )
+    size = " x ".join(f"{value:.4g}" for value in result["size_mm"])
+    say(f"  {size} mm, {result['volume_cm3']:.4g} cm3{_change(result)}")
     say("  edges {:.3g} / {:.3g} / {:.3g} mm (least, median, greatest)".format(*result["edges_mm"]))
     say("  angles {:.3g} / {:.3g} / {:.3g} degrees (least, 5%, greatest)".format(*result["angles_deg"]))
     say(f"  {result['held']} nodes held")

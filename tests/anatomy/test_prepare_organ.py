@@ -24,6 +24,7 @@ if not MISSING:
     from spatula_env.anatomy import PrepareOptions, prepare_organ
     from spatula_env.anatomy.holes import fill_holes
     from spatula_env.anatomy.posing import held_nodes, posed
+    from spatula_env.anatomy.reducing import _without_flaps
     from spatula_env.anatomy.remeshing import EditableMesh, remesh
     from spatula_env.anatomy.topology import (
         Surface,
@@ -34,6 +35,7 @@ if not MISSING:
         orient,
         weld,
     )
+    from spatula_env.anatomy.volumes import restored
 
 NODES = 120
 
@@ -283,6 +285,25 @@ def test_remeshing_keeps_a_ring_a_ring() -> None:
     assert len(even.vertices) == 150
     assert angles(even.vertices, even.triangles).min() > 20.0
     assert len(self_crossings(even.vertices, even.triangles)) == 0
+
+
+def test_flaps_of_a_decimation_are_removed() -> None:
+    ball = icosphere(1.0, 2)
+    flap = np.array([[0, 1, 2], [2, 1, 0]])
+    surface = Surface(ball.vertices, np.concatenate([ball.triangles, flap]).astype(np.int64))
+    assert not is_manifold(surface)
+    assert is_manifold(_without_flaps(surface))
+
+
+def test_volume_is_restored_only_by_a_small_offset() -> None:
+    ball = icosphere(1.0, 2)
+    surface = Surface(ball.vertices, ball.triangles.astype(np.int64))
+    volume = float(surface.volumes.sum())
+    moved = restored(surface, 1.05 * volume)
+    assert moved is not None
+    assert moved.volumes.sum() == pytest.approx(1.05 * volume, rel=1e-3)
+    assert restored(surface, 2.0 * volume) is None
+    assert restored(surface, 0.8 * volume) is None
 
 
 @pytest.mark.parametrize(

@@ -47,10 +47,12 @@ def test_an_organ_a_picture_and_a_report(ball: Path, capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((), "units must be given, mm or m: ball.obj does not say"),
-        (("--units", "m"), "in mm it would be 60 mm: units=mm?"),
-        (("--units", "mm", "--label", "2"), "label must not be given, as ball.obj is a surface: got 2"),
-        (("--units", "mm", "--hold", "down"), 'hold must be like "z<0.01"'),
+        ((), "--units must be given, mm or m: ball.obj does not say"),
+        (("--units", "m"), "in mm it would be 60 mm: --units mm?"),
+        (("--units", "mm", "--label", "2"), "--label must not be given, as ball.obj is a surface: got 2"),
+        (("--units", "mm", "--hold", "down"), '--hold must be like "z<0.01"'),
+        (("--units", "mm", "--hold-box", *"111000"), "--hold-box must be lower corners"),
+        (("--units", "mm", "--widest-hole", "-1"), "--widest-hole must be positive"),
         (("--units", "mm", "--picture", "organ.gif"), "--picture must end in .png or .svg or .pdf"),
     ],
 )
