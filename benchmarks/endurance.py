@@ -29,7 +29,7 @@ import gymnasium
 import numpy as np
 
 from benchmarks.inspection import ALLOWED, WorldsInspector
-from benchmarks.measure import finish, output_file, parser, resident_megabytes, without_bullet
+from benchmarks.measure import finish, parser, resident_megabytes, without_bullet
 from benchmarks.parallel import results
 from benchmarks.physics_steps import look_after_every_step
 from benchmarks.recordings import Recorder
@@ -439,7 +439,7 @@ def main() -> None:
         default=1,
         help="runs at a time (default: %(default)s, so that nothing else is there when memory is looked at)",
     )
-    options.add_argument("--output", type=output_file, help="a file of JSON lines; what is in it is not run again")
+    options.add_argument("--output", type=Path, help="a file of JSON lines; what is in it is not run again")
     options.add_argument("--save", type=Path, help="a folder for recordings of the worst stretches")
     arguments = options.parse_args()
     for name in ("steps", "episodes", "processes"):

@@ -28,6 +28,7 @@ LAYERS = (
     {
         "engines",
         "installing",
+        "pressure_limits",
         "printing",
         "processes",
         "_bullet",

@@ -10,7 +10,7 @@ import numpy as np
 from spatula_env.data.files import check_can_write
 from spatula_env.data.statistics import Curve, DatasetStatistics
 from spatula_env.installing import install_hint
-from spatula_env.tasks.limits import COST_PRESSURE, VIOLATION_PRESSURE
+from spatula_env.pressure_limits import COST_PRESSURE, VIOLATION_PRESSURE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

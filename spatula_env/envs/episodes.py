@@ -25,9 +25,9 @@ from spatula_env.envs.steering import Steering, mean_of_track
 from spatula_env.envs.strains import StrainCount
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.envs.workspace_frames import Frames
+from spatula_env.pressure_limits import COST_PRESSURE
 from spatula_env.scenes import with_material
 from spatula_env.tasks.base import Evaluation, weighted_sum
-from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.situation import Situation, Start
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
-from spatula_env.tasks.limits import VIOLATION_PRESSURE
+from spatula_env.pressure_limits import VIOLATION_PRESSURE
 from spatula_env.tasks.situation import Situation
 
 if TYPE_CHECKING:

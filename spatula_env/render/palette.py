@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from spatula_env.tasks.limits import COST_PRESSURE, VIOLATION_PRESSURE
+from spatula_env.pressure_limits import COST_PRESSURE, VIOLATION_PRESSURE
 
 Color = tuple[float, float, float]
 """Red, green and blue in 0..1, sRGB-encoded."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
+from spatula_env.pressure_limits import COST_PRESSURE
 from spatula_env.tasks.configuration import TaskConfig
 from spatula_env.tasks.criteria import Criterion
-from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.marks import Mark
 from spatula_env.tasks.situation import Setting, Situation, Start
 

@@ -10,10 +10,10 @@ import numpy as np
 from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.geometry.checks import as_pair
 from spatula_env.geometry.rotations import turn
+from spatula_env.pressure_limits import COST_PRESSURE
 from spatula_env.tasks.base import Evaluation, Memory, Task, as_seen, closeness, sample_disc
 from spatula_env.tasks.configuration import TaskConfig, Weights
 from spatula_env.tasks.criteria import Criterion
-from spatula_env.tasks.limits import COST_PRESSURE
 from spatula_env.tasks.marks import Mark, Path, Ring
 from spatula_env.tasks.pose import moved_as_a_whole
 from spatula_env.tasks.situation import Setting, Situation, Start

@@ -82,9 +82,9 @@ def test_nothing_is_paid_after_an_end(played: Any) -> None:
     assert cheaters.earnings(each, options, task, 3)["1"] == pytest.approx([-1.0])
     staying = {**options, "terminate_on_success": False}
     found = cheaters.earnings(each, staying, task, 3)
-    # Damage costs three steps, and what was earned before is kept.
-    assert found["1"] == pytest.approx([0.5 + 0.5 - 3.0])
-    assert found["0.97"] == pytest.approx([0.5 + 0.97 * 0.5 - 0.97**2 * 3.0])
+    # Damage costs 200 steps, and what was earned before is kept.
+    assert found["1"] == pytest.approx([0.5 + 0.5 - 200.0])
+    assert found["0.97"] == pytest.approx([0.5 + 0.97 * 0.5 - 0.97**2 * 200.0])
     assert found["success"].tolist() == [True]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from spatula_env.envs import PressEnv, PressVectorEnv
 from spatula_env.learning.policies import make_expert
-from spatula_env.tasks.limits import COST_PRESSURE, VIOLATION_PRESSURE
+from spatula_env.pressure_limits import COST_PRESSURE, VIOLATION_PRESSURE
 
 GOAL = (0.0, 0.0, 0.018)
 ABOVE = (0.0, 0.0, -0.02)
