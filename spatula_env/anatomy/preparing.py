@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -114,14 +115,7 @@ def prepare_organ(
         result,
         tuple(log.warnings),
     )
-    organ = PreparedOrgan(
-        organ.vertices,
-        organ.triangles,
-        organ.name,
-        held=organ.held,
-        filling=organ.filling,
-        provenance=_provenance(wanted, report),
-    )
+    organ = replace(organ, provenance=_provenance(wanted, report))
     return organ, report, Surface(_posed_like(start.vertices, surface.vertices, wanted), start.triangles)
 
 
@@ -305,19 +299,12 @@ def _provenance(options: PrepareOptions, report: Report) -> dict[str, Any]:
     except PackageNotFoundError:
         release = "unknown"
     told = asdict(report)
-    return {
+    provenance: dict[str, Any] = {
         "source": report.source,
         "units": report.units,
-        "options": _plain(asdict(options)),
+        "options": asdict(options),
         "version": release,
-        "report": _plain({name: told[name] for name in ("read", "changes", "steps", "result", "warnings")}),
+        "report": {name: told[name] for name in ("read", "changes", "steps", "result", "warnings")},
     }
-
-
-def _plain(value: Any) -> Any:
-    """Tuples as lists, as JSON has them."""
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return value
+    # As a file gives it back, with lists in place of tuples.
+    return dict(json.loads(json.dumps(provenance)))

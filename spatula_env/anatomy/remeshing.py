@@ -93,16 +93,15 @@ class EditableMesh:
 
     def split(self, a: int, b: int) -> int:
         """Put a vertex into the middle of an edge; its index."""
-        numbers, opposite = self.wings(a, b)
+        numbers, _ = self.wings(a, b)
         middle = len(self.points)
         self.points.append(_middle(self.points[a], self.points[b]))
         self.around.append(set())
-        for number, far in zip(numbers, opposite, strict=True):
+        for number in numbers:
             corners = self.triangles[number]
             self._remove(number)
             for gone in (a, b):
                 self._add(_replaced(corners, gone, middle))
-            assert far in corners
         return middle
 
     def collapse(self, a: int, b: int, longest: float) -> bool:

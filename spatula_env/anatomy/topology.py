@@ -74,9 +74,8 @@ def weld(surface: Surface) -> tuple[Surface, int]:
     triangles = corners.reshape(-1)[surface.triangles]
     pairs = spatial.cKDTree(places).query_pairs(WELD * surface.diagonal, output_type="ndarray")
     if len(pairs):
-        triangles = _labels(len(places), pairs[:, 0], pairs[:, 1])[triangles]
-        _, first = np.unique(_labels(len(places), pairs[:, 0], pairs[:, 1]), return_index=True)
-        places = places[first]
+        labels = _labels(len(places), pairs[:, 0], pairs[:, 1])
+        triangles, places = labels[triangles], places[np.unique(labels, return_index=True)[1]]
     welded = Surface(places, triangles.astype(np.int64)).kept(np.ones(len(triangles), dtype=np.bool_))
     return welded, len(surface.vertices) - len(welded.vertices)
 

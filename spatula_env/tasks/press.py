@@ -215,9 +215,7 @@ class PressTask(Task):
         achieved, error, within = self.compare(as_seen(np.column_stack([place, depth])), goal)
         place_error, depth_error = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 
-        underside = self.setting.tools[0].lowest(
-            situation.tool_positions[:, 0], situation.tool_orientations[:, 0], situation.tool_scale
-        )
+        underside = situation.lowest_corner(self.setting.tools[0])
         distance = np.hypot(place_error, underside - memory["target_height"])
         return Evaluation(
             terms={

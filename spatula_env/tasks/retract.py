@@ -236,7 +236,9 @@ class RetractTask(Task):
         direction = goal / np.maximum(np.hypot(goal[:, 0], goal[:, 1]), 1e-9)[:, None]
         wanted = patch.copy()
         wanted[:, :2] -= (scale * self._half_thickness)[:, None] * direction
-        wanted[:, 2] -= config.edge_depth + (self._lowest_edge(situation) - situation.tool_position[:, 2])
+        wanted[:, 2] -= config.edge_depth + (
+            situation.lowest_corner(self.setting.tools[0]) - situation.tool_position[:, 2]
+        )
         distance = np.sqrt(((situation.tool_position - wanted) ** 2).sum(axis=1))
         return Evaluation(
             terms={
@@ -288,17 +290,11 @@ class RetractTask(Task):
         deep it is; a blade beside the fold is hardly pushed up.
         """
         push = -(situation.contact_force[:, :2] * inwards).sum(axis=1)
-        edge = self._lowest_edge(situation)
+        edge = situation.lowest_corner(self.setting.tools[0])
         return np.asarray(
             (push >= np.maximum(self.config.least_push, 2.0 * situation.contact_force[:, 2]))
             & (patch[:, 2] - edge >= self.config.least_overlap),
             dtype=np.bool_,
-        )
-
-    def _lowest_edge(self, situation: Situation) -> FloatArray:
-        """(W,) heights of the blades' lowest corners, however they are turned [m]."""
-        return self.setting.tools[0].lowest(
-            situation.tool_positions[:, 0], situation.tool_orientations[:, 0], situation.tool_scale
         )
 
     def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -43,20 +43,6 @@ class ToolShape:
     face: NDArray[np.int32]
     triangles: NDArray[np.int32]
 
-    def lowest(self, position: FloatArray, orientation: FloatArray, scale: FloatArray) -> FloatArray:
-        """Height of the lowest corner of a tool in several poses.
-
-        Args:
-            position: (W, 3) positions [m].
-            orientation: (W, 4) orientations, quaternions xyzw.
-            scale: (W,) factors on its lengths.
-
-        Returns:
-            (W,) heights [m].
-        """
-        corners = turn(orientation[:, None], scale[:, None, None] * self.vertices)
-        return np.asarray(position[:, 2] + corners[:, :, 2].min(axis=1))
-
     @property
     def corners_about_grip(self) -> FloatArray:
         """(K, 3) corners at the start, relative to the grip [m]."""
@@ -181,6 +167,11 @@ class Situation:
     rest_nodes: FloatArray
     action: FloatArray
     elapsed: FloatArray
+
+    def lowest_corner(self, shape: ToolShape) -> FloatArray:
+        """(W,) heights of the lowest corner of the first tool, which has a given shape, however it is turned [m]."""
+        corners = turn(self.tool_orientations[:, 0, None], self.tool_scale[:, None, None] * shape.vertices)
+        return np.asarray(self.tool_positions[:, 0, 2] + corners[:, :, 2].min(axis=1))
 
     @staticmethod
     def at_rest(
