@@ -14,7 +14,7 @@ from spatula_env.learning.results.statistics import Estimate, Reached, estimate
 
 NONE = "–"
 
-ENGINE_NAMES = {"batch": "the batch engine", "bullet": "Bullet", "tissue": "the engine of tissue"}
+ENGINE_NAMES = {"batch": "the batch engine", "bullet": "Bullet", "tissue": "the engine of tissue", "mujoco": "MuJoCo"}
 
 INTRODUCTION = """# Results
 
@@ -200,7 +200,11 @@ def _transfer_table(rows: Sequence[Row], engines: Sequence[str]) -> str:
 def _machines(machines: Sequence[Mapping[str, Any]]) -> str:
     if not machines:
         return ""
-    lines = ["## Machine\n", "Runs and evaluations took place here, one run to a process:\n"]
+    text = (
+        "Runs and evaluations took place here, one run to a process and others beside it, so that wall-clock is more "
+        "than a run takes alone:\n"
+    )
+    lines = ["## Machine\n", text]
     seen: dict[str, set[str]] = {}
     for each in machines:
         machine, versions = each["machine"], each["versions"]
@@ -209,13 +213,14 @@ def _machines(machines: Sequence[Mapping[str, Any]]) -> str:
             for name, version in versions.items()
             if version is not None and name != "python"
         )
-        text = (
+        entry = (
             f"- {machine['processor'] or 'unknown processor'}, {machine['cores']} cores, {machine['system']}; "
             f"Python {versions['python']}; {named}"
         )
-        seen.setdefault(text, set()).add(str(each["commit"])[:10] if each["commit"] else "unknown")
+        seen.setdefault(entry, set()).add(str(each["commit"])[:10] if each["commit"] else "unknown")
     return (
-        "\n".join([*lines, *(f"{text}; commits {', '.join(sorted(commits))}" for text, commits in seen.items())]) + "\n"
+        "\n".join([*lines, *(f"{entry}; commits {', '.join(sorted(commits))}" for entry, commits in seen.items())])
+        + "\n"
     )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar
 
 from spatula_env.learning.configuration import (
     ENGINES,
+    USUAL_ENGINES,
     Engine,
     TrainingConfig,
     find_config,
@@ -82,7 +83,7 @@ class ScoringPlan(Checked):
 
     episodes: Count = 100
     seed: Natural = 0
-    engines: tuple[Engine, ...] = ENGINES
+    engines: tuple[Engine, ...] = USUAL_ENGINES
 
     def __post_init__(self) -> None:
         """Check the values."""

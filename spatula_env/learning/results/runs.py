@@ -142,7 +142,7 @@ def evaluate_agent(run: Run, scoring: ScoringPlan, engine: str, *, again: bool =
     Args:
         run: A finished agent.
         scoring: How to evaluate it.
-        engine: "batch", "tissue" or "bullet".
+        engine: "batch", "tissue", "mujoco" or "bullet".
         again: Whether to repeat an existing evaluation.
 
     Returns:
