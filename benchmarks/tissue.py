@@ -17,10 +17,13 @@ momentum       Momentum that a free, swinging organ gains, relative to the sum o
                precision.
 energy         Energy that an elastic, swinging organ gains or loses in half a second.
 steadiness     The organ of the palpation scene under its plate, 10 mm deep: variation of the force in half a second.
+mujoco         The spatula pressed 2 and 5 mm into the seed's sphere, which is held at its base, at Poisson's ratio 0.3:
+               force and nodes of the engine "mujoco" against the same linear tetrahedra in NumPy. How far the engine
+               "tissue" is from it, whose elements are others, is for information.
 
-"block", "plates" and "hertz" need felupe (`pip install felupe`), and "plates", "refinement", "time_step", "modulus" and
-"volume" Netgen (the extra `tissue`); "bar", "shear" and "block" need SciPy. Checks that cannot be made are reported,
-and the benchmark then does not pass.
+"block", "plates" and "hertz" need felupe (`pip install felupe`), "plates", "refinement", "time_step", "modulus" and
+"volume" Netgen (the extra `tissue`), and "mujoco" MuJoCo (the extra `mujoco`); "bar", "shear" and "block" need SciPy.
+Checks that cannot be made are reported, and the benchmark then does not pass.
 """
 
 from __future__ import annotations
@@ -34,12 +37,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks import elements, solids
+from benchmarks import elements, flexes, solids
 from benchmarks.fidelity import Check
 from benchmarks.measure import finish, parser
 from spatula_env import scenes
 from spatula_env.geometry import Organ, Tool
 from spatula_env.scenes import Material, PlacedOrgan, PlacedTool, Scale, Scene
+from spatula_env.sim.mujoco.loading import import_mujoco
 from spatula_env.sim.tissue.body import STABILISER, TissueBody
 from spatula_env.sim.tissue.hyperelastic import Hyperelastic
 from spatula_env.sim.tissue.kernels import advance_blocks
@@ -82,6 +86,12 @@ APPROACH, SETTLE, MEASURE = 1.0, 0.5, 0.4
 
 CALMING = 2.0
 """Viscosity of the tissue between plates, so that it comes to rest [Pa s]. It does not change forces at rest."""
+
+PRESSES = (0.1, 0.25)
+"""How deep the spatula is pressed into the seed's sphere [u]."""
+
+PRESSED = Material(poisson_ratio=0.3, viscosity=CALMING)
+"""Material of that sphere. Linear tetrahedra lock at greater ratios."""
 
 PRONY = ((0.3, 0.05), (0.2, 0.4))
 """Terms of a Prony series: share, and relaxation time [s]."""
@@ -426,6 +436,32 @@ def check_steadiness() -> Check:
     return Check(max(each["varies"] for each in told.values()), 0.03, details=told)
 
 
+def check_mujoco() -> Check:
+    """Compare a press with the engine "mujoco" with the same elements in NumPy: the greater of both differences.
+
+    Raises:
+        ImportError: If MuJoCo is not installed; the message says what to install.
+    """
+    import_mujoco()
+    scene, worst = flexes.held_sphere(PRESSED), 0.0
+    told: dict[str, Any] = {}
+    for depth in PRESSES:
+        found = flexes.press(scene, "mujoco", depth)
+        with flexes.linear_engine() as name:
+            differences = found.differs(flexes.press(scene, name, depth))
+        tissue = flexes.press(scene, "tissue", depth)
+        told[f"{depth * LENGTH * 1e3:g} mm"] = {
+            "newtons": found.force,
+            "varies": found.ripple,
+            "force": differences[0],
+            "nodes": differences[1],
+            "newtons_of_tissue": tissue.force,
+            "nodes_of_tissue": found.differs(tissue)[1],
+        }
+        worst = max(worst, *differences)
+    return Check(worst, 0.03, details=told)
+
+
 def checks() -> dict[str, Callable[[], Check]]:
     """All checks, by name."""
     spheres = Spheres()
@@ -445,6 +481,7 @@ def checks() -> dict[str, Callable[[], Check]]:
         "momentum": check_momentum,
         "energy": check_energy,
         "steadiness": check_steadiness,
+        "mujoco": check_mujoco,
     }
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from spatula_env.geometry.tetrahedra import fill_organ
 from spatula_env.geometry.transforms import rotate
 from spatula_env.scenes import Material
+from spatula_env.sim.follow import follow_surface
 from spatula_env.sim.lanes import aligned_zeros
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.tissue import nodal
@@ -112,14 +113,17 @@ class Lump:
         return dt * math.sqrt(self.law.shear / float(density)) / edge
 
     def substeps(self, dt: float, stiffness: FloatArray) -> IntArray:
-        """(n,) number of substeps in a step, with stiffness per mass multiplied by factors (n,).
+        """(n,) number of substeps in a step, with stiffness per mass multiplied by factors (n,)."""
+        return np.ceil(dt / longest_substep(self.frequency**2 * stiffness, self.viscous_time)).astype(np.int64)
 
-        A motion of angular frequency w is stable where w^2 h (h + 2 t) < 4, with the substep h and the viscous time t.
-        """
-        squared = self.frequency**2 * stiffness
-        time = self.viscous_time
-        longest = SAFETY * (np.sqrt(time**2 + 4.0 / squared) - time)
-        return np.ceil(dt / longest).astype(np.int64)
+
+def longest_substep(squared_frequency: FloatArray, viscous_time: float) -> FloatArray:
+    """(n,) longest substeps with which motions of squared angular frequencies (n,) [1/s2] are stable [s].
+
+    They are where w^2 h (h + 2 t) < 4, with the frequency w, the substep h and the viscous time t.
+    """
+    longest: FloatArray = SAFETY * (np.sqrt(viscous_time**2 + 4.0 / squared_frequency) - viscous_time)
+    return longest
 
 
 def place_nodes(nodes: FloatArray, placed: PlacedOrgan) -> FloatArray:
@@ -334,21 +338,14 @@ class TissueBody:
         np.moveaxis(array, -1, 1)[worlds // lanes, worlds % lanes] = values
 
     def follow(self, surface: FloatArray) -> FloatArray:
-        """(n, N, 3) positions of all nodes for surface nodes at (n, V, 3): inner nodes follow as a rigid body.
-
-        Each organ gets the rotation and the shift that bring its surface at rest closest to the given one (W. Kabsch,
-        1976).
-        """
+        """(n, N, 3) positions of all nodes for surface nodes at (n, V, 3): inner nodes follow as a rigid body."""
         nodes = np.empty((len(surface), len(self.rest), 3))
         first = first_vertex = 0
         for lump in self.lumps:
             end, end_vertex = first + len(lump.masses), first_vertex + len(lump.surface)
-            here, there = self.rest[first:end][lump.surface], surface[:, first_vertex:end_vertex]
-            middle, middles = here.mean(axis=0), there.mean(axis=1, keepdims=True)
-            u, _, vt = np.linalg.svd(np.einsum("nva,vb->nab", there - middles, here - middle))
-            u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-            nodes[:, first:end] = np.einsum("nab,vb->nva", u @ vt, self.rest[first:end] - middle) + middles
-            nodes[:, first + lump.surface] = there
+            nodes[:, first:end] = follow_surface(
+                self.rest[first:end], lump.surface, surface[:, first_vertex:end_vertex]
+            )
             first, first_vertex = end, end_vertex
         return nodes
 

@@ -86,7 +86,7 @@ class TissueEngine:
         lanes: Worlds in a block.
     """
 
-    abilities = Abilities(varies=True, strains=True)
+    abilities = Abilities(varies=True, strains=True, materials=True)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`.
