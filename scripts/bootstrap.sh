@@ -254,7 +254,7 @@ case ${1:-} in
         ;;
     test)
         FOR="tests and checks" CONTENT="tests, checks and training (300 MB, about a minute)" STAGES=6 TARGET=test
-        EXTRAS="anatomy,data,demo,dev,teleop,train,video,web,zoo"
+        EXTRAS="anatomy,data,demo,dev,mujoco,teleop,train,video,web,zoo"
         ;;
     ray)
         FOR="tests with Ray" CONTENT="Ray and tests (300 MB, about a minute)" STAGES=4 EXTRAS="ray,test"

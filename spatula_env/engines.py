@@ -7,15 +7,20 @@ import sys
 import warnings
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 ENGINES: dict[str, str] = {
     "bullet": "spatula_env.sim.bullet:BulletEngine",
     "batch": "spatula_env.sim.batch_engine:BatchEngine",
     "tissue": "spatula_env.sim.tissue.engine:TissueEngine",
+    "mujoco": "spatula_env.sim.mujoco.engine:MujocoEngine",
 }
 """The engines that can integrate the organs, by name: module and class of a `sim.engine.Engine`. Like Gymnasium's
 registry of environments, it grows by registration; see `register_engine`."""
+
+OF_EXTRAS = ("mujoco",)
+"""Engines that need an extra of the same name."""
 
 DEFAULT = '"bullet" where PyBullet is installed, else "batch"'
 """Description, for messages and help texts, of the engine that is used when none is named."""
@@ -87,6 +92,17 @@ def default_engine() -> str:
         stacklevel=2,
     )
     return "batch"
+
+
+def is_installed(engine: str) -> bool:
+    """Whether everything that an engine needs is installed; a module of an extra is looked for, not imported.
+
+    Args:
+        engine: Name of an engine.
+    """
+    if engine == "bullet":
+        return bullet_is_there()
+    return engine not in OF_EXTRAS or find_spec(engine) is not None
 
 
 def bullet_is_there() -> bool:

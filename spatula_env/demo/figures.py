@@ -46,8 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import_bullet("the figure of three contact models")
     prepare_folder(chosen.images)
     with start_workers() as pool:
-        futures = submit_cases(pool, comparison_cases(), lambda case: None)
-        film = pool.submit(film_gif, 310, 8)
+        futures = submit_cases(pool, comparison_cases("bullet"), lambda case: None)
+        film = pool.submit(film_gif, "bullet", 310, 8)
         results = [future.result() for future in futures]
         pages = [figure(result, width=480, text_scale=1.45) for result in figure_results(results)]
         write_bytes(chosen.images / "contact-models.png", encode_png(side_by_side(pages)))

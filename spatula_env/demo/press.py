@@ -51,11 +51,13 @@ class PressCase:
         contact: The contact model.
         speed: Of the descent [u/s].
         hold_time: For how long the tool is then held [s].
+        engine: Name of the engine; None: the default.
     """
 
     contact: ContactName
     speed: float
     hold_time: float = 2.0
+    engine: str | None = None
 
     @property
     def expected_steps(self) -> int:
@@ -208,7 +210,7 @@ def run_press(case: PressCase) -> PressResult:
     shortened so that it ends exactly there.
     """
     began = time.perf_counter()
-    simulation = Simulation(scenes.seed(), contact=case.contact)
+    simulation = Simulation(scenes.seed(), engine=case.engine, contact=case.contact)
     try:
         recorder = _Recorder(simulation)
         held = max(1, round(case.hold_time / simulation.dt))
@@ -232,6 +234,7 @@ def run_press(case: PressCase) -> PressResult:
 
 def film_press(
     *,
+    engine: str | None = None,
     contact: ContactName = "flags",
     speed: float = 20.0,
     release_speed: float = 5.0,
@@ -242,6 +245,7 @@ def film_press(
     """Press, hold, release, and keep every so many moments.
 
     Args:
+        engine: Name of the engine; None: the default.
         contact: The contact model.
         speed: Of the descent [u/s].
         release_speed: Of the way up, to where the tool started [u/s].
@@ -252,7 +256,7 @@ def film_press(
     Returns:
         The film.
     """
-    simulation = Simulation(scenes.seed(), contact=contact)
+    simulation = Simulation(scenes.seed(), engine=engine, contact=contact)
     try:
         _place_above(simulation, FILM_GAP)
         start = float(simulation.tool_position[2])

@@ -22,7 +22,7 @@ from spatula_env.demo.report import (
     write_json,
 )
 from spatula_env.demo.workers import start_workers, submit_cases
-from spatula_env.engines import bullet_hint, bullet_is_there
+from spatula_env.engines import bullet_hint, bullet_is_there, choose_engine, load_engine
 from spatula_env.files import write_bytes, write_text
 from spatula_env.render.films import encode_gif
 from spatula_env.render.renderer import Renderer
@@ -47,18 +47,21 @@ class OutputError(RuntimeError):
     """The output folder, or a file in it, cannot be written."""
 
 
-def comparison_cases(quick: bool = False) -> list[PressCase]:
+def comparison_cases(engine: str, quick: bool = False) -> list[PressCase]:
     """What the comparison runs.
 
     Args:
+        engine: Name of the engine.
         quick: Whether to run two speeds and to hold shortly.
 
     Returns:
-        The cases; without those of Bullet's own contact where PyBullet is not installed.
+        The cases, of all contact models that the engine has.
     """
     speeds, hold_time = (QUICK_SPEEDS, 1.0) if quick else (SPEEDS, 2.0)
-    contacts = [contact for contact in CONTACTS if contact != "bullet" or bullet_is_there()]
-    return [PressCase(contact, speed, hold_time) for contact in contacts for speed in speeds]
+    offered = load_engine(engine).abilities.contacts
+    return [
+        PressCase(contact, speed, hold_time, engine) for contact in CONTACTS if contact in offered for speed in speeds
+    ]
 
 
 def figure_results(results: list[PressResult]) -> list[PressResult]:
@@ -67,12 +70,15 @@ def figure_results(results: list[PressResult]) -> list[PressResult]:
     return sorted(shown, key=lambda result: FIGURES[result.case.contact])
 
 
-def run_demo(output: Path, console: Console, *, actor: Actor | None = None, quick: bool = False) -> None:
+def run_demo(
+    output: Path, console: Console, *, engine: str | None = None, actor: Actor | None = None, quick: bool = False
+) -> None:
     """Compare the contact models, draw the figures, film a press and an episode.
 
     Args:
         output: The folder to write to; made if it is missing.
         console: Where to report.
+        engine: Name of the engine of the presses and of their film; None: the default.
         actor: Who acts in the episode, in another process; None: the trained policy that comes with the package.
         quick: Whether to do less of everything.
 
@@ -82,14 +88,17 @@ def run_demo(output: Path, console: Console, *, actor: Actor | None = None, quic
     """
     require_extra()
     prepare_folder(output)
-    if not bullet_is_there():
+    left_out = engine is None and not bullet_is_there()
+    named = "batch" if left_out else choose_engine(engine)
+    if left_out:
         console.print(
             f"PyBullet is not installed: left out is its own contact, contact='bullet'; all else runs with "
             f"engine='batch'. {bullet_hint()}",
             highlight=False,
         )
     with start_workers() as pool:
-        results, episode, film = _compute(pool, actor or trained_actor(), console, quick)
+        results, episode, film = _compute(pool, named, actor or trained_actor(), console, quick)
+    console.print(f"engine: {named}", highlight=False)
     console.print(terminal_table(results, console.width))
     console.print(LEGEND, style="dim", highlight=False)
     console.print()
@@ -132,24 +141,25 @@ def encode_png(picture: Image.Image) -> bytes:
     return buffer.getvalue()
 
 
-def film_gif(width: int, stride: int) -> bytes:
+def film_gif(engine: str, width: int, stride: int) -> bytes:
     """A film of the flags method as the content of a GIF file, about five times slower than life.
 
     Args:
+        engine: Name of the engine.
         width: Of the picture [pixels].
         stride: Physics steps between two frames.
     """
-    film = film_press(stride=stride)
+    film = film_press(engine=engine, stride=stride)
     return encode_gif(film_frames(film, width), duration=round(5000 * stride * film.dt / 10) * 10, last_duration=1000)
 
 
 def _compute(
-    pool: ProcessPoolExecutor, actor: Actor, console: Console, quick: bool
+    pool: ProcessPoolExecutor, engine: str, actor: Actor, console: Console, quick: bool
 ) -> tuple[list[PressResult], Episode, bytes]:
     """Run everything that takes time, with a progress bar."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    cases = comparison_cases(quick)
+    cases = comparison_cases(engine, quick)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -162,7 +172,7 @@ def _compute(
         results = submit_cases(pool, cases, lambda case: progress.advance(bar, case.expected_steps))
         # The first renderer compiles its kernels. That is done here, while the others are busy with presses.
         Renderer(8, 8)
-        film = pool.submit(film_gif, 320 if quick else 480, 12 if quick else 4)
+        film = pool.submit(film_gif, engine, 320 if quick else 480, 12 if quick else 4)
         episode = pool.submit(run_episode, actor, size=200 if quick else 360, stride=8 if quick else 2)
         done = [future.result() for future in results]
         progress.update(bar, description="film and episode")

@@ -65,7 +65,7 @@ class BatchEngine:
         lanes: Worlds in a block.
     """
 
-    abilities = Abilities(varies=True, sweeps=SWEEPS)
+    abilities = Abilities(springs=True, varies=True, sweeps=SWEEPS)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`."""

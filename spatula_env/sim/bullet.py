@@ -319,7 +319,9 @@ class BulletEngine:
         loaded: (W,) the PyBullet worlds.
     """
 
-    abilities = Abilities(contacts=("flags", "second_step", "bullet"), restores_exactly=False, sweeps=SWEEPS)
+    abilities = Abilities(
+        contacts=("flags", "second_step", "bullet"), restores_exactly=False, springs=True, sweeps=SWEEPS
+    )
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`; for what this raises, see `BulletWorld`."""

@@ -52,16 +52,21 @@ class Abilities:
         contacts: The methods that can resolve contact with it. An engine with "bullet" is a `CollidingEngine`.
         restores_exactly: Whether a restored state continues exactly as the original would have. If not, an environment
             that is saved is itself restored from the saved state, so that both continue alike.
+        springs: Whether organs are networks of springs, which have no modulus; `calibrated` gives a scene the forces of
+            a material.
         varies: Whether worlds can differ in gravity, stiffness and mass; it is then a `VaryingEngine`.
         strains: Whether it reports how tissue is strained; it is then a `StrainedEngine`.
+        materials: Whether organs are made of their `scenes.Material`.
         sweeps: Number of solver sweeps over an organ's links in a step. A pull travels that many edges per step, and a
             warning is issued for organs that are more edges across; None: there is no such limit.
     """
 
     contacts: tuple[ContactName, ...] = ("flags", "second_step")
     restores_exactly: bool = True
+    springs: bool = False
     varies: bool = False
     strains: bool = False
+    materials: bool = False
     sweeps: int | None = None
 
 

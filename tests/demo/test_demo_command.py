@@ -55,8 +55,8 @@ def test_what_is_left_out_is_said(
     class Enough(Exception):
         pass
 
-    def stop(pool: Any, actor: Any, console: Any, quick: bool) -> None:
-        assert {case.contact for case in runner.comparison_cases(quick)} == {"flags", "second_step"}
+    def stop(pool: Any, engine: str, actor: Any, console: Any, quick: bool) -> None:
+        assert {case.contact for case in runner.comparison_cases(engine, quick)} == {"flags", "second_step"}
         raise Enough
 
     monkeypatch.setitem(sys.modules, "pybullet", None)
@@ -72,8 +72,8 @@ def test_results_are_in_order_and_complete(document: dict[str, Any]) -> None:
         (contact, speed) for contact in VERDICTS for speed in (5.0, 60.0)
     ]
     keys = {
-        "contact", "speed", "hold_time", "verdict", "residual_mean", "residual_max", "covered_share", "lower_nodes",
-        "upper_nodes", "pairs_steps", "inside_share", "steps", "diverged", "wall_time", "force_newtons",
+        "contact", "speed", "hold_time", "engine", "verdict", "residual_mean", "residual_max", "covered_share",
+        "lower_nodes", "upper_nodes", "pairs_steps", "inside_share", "steps", "diverged", "wall_time", "force_newtons",
         "force_scene_units",
     }  # fmt: skip
     for result in document["results"]:

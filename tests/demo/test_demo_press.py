@@ -5,6 +5,7 @@ import pytest
 
 from spatula_env import scenes
 from spatula_env.demo.press import FINAL_HEIGHT, WINDOW, PressCase, PressResult, film_press, run_press
+from spatula_env.engines import is_installed
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +30,17 @@ def test_the_flags_method_holds_the_organ_under_the_spatula(result: PressResult)
     # The organ weighs 0.03 N; pressing it 1.4 u down takes much more.
     assert result.force_mean > 0.3
     assert result.force_peak_of_run >= result.force_peak >= result.force_mean
+
+
+@pytest.mark.parametrize("engine", ["batch", "tissue", "mujoco"])
+@pytest.mark.filterwarnings("ignore:organ 'sphere' has not come to rest:spatula_env.sim.SceneWarning")
+def test_the_flags_method_does_so_in_every_engine(engine: str) -> None:
+    if not is_installed(engine):
+        pytest.skip(f"the extra {engine} is not installed")
+    result = run_press(PressCase("flags", 60.0, WINDOW / 240.0, engine))
+    assert result.verdict in ("contact", "unstable")
+    assert result.residual_max is not None and result.residual_max <= 0.01
+    assert result.pairs_steps == 0 and result.inside_share == 0.0
 
 
 def test_forces_in_both_units(result: PressResult) -> None:
