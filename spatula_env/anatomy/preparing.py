@@ -194,7 +194,8 @@ def _describe(holes: list[Hole]) -> str:
 
 
 def _place(point: Any) -> str:
-    return f"({', '.join(f'{1e3 * float(value):.4g}' for value in point)}) mm"
+    # Rounded to a micrometre; adding zero makes 0 of -0.
+    return f"({', '.join(f'{round(1e3 * float(value), 3) + 0.0:.4g}' for value in point)}) mm"
 
 
 def _chosen_pieces(surface: Surface, options: PrepareOptions, log: _Log) -> Surface:

@@ -115,7 +115,7 @@ def _read_mesh(path: Path) -> RawSurface:
         scene = trimesh.load_scene(stream, file_type=kind, process=False, maintain_order=True, skip_materials=True)
     meshes = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not meshes:
-        raise _Refused(f"{path.name} holds no triangles, or is not a {kind.upper()} file")
+        raise _Refused(f"{path.name} holds no triangles, or is no {kind.upper()} file")
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     return RawSurface(
         np.concatenate([np.asarray(mesh.vertices, dtype=np.float64) for mesh in meshes]),

@@ -30,6 +30,10 @@ that does not cross itself, or else a manifold. Where furrows are narrow, that m
 GOOD_ANGLE = 15.0
 """A surface whose least angle is greater is taken at once; else the best of all is [deg]."""
 
+MOST_REMESHED = 40_000
+"""Most nodes of a surface that is remeshed. One with more holes through it than the wanted nodes can have, as of a
+thresholded image, has no decimation that is a manifold, and to remesh it as it is would take many minutes."""
+
 PITCHES = 4.0
 """Voxels of a wrap along an edge of the wanted length."""
 
@@ -71,6 +75,7 @@ def reduced(
         told = "; ".join(
             f"{step.name}: {'closed' if step.closed else 'open'}, {step.crossings} crossings" for step in steps
         )
+        told = told or "no decimation of it is a manifold"
         raise ValueError(f"{name} cannot be made into a closed surface of {node_count} nodes ({told}); try more nodes")
     return best[1], steps
 
@@ -92,12 +97,13 @@ def measured(surface: Surface, name: str) -> Step:
 def _starts(
     surface: Surface, node_count: int, steps: list[Step], progress: Callable[[str], None]
 ) -> Iterator[tuple[str, Surface]]:
-    """Surfaces with which a remeshing can begin, closed manifolds all, and how they were made."""
+    """Surfaces with which a remeshing can begin, closed manifolds all with few nodes, and how they were made."""
     if is_manifold(surface):
         progress(f"decimating {len(surface.triangles)} triangles")
         start = _decimated_manifold(surface, node_count)
-        steps.append(measured(start, "decimated"))
-        yield "decimated", start
+        if len(start.vertices) <= MOST_REMESHED:
+            steps.append(measured(start, "decimated"))
+            yield "decimated", start
     length = math.sqrt(2.0 * surface.area / (math.sqrt(3.0) * node_count))
     # As many voxels as marching cubes of a volume would have, at most.
     pitch = max(length / PITCHES, float(np.ptp(surface.vertices, axis=0).max()) / 160.0)
@@ -112,7 +118,9 @@ def _starts(
             continue
         wrapped = orient(_largest(weld(wrapped)[0]))[0]
         if is_manifold(wrapped):
-            yield way, _decimated_manifold(wrapped, node_count)
+            start = _decimated_manifold(wrapped, node_count)
+            if len(start.vertices) <= MOST_REMESHED:
+                yield way, start
 
 
 def _decimated_manifold(surface: Surface, node_count: int) -> Surface:

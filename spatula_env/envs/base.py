@@ -108,6 +108,8 @@ class EpisodesEnv:
             kwargs = {**as_recorded(value.kwargs), "engine": self.settings.engine}
             if self.settings.material is not None:
                 kwargs["material"] = as_recorded(asdict(self.settings.material))
+            if self.settings.organ is not None:
+                kwargs["organ"] = self.settings.organ
             if "episode_time" in kwargs:
                 # `episode_time` is None if a number of steps was given.
                 kwargs["episode_time"] = self.settings.episode_time

@@ -18,6 +18,7 @@ from spatula_env.envs.incentives import Incentives
 from spatula_env.envs.observations import FrameMemory, Observation, ObservationBuilder
 from spatula_env.envs.randomization import Variation
 from spatula_env.envs.safety import Safety
+from spatula_env.envs.scenery import scene_of, task_of
 from spatula_env.envs.settings import Definition, EnvSettings
 from spatula_env.envs.snapshots import EpisodesState, joined, save_physics
 from spatula_env.envs.start_options import check_free, chosen_starts
@@ -26,7 +27,6 @@ from spatula_env.envs.strains import StrainCount
 from spatula_env.envs.workspace import place_workspace, setting_of
 from spatula_env.envs.workspace_frames import Frames
 from spatula_env.pressure_limits import COST_PRESSURE
-from spatula_env.scenes import with_material
 from spatula_env.tasks.base import Evaluation, weighted_sum
 from spatula_env.tasks.situation import Situation, Start
 
@@ -101,10 +101,7 @@ class Episodes:
         Raises:
             ValueError: If an option is invalid, or a number is out of its range.
         """
-        scene = definition.scene()
-        if settings.material is not None:
-            scene = with_material(scene, settings.material)
-        self.scene = scene
+        self.scene = scene = scene_of(definition, settings)
         if len(scene.organs) != 1:
             raise ValueError(f"scene must have one organ, got {len(scene.organs)}")
         self.settings = settings
@@ -129,7 +126,7 @@ class Episodes:
         self.setting = setting_of(scene, self.workspace, self.worlds.nodes[0], self.worlds.triangles, self.period)
         top = (*self.workspace.center[:2], float(self.worlds.nodes[0, :, 2].max()))
         self.frames = Frames(self.workspace, scene.scale, top, count)
-        self.task = definition.task(settings.task, self.setting)
+        self.task = task_of(definition, settings, self.setting)
         self.control = VelocityControl(
             definition.controls[settings.control],
             self.setting,
@@ -284,7 +281,7 @@ class Episodes:
                 for generator, setting in zip(generators.values(), settings, strict=True)
             ]
         )
-        return replace(start, **(chosen or {}))
+        return self.task.arrange(replace(start, **(chosen or {})), settings, chosen or ())
 
     def begin(
         self, generators: Mapping[int, np.random.Generator], chosen: Mapping[str, FloatArray] | None = None

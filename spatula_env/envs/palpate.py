@@ -5,10 +5,11 @@ from __future__ import annotations
 from spatula_env import scenes
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.palpate import PalpateConfig, PalpateTask
+from spatula_env.tasks.palpate_anywhere import PalpateAnywhereTask
 
 PALPATE = Definition(
     name="palpate",
@@ -36,6 +37,7 @@ PALPATE = Definition(
         untouched={"velocity_level": (1,)},
         face_count=2,
     ),
+    own_organ=OwnOrgan(scenes.organ_from_above, PalpateAnywhereTask),
     former_options={1: {"control": ("velocity", {"velocity": "velocity_level"})}},
 )
 """A spatula over a sphere that is held from below."""
@@ -162,6 +164,13 @@ class PalpateEnv(SpatulaEnv):
     | `end_distance`  | horizontal distance of the centre of pressure from the path's end | m    |
 
     Where nothing is touched, `path_distance` is that of the lower face's middle from the first of the 5 points.
+
+    ## An Organ of One's Own
+    With `organ="FILE.npz"`, a file of `spatula organ prepare`, the organ stands on the ground and the workspace is over
+    that part of it of which most can be felt from above. Paths are drawn from all of the surface that the spatula
+    reaches, where it is no steeper than 29 degrees, 15 mm thick and smooth enough to lie against. Observations have one
+    more part, `path_normals` (15), the normals at the five points of `path_ahead`. Budget and limits are those of the
+    sphere.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `PalpateConfig`. Other defaults have

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.press import PressConfig, PressTask
+from spatula_env.tasks.press_anywhere import PressAnywhereTask
 
 PRESS = Definition(
     name="press",
@@ -27,6 +28,7 @@ PRESS = Definition(
         untouched={"velocity": (1,)},
         face_count=2,
     ),
+    own_organ=OwnOrgan(scenes.organ_from_above, PressAnywhereTask, {"max_force": 3.0}),
 )
 """A spatula over a sphere."""
 
@@ -119,6 +121,17 @@ class PressEnv(SpatulaEnv):
 
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `depth`, `depth_error` and `place_error` [m].
+
+    ## An Organ of One's Own
+    With `organ="FILE.npz"`, a file of `spatula organ prepare`, the organ stands on the ground and the workspace is over
+    that part of it of which most can be pressed from above. Places are drawn from all of the surface that the spatula
+    reaches: no steeper than 45 degrees (8 if the organ lies free), smooth enough, and free on the way down. The spatula
+    is turned to the surface's normal there, starts within 20 mm of that line and 10 to 30 mm above the surface, and is
+    to press along it. The depth is the mean under the spatula, along the normal, and at most 0.3 of the organ's
+    thickness or of the distance from what is held. Depth and place are measured across and along the normal:
+    `error` tells by how much the spatula is off the line, turned into the horizontal. Observations have two more parts,
+    `place_position` (3) [m] and `place_normal` (3), `max_force` is 3 N, and there is no goal interface, as the normal
+    belongs to the place. Budget and limits are those of the sphere.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `PressConfig`.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.retract import RetractConfig, RetractTask
+from spatula_env.tasks.retract_anywhere import RetractAnywhereTask
 
 RETRACT = Definition(
     name="retract",
@@ -31,6 +32,7 @@ RETRACT = Definition(
         untouched={"velocity": (5,)},
         face_count=6,
     ),
+    own_organ=OwnOrgan(scenes.organ_from_aside, RetractAnywhereTask, {"max_force": 1.0}),
 )
 """A blade over a fold."""
 
@@ -134,6 +136,14 @@ class RetractEnv(SpatulaEnv):
     | `shift`       | how far the patch is from where it was, horizontally | m    |
     | `shift_error` | distance of its displacement from the goal           | m    |
     | `pushing`     | whether the blade pushes against its flank, 0 or 1   | 1    |
+
+    ## An Organ of One's Own
+    With `organ="FILE.npz"`, a file of `spatula organ prepare`, the organ stands on the ground and the workspace is over
+    that part of it of which most can be pushed from the side. Patches are drawn from all walls, steeper than 66
+    degrees, beside which there is room for the blade to come straight down until its lower edge is 8 mm below the
+    patch's middle. The blade is turned to the wall and pushes along the horizontal part of its normal, by 4 to 6 mm.
+    Observations have two more parts, `patch_outwards` (2), that direction away from the organ, and `patch_room` (1), at
+    what distance from the wall there is room [m]. `max_force` is 1 N. Budget and limits are those of the fold.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `RetractConfig`. Other defaults have

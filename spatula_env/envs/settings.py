@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from spatula_env.engines import choose_engine
+from spatula_env.engines import choose_engine, load_engine
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
 from spatula_env.envs.observed_ranges import ALL_PARTS, PART_CHOICES, ObservedRanges, check_parts
 from spatula_env.envs.randomization import DEFAULT_RANGES, LONGEST_DELAY, Ranges, read_ranges
 from spatula_env.geometry.checks import check_boolean, check_count, check_not_negative, check_positive, is_number
+from spatula_env.geometry.prepared import PREPARED_SUFFIX
 from spatula_env.scenes.material import as_material
 from spatula_env.tasks.configuration import config_from_mapping
 from spatula_env.tasks.plain import make_fields_plain
 
 if TYPE_CHECKING:
+    from spatula_env.geometry.prepared import PreparedOrgan
     from spatula_env.scenes import Scene
     from spatula_env.sim.engine import ContactName
     from spatula_env.tasks.base import Task
@@ -95,10 +98,11 @@ class EnvSettings:
     """The options that all environments have.
 
     Attributes:
-        engine: Engine that simulates the organ: "bullet", "batch" or "tissue". None: "bullet" if PyBullet is installed,
-            else "batch"; for vector environments "batch".
-        material: Material of the organ with the engine "tissue": a `scenes.Material`, a mapping of its fields, or the
-            name of a region that `Material.brain` knows. None: `Material()`.
+        engine: Engine that simulates the organ: "bullet", "batch", "tissue" or "mujoco". None: "bullet" if PyBullet is
+            installed, else "batch"; for vector environments "batch".
+        material: Material of the organ with the engines "tissue" and "mujoco": a `scenes.Material`, a mapping of its
+            fields, or the name of a region that `Material.brain` knows. None: the engine's default.
+        organ: A file of `spatula organ prepare`, with an organ to take instead of the task's own; None for that.
         contact: Method that resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
         control: "velocity": the degrees of freedom that the task needs. "velocity_6d": six degrees of freedom.
@@ -124,6 +128,7 @@ class EnvSettings:
 
     engine: str | None = None
     material: Any = None
+    organ: str | None = None
     contact: ContactName = "flags"
     obs_mode: str = "state"
     control: str = "velocity"
@@ -166,9 +171,26 @@ class EnvSettings:
             check_count(getattr(self, name), name, 1, LARGEST_PICTURE)
         if self.material is not None:
             object.__setattr__(self, "material", as_material(self.material))
+        if self.organ is not None:
+            object.__setattr__(self, "organ", _as_organ_file(self.organ))
         observation = config_from_mapping(ObservationSettings, self.observation, "observation")
         object.__setattr__(self, "observation", observation)
         check_parts(observation.parts, self.obs_mode)
+
+
+@dataclass(frozen=True)
+class OwnOrgan:
+    """How a task is set on an organ of one's own.
+
+    Attributes:
+        scene: Makes the scene of a prepared organ.
+        task: Makes the task from its configuration and the setting.
+        defaults: Defaults of options where they differ from those of the `Definition`, by name.
+    """
+
+    scene: Callable[[PreparedOrgan], Scene]
+    task: Callable[[Any, Setting], Task]
+    defaults: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -187,6 +209,7 @@ class Definition:
         defaults: Defaults of options where they differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
         observed: Ranges of observed measurements of contact and of the organ, and the observed faces.
+        own_organ: How the task is set on an organ of one's own; None if it cannot be.
         former_options: By the number of a former definition of the task, the options whose values had another meaning
             then: their former default, and the present names of the values. See `definitions.present_options`.
     """
@@ -203,6 +226,7 @@ class Definition:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
     observed: ObservedRanges = field(default_factory=ObservedRanges)
+    own_organ: OwnOrgan | None = None
     former_options: Mapping[int, Mapping[str, tuple[Any, Mapping[Any, Any]]]] = field(default_factory=dict)
 
     def read(
@@ -234,14 +258,21 @@ class Definition:
                 raise TypeError(
                     f"{owner}.__init__() got an unexpected keyword argument {name!r}{hint} are {', '.join(allowed)}"
                 )
-        values = {**defaults, **self.defaults, **options}
+        own = self.own_organ.defaults if self.own_organ is not None and options.get("organ") is not None else {}
+        values = {**defaults, **self.defaults, **own, **options}
         if values.get("engine") is None:
             values["engine"] = {**defaults, **self.defaults}.get("engine")
         settings = EnvSettings(**values)
         check_choice(settings.control, "control", tuple(self.controls))
+        if settings.organ is not None and self.own_organ is None:
+            raise ValueError(
+                f"organ must be None in {self.name}, which needs an organ with parts of its own; got {settings.organ!r}"
+            )
         engine = choose_engine(settings.engine, settings.contact)
-        if settings.material is not None and engine != "tissue":
-            raise ValueError(f"material must be None but with the engine 'tissue', got it with engine {engine!r}")
+        if settings.material is not None and not load_engine(engine).abilities.materials:
+            raise ValueError(
+                f"material must be None but with the engines 'tissue' and 'mujoco', got it with engine {engine!r}"
+            )
         return EnvSettings(
             **{
                 **vars(settings),
@@ -266,6 +297,18 @@ class Definition:
             for each in fields(EnvSettings)
         ]
         return inspect.Signature([*more, *options])
+
+
+def _as_organ_file(value: Any) -> str:
+    if not isinstance(value, str | os.PathLike):
+        raise ValueError(f"organ must be the path of a file of `spatula organ prepare`, or None, got {value!r}")
+    path = os.fspath(value)
+    if not path.lower().endswith(PREPARED_SUFFIX):
+        raise ValueError(
+            f"organ must be a file of `spatula organ prepare`, which ends in {PREPARED_SUFFIX}, got {path!r}: prepare "
+            "the surface or the volume first"
+        )
+    return path
 
 
 def check_choice(value: Any, name: str, allowed: tuple[Any, ...]) -> None:

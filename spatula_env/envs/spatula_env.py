@@ -226,8 +226,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     | Parameter              | Type               | Default      | Description                                         |
     | ---------------------- | ------------------ | ------------ | --------------------------------------------------- |
-    | `engine`               | **str \| None**    | `None`       | Of the organ: `"bullet"`, `"batch"` or `"tissue"`   |
-    | `material`             | **Material**       | `None`       | With `"tissue"`: what the organ is made of          |
+    | `engine`               | **str \| None**    | `None`       | `"bullet"`, `"batch"`, `"tissue"` or `"mujoco"`     |
+    | `material`             | **Material**       | `None`       | Of the organ, with `"tissue"` and `"mujoco"`        |
+    | `organ`                | **str \| None**    | `None`       | A file of an organ to take instead of the task's    |
     | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"` or, in Bullet, `"bullet"`|
     | `obs_mode`             | **str**            | `"state"`    | See above                                           |
     | `control`              | **str**            | `"velocity"` | `"velocity"` or `"velocity_6d"`                     |
@@ -250,7 +251,8 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     With `engine=None` it is `"bullet"` where PyBullet is installed, else `"batch"`, and a warning says so once;
     `env.spec` has the one that is used. `material` is a `scenes.Material`, a mapping of its fields, or the name of a
-    region of the brain, as `"cortex"`; None is `Material()`, and all that the engines of springs take.
+    region of the brain, as `"cortex"`; None is the engine's default, and all that the engines of springs take. `organ`
+    is a file of `spatula organ prepare`, for Press, Palpate and Retract, which tell what is then different.
 
     Attributes:
         definition: Scene and task; subclasses have one.

@@ -58,7 +58,7 @@ class SpatulaVectorEnv(EpisodesEnv, VectorEnv[Observation, NDArray[np.float32], 
     | `num_envs`          | **int**                  | `1`           | How many worlds, W                            |
     | `max_episode_steps` | **int \| None**          | `None`        | Instead of `episode_time`; -1: never cut      |
     | `autoreset_mode`    | **str or AutoresetMode** | `"next_step"` | `"next_step"`, `"same_step"` or `"disabled"`  |
-    | `engine`            | **str**                  | `"batch"`     | `"batch"`, `"bullet"` or `"tissue"`           |
+    | `engine`            | **str**                  | `"batch"`     | `"batch"`, `"bullet"`, `"tissue"`, `"mujoco"` |
 
     After an episode's end, the next step ignores the action and begins the next episode ("next_step"); or the step that
     ends an episode returns the beginning of the next one, with the last observation and info in `infos["final_obs"]`

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import zipfile
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from spatula_env.geometry.tetrahedra import TetrahedralMesh
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from spatula_env.arrays import Int32Array
 
@@ -86,6 +86,17 @@ class PreparedOrgan(Organ):
             unit_length=self.unit_length,
             provenance=self.provenance,
         )
+
+    def moved(self, shift: ArrayLike) -> PreparedOrgan:
+        """The same organ elsewhere.
+
+        Args:
+            shift: (3,) by how much it is moved [u].
+        """
+        filling = self.filling
+        if filling is not None:
+            filling = TetrahedralMesh(filling.nodes + np.asarray(shift), filling.tetrahedra)
+        return replace(self, vertices=self.vertices + np.asarray(shift), filling=filling)
 
 
 def write_prepared(path: Path, organ: PreparedOrgan) -> None:

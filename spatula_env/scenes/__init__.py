@@ -19,6 +19,7 @@ from spatula_env.scenes.base import (
 from spatula_env.scenes.clamp import JAW_CLEARANCE, clamp
 from spatula_env.scenes.fissure import FISSURE_CLEARANCE, ON_EDGE, fissure
 from spatula_env.scenes.material import BrainRegion, Material, ModelName, as_material
+from spatula_env.scenes.own_organ import organ_from_above, organ_from_aside, own_organ
 from spatula_env.scenes.palpate import palpate
 from spatula_env.scenes.retract import BLADE_CLEARANCE, QUARTER_TURN, UPRIGHT, retract
 from spatula_env.scenes.seed import RESTING_SPHERE, seed
@@ -45,6 +46,9 @@ __all__ = [
     "as_material",
     "clamp",
     "fissure",
+    "organ_from_above",
+    "organ_from_aside",
+    "own_organ",
     "palpate",
     "retract",
     "seed",

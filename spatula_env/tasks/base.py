@@ -6,7 +6,7 @@ W counts worlds, G the numbers in a goal; units and frame are those of `situatio
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -173,6 +173,16 @@ class Task(ABC):
             count: Number of episodes, W.
             setting: Setting of these episodes; it may differ from the task's own.
         """
+
+    def arrange(self, start: Start, settings: Sequence[Setting], chosen: Collection[str]) -> Start:
+        """Complete the beginnings of episodes by what follows from their goals; nothing by default.
+
+        Args:
+            start: From `sample`, with the values that were chosen instead of drawn.
+            settings: (W,) settings of the episodes.
+            chosen: Names of the values that were chosen; they are not to be changed.
+        """
+        return start
 
     @abstractmethod
     def evaluate(self, situation: Situation, goal: FloatArray, memory: Memory) -> Evaluation:

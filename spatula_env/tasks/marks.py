@@ -5,7 +5,7 @@ Lengths are in metres and points in the workspace frame.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,17 @@ ROLES = ("goal", "target", "caution")
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """A horizontal ring.
+    """A ring.
 
     Attributes:
         point: (3,) centre [m].
         radius: Radius [m].
+        normal: (3,) unit vector across its plane; upwards by default.
     """
 
     point: FloatArray
     radius: float
+    normal: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -213,13 +213,8 @@ class PalpateTask(Task):
         Raises:
             ValueError: If it is out of the configured ranges.
         """
+        self._check_share_and_force(goal)
         config = self.config
-        for value, (least, greatest), what in (
-            (goal[0], (0.0, 1.0), "a share"),
-            (goal[3], config.force_range, "a force"),
-        ):
-            if not least <= value <= greatest:
-                raise ValueError(f"goal must have {what} from {least} to {greatest}, got {value}")
         farthest = config.middle_radius + 0.5 * config.length_range[1]
         distance = float(np.hypot(*(goal[1:3] - self.setting.organ_position[:2])))
         if distance > farthest + 1e-9:
@@ -247,17 +242,10 @@ class PalpateTask(Task):
         }
 
     def begin_memory(self, memory: Memory, rows: IntArray, start: Start, settings: Sequence[Setting]) -> None:
-        """See `Task`: lays the paths on the organ at rest.
-
-        If a chosen end does not fit the direction that was drawn, the path approaches it over the organ's axis.
-        """
+        """See `Task`: lays the paths on the organ at rest."""
         assert start.drawn is not None
         for row, goal, drawn, setting in zip(rows, start.goal, start.drawn, settings, strict=True):
-            inwards, way = setting.organ_position[:2] - goal[1:3], drawn[:2]
-            distance = float(np.hypot(*inwards))
-            if np.hypot(*(0.5 * way - inwards)) > self.config.middle_radius + 1e-9 and distance > 0.0:
-                way = float(np.hypot(*way)) / distance * inwards
-            path = memory["path"][row] = self._path(goal[1:3], way, drawn[2], setting)
+            path = memory["path"][row] = self._path(goal[1:3], self._way(goal, drawn, setting), drawn[2], setting)
             memory["nodes"][row], memory["shares"][row] = points_on_top(setting.rest_nodes, setting.triangles, path)
         memory["felt"][rows] = False
         memory["progress"][rows], memory["last"][rows], memory["was_feeling"][rows] = 0.0, 0.0, False
@@ -286,7 +274,7 @@ class PalpateTask(Task):
         below = np.outer(situation.tool_scale * self._plate[0][2], [0.0, 0.0, 1.0])
         underside = situation.tool_position + turn(situation.tool_orientation, below)
         ahead = np.minimum(memory["progress"][:, None] + PIECES * np.array(AHEAD), PIECES)
-        offsets = _points_at(path, ahead) - underside[:, None]
+        offsets = points_at(path, ahead) - underside[:, None]
         distance = np.sqrt((offsets[:, 0] ** 2).sum(axis=1))
         return Evaluation(
             terms={
@@ -344,6 +332,15 @@ class PalpateTask(Task):
         path = path + np.array([0.0, 0.0, MARK_HEIGHT])
         return Path(path), Ring(path[-1], self.config.end_tolerance)
 
+    def _check_share_and_force(self, goal: FloatArray) -> None:
+        """Raise ValueError if the share or the force of a goal (4,) is out of its range."""
+        for value, (least, greatest), what in (
+            (goal[0], (0.0, 1.0), "a share"),
+            (goal[3], self.config.force_range, "a force"),
+        ):
+            if not least <= value <= greatest:
+                raise ValueError(f"goal must have {what} from {least} to {greatest}, got {value}")
+
     def _feel(self, memory: Memory, along: FloatArray, aside: FloatArray, force_error: FloatArray) -> None:
         """Record the pieces felt by pressing at places on paths (W,), at a distance (W,), with a force error (W,)."""
         feeling = (aside <= self.config.path_tolerance) & (force_error <= self.config.force_tolerance)
@@ -356,6 +353,17 @@ class PalpateTask(Task):
         memory["felt"] |= passed & feeling[:, None]
         memory["progress"][:] = np.where(feeling, np.maximum(memory["progress"], along), memory["progress"])
         memory["last"][:], memory["was_feeling"][:] = along, feeling
+
+    def _way(self, goal: FloatArray, drawn: FloatArray, setting: Setting) -> FloatArray:
+        """Vector (2,) from a path's end to its beginning [m].
+
+        If a chosen end does not fit the direction that was drawn, the path approaches it over the organ's axis.
+        """
+        inwards, way = setting.organ_position[:2] - goal[1:3], drawn[:2]
+        distance = float(np.hypot(*inwards))
+        if np.hypot(*(0.5 * way - inwards)) > self.config.middle_radius + 1e-9 and distance > 0.0:
+            return float(np.hypot(*way)) / distance * inwards
+        return way
 
     def _path(self, end: FloatArray, way: FloatArray, bend: float, setting: Setting) -> FloatArray:
         """(P + 1, 3) corners of a path's pieces, which are of equal length as seen from above [m]."""
@@ -398,7 +406,7 @@ def _project(paths: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatAr
     return piece + part[row, piece], distance[row, piece]
 
 
-def _points_at(paths: FloatArray, along: FloatArray) -> FloatArray:
+def points_at(paths: FloatArray, along: FloatArray) -> FloatArray:
     """(W, K, 3) points of paths (W, P + 1, 3) at positions along them (W, K), in pieces."""
     piece = np.minimum(along.astype(np.int64), paths.shape[1] - 2)
     row = np.arange(len(paths))[:, None]

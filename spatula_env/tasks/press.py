@@ -110,6 +110,29 @@ class PressConfig(TaskConfig):
         object.__setattr__(self, "center", as_pair(self.center, "center", "(x, y)"))
 
 
+@dataclass(frozen=True, eq=False)
+class PressView:
+    """What a press is measured by, in frames in which it goes straight down.
+
+    Attributes:
+        nodes: (W, V, 3) nodes of the organ [m].
+        untouched: (W, V, 3) where they would be if nothing pressed on the organ, or (1, V, 3) [m].
+        place: (W, 2) horizontal position of the spatula's middle [m].
+        force: (W, 3) force of the organ on the spatula [N].
+        face: (W, 3) unit vector in which the organ pushes on the spatula's lower face.
+        lowest: (W,) height of the spatula's lowest corner [m].
+        target: (W,) height of the surface at the goal's place and depth [m].
+    """
+
+    nodes: FloatArray
+    untouched: FloatArray
+    place: FloatArray
+    force: FloatArray
+    face: FloatArray
+    lowest: FloatArray
+    target: FloatArray
+
+
 class PressTask(Task):
     """Evaluates a press.
 
@@ -203,20 +226,17 @@ class PressTask(Task):
             "depth", "depth_error" and "place_error" [m].
         """
         config = self.config
-        place = situation.tool_position[:, :2]
-        heights = self.setting.surface_heights
-        untouched = moved_as_a_whole(situation.nodes, situation.rest_nodes)
-        pressing = (situation.contact_forces[:, 0] * turn(situation.tool_orientation, UPWARDS)).sum(axis=1)
-        depth = heights(untouched, place) - heights(situation.nodes, place)
+        view = self._view(situation, memory)
+        depth = self._heights(view.untouched, view.place) - self._heights(view.nodes, view.place)
+        pressing = (view.force * view.face).sum(axis=1)
         # An edge or a corner that is pushed in is pushed back across the normal of the lower face; friction alone, with
         # a coefficient up to 1.7, leaves at least half of a force on a face along its normal.
-        whole = np.sqrt((situation.contact_forces[:, 0] ** 2).sum(axis=1))
+        whole = np.sqrt((view.force**2).sum(axis=1))
         depth = np.where(pressing >= np.maximum(config.least_force, LEAST_NORMAL_SHARE * whole), depth, 0.0)
-        achieved, error, within = self.compare(as_seen(np.column_stack([place, depth])), goal)
+        measured = np.column_stack([self._place_of(view, goal), depth])
+        achieved, error, within = self.compare(as_seen(measured), goal)
         place_error, depth_error = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
-
-        underside = situation.lowest_corner(self.setting.tools[0])
-        distance = np.hypot(place_error, underside - memory["target_height"])
+        distance = np.hypot(place_error, view.lowest - view.target)
         return Evaluation(
             terms={
                 "reach": closeness(distance, config.reach_scale),
@@ -229,6 +249,7 @@ class PressTask(Task):
             error=error,
             within_tolerance=within,
             measures={"depth": achieved[:, 2], "depth_error": depth_error, "place_error": place_error},
+            parts=self._parts(memory),
         )
 
     def fulfils(self, achieved: FloatArray, desired: FloatArray) -> BoolArray:
@@ -256,6 +277,30 @@ class PressTask(Task):
         points = np.array([[*goal[:2], height], [*goal[:2], height - goal[2]]])
         radius = RING_RATIO * float(self.setting.tool_high[0])
         return Ring(points[0], radius), Ring(points[1], radius), Path(points)
+
+    def _view(self, situation: Situation, memory: Memory) -> PressView:
+        """What is measured, in frames in which presses go straight down."""
+        return PressView(
+            nodes=situation.nodes,
+            untouched=moved_as_a_whole(situation.nodes, situation.rest_nodes),
+            place=situation.tool_position[:, :2],
+            force=situation.contact_forces[:, 0],
+            face=turn(situation.tool_orientation, UPWARDS),
+            lowest=situation.lowest_corner(self.setting.tools[0]),
+            target=memory["target_height"],
+        )
+
+    def _heights(self, nodes: FloatArray, places: FloatArray) -> FloatArray:
+        """Heights (W,) of surfaces with nodes (W, V, 3) at places (W, 2), in the frames of views [m]."""
+        return self.setting.surface_heights(nodes, places)
+
+    def _place_of(self, view: PressView, goal: FloatArray) -> FloatArray:
+        """Places (W, 2) of the spatula, as goals (W, 3) tell them [m]."""
+        return view.place
+
+    def _parts(self, memory: Memory) -> dict[str, FloatArray]:
+        """The task's own pieces of the observation."""
+        return {}
 
     def _check_reach(self) -> None:
         config, setting = self.config, self.setting

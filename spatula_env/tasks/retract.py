@@ -135,15 +135,8 @@ class RetractTask(Task):
             ValueError: If the organ is of another kind, or a start is out of the tool's reach.
         """
         super().__init__(config, setting, np.full(2, -GREATEST_SHIFT), np.full(2, GREATEST_SHIFT))
-        organ = organ_with_parts(setting, RidgedBlock, "flanks", "crest")
         self.config = config
-        first, second = (np.array(nodes, dtype=np.int64) for nodes in organ.flanks)
-        self._flanks: tuple[IntArray, IntArray] = (first, second)
-        middle, across, _ = self._fold(setting.rest_nodes)
-        crest = np.array(organ.crest, dtype=np.int64)
-        place = (setting.rest_nodes[crest, :2] - middle) @ across
-        # Nodes where patches can be: a flank, and its half of the crest.
-        self._sides = (np.union1d(first, crest[place > 0.0]), np.union1d(second, crest[place < 0.0]))
+        self._read_organ()
         self._half_thickness = 0.5 * float(setting.tool_high[0] - setting.tool_low[0])
         self.extra_parts = (
             PartSpec("patch_position", "m", np.full(3, -GREATEST_PLACE), np.full(3, GREATEST_PLACE)),
@@ -296,6 +289,21 @@ class RetractTask(Task):
             & (patch[:, 2] - edge >= self.config.least_overlap),
             dtype=np.bool_,
         )
+
+    def _read_organ(self) -> None:
+        """Read the parts of the organ that the task needs.
+
+        Raises:
+            ValueError: If the organ is no `RidgedBlock`.
+        """
+        organ, nodes = organ_with_parts(self.setting, RidgedBlock, "flanks", "crest"), self.setting.rest_nodes
+        first, second = (np.array(flank, dtype=np.int64) for flank in organ.flanks)
+        self._flanks: tuple[IntArray, IntArray] = (first, second)
+        middle, across, _ = self._fold(nodes)
+        crest = np.array(organ.crest, dtype=np.int64)
+        place = (nodes[crest, :2] - middle) @ across
+        # Nodes where patches can be: a flank, and its half of the crest.
+        self._sides = (np.union1d(first, crest[place > 0.0]), np.union1d(second, crest[place < 0.0]))
 
     def _fold(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """For an organ (V, 3): the fold's middle (2,) [m], and the directions (2,) across it and along it."""

@@ -170,8 +170,12 @@ class Situation:
 
     def lowest_corner(self, shape: ToolShape) -> FloatArray:
         """(W,) heights of the lowest corner of the first tool, which has a given shape, however it is turned [m]."""
-        corners = turn(self.tool_orientations[:, 0, None], self.tool_scale[:, None, None] * shape.vertices)
-        return np.asarray(self.tool_positions[:, 0, 2] + corners[:, :, 2].min(axis=1))
+        return np.asarray(self.corners(shape)[:, :, 2].min(axis=1))
+
+    def corners(self, shape: ToolShape) -> FloatArray:
+        """(W, K, 3) corners of the first tool, which has a given shape [m]."""
+        turned = turn(self.tool_orientations[:, 0, None], self.tool_scale[:, None, None] * shape.vertices)
+        return np.asarray(self.tool_positions[:, :1] + turned)
 
     @staticmethod
     def at_rest(

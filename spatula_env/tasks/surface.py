@@ -9,11 +9,12 @@ import numpy as np
 from spatula_env._kernels import kernel
 from spatula_env.contact.raycast import cast_ray
 from spatula_env.contact.structures import NO_HIT
+from spatula_env.geometry.surface import triangle_areas, triangle_normals
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from spatula_env.arrays import FloatArray, IntArray
+    from spatula_env.arrays import FloatArray, IndexArray, IntArray
 
 
 @kernel("f8[::1](f8[:,:,::1], i4[:,::1], f8[:,::1], f8)")
@@ -65,6 +66,35 @@ def points_on_top(nodes: FloatArray, triangles: NDArray[np.int32], places: Float
     v, w, found = v[row, best], w[row, best], inside[row, best]
     weights = np.where(found[:, None], np.stack([1.0 - v - w, v, w], axis=1), 0.0)
     return np.where(found[:, None], triangles[best], 0).astype(np.int64), weights
+
+
+def average_normals(
+    nodes: FloatArray, triangles: IndexArray, points: FloatArray, radius: float, facing: ArrayLike | None = None
+) -> FloatArray:
+    """Unit normals of a surface near some of its points, weighted by area.
+
+    Args:
+        nodes: (V, 3) of the surface.
+        triangles: (T, 3).
+        points: (K, 3) on it, or NaN.
+        radius: Distance within which triangles count; the nearest always does, and those that face away never.
+        facing: (3,) direction from which triangles face away; None: the normal of the nearest one.
+
+    Returns:
+        (K, 3); NaN where the point is.
+    """
+    middles, normals = nodes[triangles].mean(axis=1), triangle_normals(nodes, triangles)
+    vectors = normals * triangle_areas(nodes, triangles)[:, None]
+    found = np.full_like(points, np.nan)
+    for row in np.flatnonzero(np.isfinite(points).all(axis=1)):
+        distance = np.sqrt(((middles - points[row]) ** 2).sum(axis=1))
+        towards = normals[distance.argmin()] if facing is None else np.asarray(facing, dtype=np.float64)
+        near = (distance <= max(radius, float(distance.min()))) & (normals @ towards > 0.0)
+        total = vectors[near].sum(axis=0)
+        length = np.sqrt(total @ total)
+        if length > 0.0:
+            found[row] = total / length
+    return found
 
 
 def farthest_points(points: ArrayLike, count: int) -> NDArray[np.int64]:

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"the extra anatomy is not
 if not MISSING:
     import trimesh
 
-    from spatula_env.anatomy import PrepareOptions, prepare_organ
+    from spatula_env.anatomy import PrepareOptions, prepare_organ, reducing
     from spatula_env.anatomy.holes import fill_holes
     from spatula_env.anatomy.posing import held_nodes, posed
     from spatula_env.anatomy.reducing import _without_flaps
@@ -98,6 +98,14 @@ def test_holes_are_filled_and_wide_ones_refused_with_their_place(tmp_path: Path)
     wide = write(tmp_path / "wide.ply", vertices, triangles[middles[:, 0] < 25.0])
     with pytest.raises(ValueError, match=r"wide.ply is open: 1 hole, .* mm wide \(\d+ edges\) at \(2\d"):
         prepare(wide)
+
+
+def test_places_have_no_digits_of_rounding(tmp_path: Path) -> None:
+    vertices, triangles = ellipsoid()
+    upper = triangles[vertices[triangles].mean(axis=1)[:, 2] > 0.0]
+    number = r"(0|-?\d+\.?\d*)"
+    with pytest.raises(ValueError, match=rf"edges\) at \({number}, {number}, {number}\) mm;"):
+        prepare(write(tmp_path / "bowl.ply", vertices, upper))
 
 
 def test_edges_of_more_than_two_triangles_are_mended(tmp_path: Path) -> None:
@@ -293,6 +301,22 @@ def test_flaps_of_a_decimation_are_removed() -> None:
     surface = Surface(ball.vertices, np.concatenate([ball.triangles, flap]).astype(np.int64))
     assert not is_manifold(surface)
     assert is_manifold(_without_flaps(surface))
+
+
+def test_a_fine_surface_without_a_decimation_is_wrapped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It would take minutes to remesh it as it is."""
+    path = write(tmp_path / "organ.ply", *ellipsoid(4))
+    decimated = reducing._decimated_manifold
+    monkeypatch.setattr(
+        reducing, "_decimated_manifold", lambda s, nodes: s if len(s.vertices) == 2562 else decimated(s, nodes)
+    )
+    monkeypatch.setattr(reducing, "MOST_REMESHED", 2_000)
+    organ, report, _ = prepare_organ(path, PrepareOptions(units="mm", nodes=NODES, fill="no"))
+    assert report.steps[0].name == "remeshed (wrapped)"
+    check(organ)
+    monkeypatch.setattr(reducing, "MOST_REMESHED", 100)
+    with pytest.raises(ValueError, match="no decimation of it is a manifold"):
+        prepare_organ(path, PrepareOptions(units="mm", nodes=NODES, fill="no"))
 
 
 def test_volume_is_restored_only_by_a_small_offset() -> None:

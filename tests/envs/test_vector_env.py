@@ -532,7 +532,7 @@ def test_worlds_are_closed_where_the_construction_fails(monkeypatch: pytest.Monk
         ({"max_episode_steps": 0}, "max_episode_steps must be an integer of at least 1, got 0"),
         ({"max_episode_steps": 2.5}, "max_episode_steps must be an integer of at least 1, got 2.5"),
         ({"autoreset_mode": "later"}, r"autoreset_mode must be one of \['next_step', 'same_step', 'disabled'\] or an"),
-        ({"engine": "magic"}, r"engine must be one of \['bullet', 'batch', 'tissue'\], got 'magic'"),
+        ({"engine": "magic"}, r"engine must be one of \['bullet', 'batch', 'tissue', 'mujoco'\], got 'magic'"),
         ({"contact": "magic"}, "contact must be one of .* got 'magic'"),
         ({"render_mode": "human"}, r"render_mode must be one of \[None, 'rgb_array'\], got 'human'"),
         ({"control": "force"}, r"control must be one of \['velocity', 'velocity_6d'\], got 'force'"),

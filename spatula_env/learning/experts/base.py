@@ -80,6 +80,10 @@ class Expert(ABC):
             values = np.asarray(whole, dtype=np.float64)[..., self._slices[name]]
         return values[..., -1, :] if self._stacked and name not in GOAL_ENTRIES else values
 
+    def has_part(self, name: str) -> bool:
+        """Whether observations have a part of this name."""
+        return name in self._slices
+
     def goal(self, observation: Any) -> FloatArray:
         """The goal (..., G), for any reward."""
         sparse = isinstance(observation, Mapping) and "desired_goal" in observation

@@ -20,7 +20,7 @@ SQUEEZE = 0.75
 """Free width between the jaws while gripping, as a share of the ridge's width."""
 
 SQUEEZE_OF_TISSUE = 0.85
-"""The same for the engine "tissue", whose ridge resists more."""
+"""The same for engines whose organs are made of a material: their ridge resists more."""
 
 TIGHTER, SLIPPING, SLIPPED = 0.1, 0.0007, 0.0012
 """Share by which the grip narrows if the ridge slips, and the slips at which this begins and is complete [m]."""
@@ -67,7 +67,7 @@ class ClampExpert(Expert):
         """See `Expert`; the width while gripping depends on the engine."""
         super().__init__(env)
         made: Any = env.unwrapped
-        self.squeeze = SQUEEZE_OF_TISSUE if made.settings.engine == "tissue" else SQUEEZE
+        self.squeeze = SQUEEZE_OF_TISSUE if made.settings.engine in ("tissue", "mujoco") else SQUEEZE
 
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
         """See `Expert`."""

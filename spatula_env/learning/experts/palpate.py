@@ -46,8 +46,9 @@ SAFE_ERROR = 0.025
 SAFE_PLACE = 0.003
 """Distance of the centre of pressure from the current point of the path above which it does not advance [m]."""
 
-AHEAD = 0.0035
-"""Distance by which the centre of pressure leads the part of the path felt so far [m]."""
+AHEAD, OWN_AHEAD = 0.0035, 0.002
+"""Distance by which the centre of pressure leads the part of the path felt so far, and the same on an organ of one's
+own [m]."""
 
 
 class PalpateExpert(Expert):
@@ -78,15 +79,17 @@ class PalpateExpert(Expert):
             & (np.hypot(pressed[..., 0], pressed[..., 1]) < SAFE_PLACE)
             & (length[..., 0] > 1e-4)
         )
-        feed = np.where(sliding, np.minimum(AHEAD, length[..., 0]), 0.0)[..., None] * direction
+        lead = OWN_AHEAD if self.has_part("path_normals") else AHEAD
+        feed = np.where(sliding, np.minimum(lead, length[..., 0]), 0.0)[..., None] * direction
         way = here + feed
         off = feed[..., :2] - pressed
         tilt = self.part(observation, "tool_orientation")
         steep = np.stack([tilt[..., 1], -tilt[..., 0]], axis=-1)
+        wanted, bending = self._steepness(observation, middle + way, feed, length)
         steeper = np.where(
             touching[..., None],
-            (PLACE_GAIN * feed[..., :2] + STEER * off) / RADIUS,
-            TURN_GAIN * ((middle + way)[..., :2] / RADIUS - steep),
+            PLACE_GAIN * bending + STEER / RADIUS * off,
+            TURN_GAIN * (wanted - steep),
         )
         rates = np.stack([-steeper[..., 1], steeper[..., 0]], axis=-1)
 
@@ -103,3 +106,20 @@ class PalpateExpert(Expert):
             "velocity_z": -inwards - np.where(touching, (along[..., :2] * slope).sum(axis=-1), 0.0),
             **{f"rotation_{axis}": rates[..., k] for k, axis in enumerate("xy")},
         }
+
+    def _steepness(
+        self, observation: Any, place: FloatArray, feed: FloatArray, step: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Horizontal part (..., 2) of the organ's normal, and how much it changes along the way.
+
+        Args:
+            observation: The observation.
+            place: (..., 3) where the spatula is going [m].
+            feed: (..., 3) by how much it is to go along the path [m].
+            step: (..., 1) distance to the next observed point of the path [m].
+        """
+        if not self.has_part("path_normals"):
+            return place[..., :2] / RADIUS, feed[..., :2] / RADIUS
+        normals = self.part(observation, "path_normals")
+        share = np.sqrt((feed**2).sum(axis=-1, keepdims=True)) / np.maximum(step, 1e-9)
+        return normals[..., :2], share * (normals[..., 3:5] - normals[..., :2])

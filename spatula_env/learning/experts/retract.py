@@ -55,27 +55,43 @@ class RetractExpert(Expert):
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
         """See `Expert`."""
         tool, force = self.part(observation, "tool_position"), self.part(observation, "contact_force")
-        shift, error = self.part(observation, "patch_shift"), self.error(observation)
-        rest = self.part(observation, "patch_position") - shift
-        x, y, z = np.moveaxis(tool, -1, 0)
-        side = np.sign(self.goal(observation)[..., 0])
-        place_x = rest[..., 0] - side * (HALF_THICKNESS + GAP)
-        height = rest[..., 2] - EDGE_DEPTH + EDGE
+        shift = self.part(observation, "patch_shift")
+        inwards, room = self._wall(observation)
+        # Along and across the direction into the wall.
+        x, y = in_frame(tool, inwards)
+        rest_x, rest_y = in_frame(self.part(observation, "patch_position") - shift, inwards)
+        error = np.stack(in_frame(self.error(observation), inwards), axis=-1)
+        z, height = tool[..., 2], self.part(observation, "patch_position")[..., 2] - shift[..., 2] - EDGE_DEPTH + EDGE
+        place_x = rest_x - (HALF_THICKNESS + room)
 
         low = z - height < LOW
-        beside = side * (place_x - x) > -BESIDE
+        beside = place_x - x > -BESIDE
         lifting = ~low & ~beside & (z - EDGE < TOP + CLEARANCE)
-        aligned = (np.abs(place_x - x) < ACROSS) & (np.abs(rest[..., 1] - y) < ALONG)
-        touching = np.abs(force[..., 0]) > TOUCH
+        aligned = (np.abs(place_x - x) < ACROSS) & (np.abs(rest_y - y) < ALONG)
+        touching = np.abs(in_frame(force, inwards)[0]) > TOUCH
 
         over_x = np.where(lifting, 0.0, PLACE_GAIN * (place_x - x))
-        over_y = np.where(lifting, 0.0, PLACE_GAIN * (rest[..., 1] - y))
+        over_y = np.where(lifting, 0.0, PLACE_GAIN * (rest_y - y))
         over_z = np.where(lifting, LIFT_SPEED, np.where(aligned, PLACE_GAIN * (height - z) - LEAST_DESCENT, 0.0))
         push = np.clip(SHIFT_GAIN * error, -PUSH_SPEED, PUSH_SPEED)
-        push_x = np.where(touching, push[..., 0], side * PUSH_SPEED)
-        push_y = np.where(touching, push[..., 1], PLACE_GAIN * (rest[..., 1] - y))
+        push_x = np.where(touching, push[..., 0], PUSH_SPEED)
+        push_y = np.where(touching, push[..., 1], PLACE_GAIN * (rest_y - y))
+        speed_x, speed_y = np.where(low, push_x, over_x), np.where(low, push_y, over_y)
         return {
-            "velocity_x": np.where(low, push_x, over_x),
-            "velocity_y": np.where(low, push_y, over_y),
+            "velocity_x": speed_x * inwards[..., 0] - speed_y * inwards[..., 1],
+            "velocity_y": speed_x * inwards[..., 1] + speed_y * inwards[..., 0],
             "velocity_z": np.where(low, PLACE_GAIN * (height - z), over_z),
         }
+
+    def _wall(self, observation: Any) -> tuple[FloatArray, FloatArray]:
+        """Horizontal directions (..., 2) into the walls that are pushed, and the room (...) for going down [m]."""
+        if self.has_part("patch_outwards"):
+            return -self.part(observation, "patch_outwards"), self.part(observation, "patch_room")[..., 0]
+        side = np.sign(self.goal(observation)[..., 0])
+        return np.stack([side, np.zeros_like(side)], axis=-1), np.full_like(side, GAP)
+
+
+def in_frame(vectors: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Components (...) of vectors (..., 2 or more), seen from above, along directions (..., 2) and to the left."""
+    along = vectors[..., 0] * direction[..., 0] + vectors[..., 1] * direction[..., 1]
+    return along, vectors[..., 1] * direction[..., 0] - vectors[..., 0] * direction[..., 1]
