@@ -15,7 +15,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 NUMBA_NUM_
 
 # Ray pins one exact Gymnasium, so it has a lock and an environment of its own. The CUDA packages are torch's own
 # choice, wanted by nobody who has its CPU build.
-LOCKED_EXTRAS := anatomy data demo dev mesh teleop test train video viewer viz web window zoo
+LOCKED_EXTRAS := anatomy data demo dev mesh mujoco teleop test train video viewer viz web window zoo
 RAY_EXTRAS := ray test
 LEROBOT_EXTRAS := lerobot test
 LIBRARIES_EXTRAS := test train

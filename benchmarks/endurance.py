@@ -29,17 +29,18 @@ import gymnasium
 import numpy as np
 
 from benchmarks.inspection import ALLOWED, WorldsInspector
-from benchmarks.measure import finish, parser, resident_megabytes, without_bullet
+from benchmarks.measure import finish, installed, parser, resident_megabytes
 from benchmarks.parallel import results
 from benchmarks.physics_steps import look_after_every_step
 from benchmarks.recordings import Recorder
 from spatula_env import TASKS
+from spatula_env.engines import OF_EXTRAS
 from spatula_env.policies import load_pretrained
 
-WORLDS = {"batch": 32, "tissue": 32, "bullet": 2}
+WORLDS = {"batch": 32, "tissue": 32, "mujoco": 2, "bullet": 2}
 """Number of worlds stepped together, by engine."""
 
-STEPS = {"batch": 200_000, "tissue": 200_000, "bullet": 20_000}
+STEPS = {"batch": 200_000, "tissue": 200_000, "mujoco": 10_000, "bullet": 20_000}
 """Control steps of a run, summed over all worlds, by engine."""
 
 LARGEST_GROWTH = 8.0
@@ -426,7 +427,9 @@ def main() -> None:
     """Run and print."""
     options = parser(__doc__ or "")
     options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
-    options.add_argument("--engines", nargs="+", choices=tuple(STEPS), default=list(STEPS))
+    options.add_argument(
+        "--engines", nargs="+", choices=tuple(STEPS), default=[each for each in STEPS if each not in OF_EXTRAS]
+    )
     options.add_argument("--actions", nargs="+", choices=ACTIONS, default=list(ACTIONS))
     options.add_argument("--policy", action="store_true", help="trained policies that explore, instead of --actions")
     options.add_argument("--steps", type=int, default=None, help="instead of 200,000, and 20,000 with bullet")
@@ -455,7 +458,7 @@ def main() -> None:
             folder=str(arguments.save or ""),
         )
         for task in arguments.tasks
-        for engine in without_bullet(arguments.engines)
+        for engine in installed(arguments.engines)
         for actions in ([POLICY] if arguments.policy else arguments.actions)
         for seed in arguments.seeds or [arguments.seed]
     ]

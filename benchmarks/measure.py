@@ -13,8 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-from spatula_env.data.files import check_can_write
-from spatula_env.engines import bullet_hint, bullet_is_there, bullet_version
+from spatula_env.engines import bullet_hint, bullet_is_there, bullet_version, is_installed
+from spatula_env.files import check_can_write
+from spatula_env.installing import install_hint
 
 Name = TypeVar("Name", bound=str)
 
@@ -62,17 +63,20 @@ def output_file(text: str) -> Path:
     return file
 
 
-def without_bullet(names: Iterable[Name]) -> list[Name]:
-    """Engines or contact models to measure: leaves "bullet" out, with a message, if PyBullet is not installed.
+def installed(names: Iterable[Name]) -> list[Name]:
+    """Engines or contact models to measure: leaves those out, with a message, that need what is not installed.
 
     Args:
         names: Names of engines or contact models.
     """
-    wanted = list(names)
-    if "bullet" not in wanted or bullet_is_there():
-        return wanted
-    print(f"PyBullet is not installed: 'bullet' is left out. {bullet_hint()}", file=sys.stderr)
-    return [name for name in wanted if name != "bullet"]
+    found = []
+    for name in names:
+        if is_installed(name):
+            found.append(name)
+        else:
+            hint = bullet_hint() if name == "bullet" else f"To have it: {install_hint(name)}"
+            print(f"{name!r} is left out: it is not installed. {hint}", file=sys.stderr)
+    return found
 
 
 def require_bullet(benchmark: str) -> None:

@@ -20,12 +20,13 @@ import gymnasium
 import numpy as np
 
 from benchmarks import cheaters
-from benchmarks.measure import finish, load_average, parser, without_bullet
+from benchmarks.measure import finish, installed, load_average, parser
 from benchmarks.parallel import available_cores, results
 from spatula_env import TASKS
+from spatula_env.engines import OF_EXTRAS
 from spatula_env.learning import experts
 
-ENGINES = ("batch", "tissue", "bullet")
+ENGINES = ("batch", "tissue", "mujoco", "bullet")
 POLICIES = ("expert", "hasty", "random")
 
 EXPERT_LIMIT, RANDOM_LIMIT = 0.95, 0.05
@@ -58,7 +59,7 @@ class Job:
 
     Attributes:
         task: Name of the task.
-        engine: "batch", "tissue" or "bullet".
+        engine: "batch", "tissue", "mujoco" or "bullet".
         policy: "expert", "hasty" or "random".
         seeds: Seeds of the episodes.
     """
@@ -281,7 +282,9 @@ def main() -> None:
     """Measure and print."""
     options = parser(__doc__ or "")
     options.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
-    options.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES))
+    options.add_argument(
+        "--engines", nargs="+", choices=ENGINES, default=[each for each in ENGINES if each not in OF_EXTRAS]
+    )
     options.add_argument("--policies", nargs="+", choices=POLICIES, default=list(POLICIES))
     options.add_argument("--episodes", type=int, default=100)
     options.add_argument("--seed", type=int, default=0, help="of the first episode")
@@ -293,7 +296,7 @@ def main() -> None:
         options.error("argument --only: needs --cheaters")
     if arguments.episodes < 1:
         options.error(f"argument --episodes: must be at least 1, got {arguments.episodes}")
-    engines = without_bullet(arguments.engines)
+    engines = installed(arguments.engines)
     if arguments.only:
         report_one(arguments.tasks, engines, arguments.only, arguments.episodes, arguments.seed, quiet=arguments.json)
         return

@@ -65,7 +65,7 @@ def solve(task: str, engine: str, seed: int) -> NDArray[np.uint8]:
 
     Args:
         task: Name of the task, such as "Press".
-        engine: "batch", "tissue" or "bullet".
+        engine: "batch", "tissue", "mujoco" or "bullet".
         seed: Seed of the episode.
     """
     expert_type = getattr(import_module(f"spatula_env.learning.experts.{task.lower()}"), f"{task}Expert")

@@ -1,7 +1,8 @@
-"""Atomic writing of files: a file is there completely or not at all."""
+"""Atomic writing of files, where a file is there completely or not at all, and checks before the work that it takes."""
 
 from __future__ import annotations
 
+import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,3 +44,44 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file atomically."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(content)
+
+
+def check_can_write(folder: Path) -> None:
+    """Check that files can be created in a folder or, if it does not exist, in the one above that does.
+
+    Nothing is left behind.
+
+    Raises:
+        OSError: If they cannot; says in which folder.
+    """
+    there = folder.absolute()
+    while not there.exists():
+        there = there.parent
+    if not there.is_dir():
+        raise NotADirectoryError(f"{folder} cannot be written to: {there} is no folder")
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        told = type(error)(f"{folder} cannot be written to: {reason} in {there}")
+        # Set afterwards: as an argument it would be printed before the sentence, as "[Errno 13]".
+        told.errno = error.errno
+        raise told from error
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """Check before any work that a file can be written without losing an existing one.
+
+    Args:
+        path: Path of the file.
+        overwrite: Whether it may replace an existing file.
+
+    Raises:
+        FileExistsError: If the file exists and may not be replaced.
+        IsADirectoryError: If it is a folder.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder")
+    if path.exists() and not overwrite:
+        raise FileExistsError(f"{path} exists already: name another file, or replace it with --overwrite")

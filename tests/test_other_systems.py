@@ -105,8 +105,9 @@ with tempfile.TemporaryDirectory() as folder:
         pass
     else:
         from spatula_env.data import files
+        from spatula_env.files import check_can_write
 
-        files.check_can_write(place)
+        check_can_write(place)
         files.write_file(place / "file", b"content")
         with files.recording_lock(place / "data", "mine-v0"), files.write_lock(place / "data"):
             files.append_to_file(place / "data" / "file", 0, b"content")

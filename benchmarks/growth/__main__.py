@@ -29,8 +29,8 @@ from benchmarks.growth.judging import judge
 from benchmarks.growth.memory import ENVIRONMENTS, measure_left, measure_long
 from benchmarks.growth.picture import draw
 from benchmarks.growth.sizes import QUICK, Sizes
-from benchmarks.measure import finish, load_average, parser, without_bullet
-from spatula_env.engines import ENGINES
+from benchmarks.measure import finish, installed, load_average, parser
+from spatula_env.engines import ENGINES, OF_EXTRAS
 
 PARTS = ("sizes", "datasets", "killing", "left", "long")
 USUAL = ("sizes", "datasets", "killing", "left")
@@ -48,16 +48,16 @@ QUICK_SHARE = 0.01
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print and draw; returns the exit status."""
-    options = parser(__doc__ or "")
+    options, usual = parser(__doc__ or ""), [each for each in ENGINES if each not in OF_EXTRAS]
     options.add_argument("--parts", nargs="+", choices=PARTS, default=list(USUAL), help="default: %(default)s")
     options.add_argument("--of-sizes", nargs="+", choices=tuple(SIZES), default=list(SIZES), help="what of `sizes`")
-    options.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES), help="of `left` and `long`")
+    options.add_argument("--engines", nargs="+", choices=ENGINES, default=usual, help="of `left` and `long`")
     options.add_argument("--quick", action="store_true", help="few and small sizes, in a few minutes")
     options.add_argument("--picture", type=Path, metavar="FILE", help="draw the curves")
     chosen = options.parse_args(arguments)
     start = time.perf_counter()
     result: dict[str, Any] = {"benchmark": "growth", "quick": chosen.quick, "parts": chosen.parts}
-    engines = without_bullet(chosen.engines)
+    engines = installed(chosen.engines)
     for part in chosen.parts:
         result[part] = _measure(part, chosen.quick, chosen.of_sizes, engines)
     thresholds = judge(result)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.cli.common import CommandError, add_json_option, at_least, new_parser, note, print_json, say
+from spatula_env.files import check_can_write, check_free
 
 if TYPE_CHECKING:
     from spatula_env.anatomy import PrepareOptions, Report
@@ -156,15 +156,11 @@ def _check_writable(path: Path, option: str, endings: tuple[str, ...], overwrite
     """
     if path.suffix.lower() not in endings:
         raise CommandError(f"{option} must end in {' or '.join(endings)}, got {path.name}")
-    if path.is_dir():
-        raise CommandError(f"{option}: {path} is a folder")
-    if path.exists() and not overwrite:
-        raise CommandError(f"{path} exists already: name another file, or replace it with --overwrite")
-    folder = path.parent
-    while not folder.exists():
-        folder = folder.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise CommandError(f"{option}: {path} cannot be written, {folder} is no folder that you may write to")
+    try:
+        check_free(path, overwrite)
+        check_can_write(path.parent)
+    except OSError as error:
+        raise CommandError(f"{option}: {error}") from error
 
 
 def _change(result: dict[str, Any]) -> str:

@@ -93,7 +93,7 @@ def add_parser(commands: Parsers) -> None:
 def run(chosen: argparse.Namespace) -> int:
     """Record."""
     from spatula_env.data.dataset import check_dataset_id, dataset_folder, require_minari
-    from spatula_env.data.files import check_can_write
+    from spatula_env.files import check_can_write
 
     on_page = chosen.device == "web"
     if on_page:

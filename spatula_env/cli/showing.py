@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from spatula_env.cli.common import CommandError
-from spatula_env.data.files import check_can_write
-from spatula_env.files import whole_file
+from spatula_env.files import check_can_write, whole_file
 from spatula_env.installing import install_hint
 from spatula_env.render.films import FILMS, check_film, write_film
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from spatula_env.data.dataset import DatasetWriter, check_dataset_id, dataset_folder, read_layout, register_namespaces
 from spatula_env.data.episode import Episode
-from spatula_env.data.files import check_can_write, inside, recording_lock
+from spatula_env.data.files import inside, recording_lock
 from spatula_env.data.index import (
     INDEX_FILE,
     MAIN_FILE,
@@ -27,6 +27,7 @@ from spatula_env.data.index import (
 from spatula_env.data.origin import MEANING
 from spatula_env.data.replaying import data_folder, open_dataset, read_entries, recorded_specs
 from spatula_env.data.specs import spec_from_json
+from spatula_env.files import check_can_write
 
 Keep = Callable[[Mapping[str, Any]], bool]
 """Function of an episode's attributes that returns whether the episode is wanted."""

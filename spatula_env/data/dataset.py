@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 from spatula_env import __version__
 from spatula_env.data.encoding import episode_image
 from spatula_env.data.episode import Episode
-from spatula_env.data.files import append_to_file, check_can_write, inside, remove_unfinished, write_file, write_lock
+from spatula_env.data.files import append_to_file, inside, remove_unfinished, write_file, write_lock
 from spatula_env.data.index import (
     EPISODES,
     INDEX_FILE,
@@ -41,6 +41,7 @@ from spatula_env.data.index import (
 from spatula_env.data.layout import KEY, Layout
 from spatula_env.data.origin import Origin
 from spatula_env.data.pictures import ENCODED, can_be_encoded, reads_plain_pictures
+from spatula_env.files import check_can_write
 from spatula_env.installing import install_hint
 
 if TYPE_CHECKING:

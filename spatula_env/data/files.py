@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -116,30 +115,6 @@ def sync_folder(folder: Path) -> None:
             os.fsync(opened)
         finally:
             os.close(opened)
-
-
-def check_can_write(folder: Path) -> None:
-    """Check that files can be created in a folder or, if it does not exist, in the one above that does.
-
-    Nothing is left behind.
-
-    Raises:
-        OSError: If they cannot; says in which folder.
-    """
-    there = folder.absolute()
-    while not there.exists():
-        there = there.parent
-    if not there.is_dir():
-        raise NotADirectoryError(f"{folder} cannot be written to: {there} is no folder")
-    try:
-        with tempfile.TemporaryFile(dir=there):
-            pass
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        told = type(error)(f"{folder} cannot be written to: {reason} in {there}")
-        # Set afterwards: as an argument it would be printed before the sentence, as "[Errno 13]".
-        told.errno = error.errno
-        raise told from error
 
 
 @contextmanager

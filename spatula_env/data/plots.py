@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spatula_env.data.files import check_can_write
 from spatula_env.data.statistics import Curve, DatasetStatistics
+from spatula_env.files import check_can_write
 from spatula_env.installing import install_hint
 from spatula_env.pressure_limits import COST_PRESSURE, VIOLATION_PRESSURE
 

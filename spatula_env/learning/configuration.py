@@ -34,6 +34,9 @@ ENVIRONMENT_KEYS = ("id", "kwargs")
 ENGINES = tuple(sorted(engines.ENGINES))
 """Engines in which agents can learn."""
 
+USUAL_ENGINES = tuple(each for each in ENGINES if each not in engines.OF_EXTRAS)
+"""Those that need no extra."""
+
 Engine = Annotated[str, one_of(ENGINES)]
 
 ACTIVATIONS = ("relu", "tanh", "elu")
@@ -121,7 +124,7 @@ class EnvironmentConfig(Checked):
         id: Id of the environment.
         kwargs: Arguments with which it is made, besides the engine; "max_episode_steps" among them applies to training
             episodes, not to evaluation.
-        engine: Engine that simulates the organs in training: "batch", "tissue" or "bullet".
+        engine: Engine that simulates the organs in training: "batch", "tissue", "mujoco" or "bullet".
         parts: Names of the observation's parts that the agent gets; None for all of them.
         num_envs: Number of worlds that are stepped together.
     """
@@ -182,7 +185,7 @@ class EvaluationConfig(Checked):
     Attributes:
         every: Environment steps between evaluations.
         episodes: Number of episodes per evaluation.
-        engine: Engine of the evaluation: "batch", "tissue" or "bullet".
+        engine: Engine of the evaluation: "batch", "tissue", "mujoco" or "bullet".
         seed: Seed of the first episode; increases by one for each further one.
         from_success: No evaluation is made while the success rate of the last 100 training episodes is lower, except
             for the last evaluation.

@@ -61,7 +61,7 @@ class Plan:
     Attributes:
         env_id: Id of the environment, with or without its module, which has to be imported already.
         kwargs: Arguments with which it is made.
-        engine: "batch", "tissue" or "bullet".
+        engine: "batch", "tissue", "mujoco" or "bullet".
         episodes: Number of episodes.
         seed: Seed of the first episode's environment; increases by one for each further one.
     """

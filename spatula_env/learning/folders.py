@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from spatula_env.data.files import check_can_write
+from spatula_env.files import check_can_write
 from spatula_env.learning.configuration import TrainingConfig, find_config, read_training, to_mapping
 from spatula_env.learning.saving import (
     BEST,

@@ -30,11 +30,13 @@ from spatula_env.render.palette import (
     TISSUE,
     TISSUE_INSIDE,
 )
-from spatula_env.render.primitives import BRUSHED_STEEL, WET_TISSUE, GroundPlane, Mesh
+from spatula_env.render.primitives import BRUSHED_STEEL, WET_TISSUE, GroundPlane, Mesh, perpendicular_axes
 from spatula_env.render.shapes import arrow_mesh, ring_mesh, sphere_mesh, tube_mesh
 from spatula_env.tasks.marks import Patch, Path, Points, Ring
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from spatula_env.scenes import Scene
 
 
@@ -167,8 +169,8 @@ class SceneModel:
         curves: list[FloatArray] = []
         for mark in moment.marks:
             if isinstance(mark, Ring):
-                signs.append(ring_mesh(mark.point, mark.radius, width=LINE_WIDTH, casts_shadow=False))
-                curves.append(_circle(mark.point, mark.radius))
+                signs.append(ring_mesh(mark.point, mark.radius, mark.normal, width=LINE_WIDTH, casts_shadow=False))
+                curves.append(_circle(mark.point, mark.radius, mark.normal))
             elif isinstance(mark, Path):
                 signs.append(tube_mesh(mark.points, width=LINE_WIDTH))
                 curves.append(mark.points)
@@ -233,7 +235,8 @@ def _rows(values: ArrayLike, name: str, count: int, size: int) -> FloatArray:
     return array
 
 
-def _circle(point: FloatArray, radius: float) -> FloatArray:
+def _circle(point: FloatArray, radius: float, normal: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
     angle = np.linspace(0.0, 2.0 * np.pi, 361)
-    circle: FloatArray = point + radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    first, second, _ = perpendicular_axes(normal)
+    circle: FloatArray = point + radius * (np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second))
     return circle

@@ -197,4 +197,4 @@ def test_engines_that_are_not_installed_are_left_out(monkeypatch, capsys) -> Non
     command.main(["--quick", "--parts", "left", "--json"])
     thresholds = json.loads(capsys.readouterr().out)["thresholds"]
     named = [name for name in engines.ENGINES if f"left {name} x growth" in thresholds]
-    assert named == [name for name in engines.ENGINES if name == "batch" or engines.bullet_is_there()]
+    assert named == [name for name in engines.ENGINES if name not in engines.OF_EXTRAS and engines.is_installed(name)]

@@ -206,7 +206,7 @@ def test_nothing_is_imported_for_a_datasets_sake(tmp_path, monkeypatch) -> None:
         ("poison:Wrapper", {}),
         ("subprocess:Popen", {"args": ["false"]}),
         ("gymnasium.wrappers:nothing", {}),
-        ("spatula_env.data.files:check_can_write", {"folder": "x"}),
+        ("spatula_env.files:check_can_write", {"folder": "x"}),
     ):
         spec.additional_wrappers = (gym.envs.registration.WrapperSpec("Wrapper", point, kwargs),)
         with pytest.raises(ValueError, match="allow it: replay"):

@@ -19,8 +19,9 @@ from recording_helpers import ID, do_episode, make_pictures
 import spatula_env
 from spatula_env.data import DatasetWriter, copy_episodes, list_datasets
 from spatula_env.data.dataset import dataset_folder
-from spatula_env.data.files import DatasetBusy, check_can_write, recording_lock
+from spatula_env.data.files import DatasetBusy, recording_lock
 from spatula_env.data.index import read_index
+from spatula_env.files import check_can_write
 from spatula_env.teleop.recording import record
 from spatula_env.teleop.scripted import ScriptedOperator
 from spatula_env.teleop.scripted_dataset import make_scripted

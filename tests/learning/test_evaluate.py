@@ -159,7 +159,7 @@ def test_a_film_that_may_not_be_written_is_told_in_a_line(tmp_path, monkeypatch,
         raise PermissionError(errno.EACCES, "Permission denied")
 
     # Not by the folder's mode, which root may ignore.
-    monkeypatch.setattr("spatula_env.data.files.tempfile.TemporaryFile", refuse)
+    monkeypatch.setattr("spatula_env.files.tempfile.TemporaryFile", refuse)
     monkeypatch.setattr("spatula_env.learning.commands.evaluate.check_film", lambda path: None)
     monkeypatch.setattr("spatula_env.learning.evaluation.evaluate", lambda *_, **__: pytest.fail("an episode was run"))
     assert main(["--env", PRESS, "--policy", "random", "--video", str(tmp_path / "x.mp4")], "evaluate") == 1

@@ -72,23 +72,6 @@ def add_overwrite_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace what is there already; else it is an error")
 
 
-def check_free(path: Path, overwrite: bool) -> None:
-    """Check before any work that a file can be written without losing an existing one.
-
-    Args:
-        path: Path of the file.
-        overwrite: Whether it may replace an existing file.
-
-    Raises:
-        FileExistsError: If the file exists and may not be replaced.
-        IsADirectoryError: If it is a folder.
-    """
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder")
-    if path.exists() and not overwrite:
-        raise FileExistsError(f"{path} exists already: name another file, or replace it with --overwrite")
-
-
 def run_parser(program: str, description: str, change: str) -> argparse.ArgumentParser:
     """Make a parser with the options that all training commands share.
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from spatula_env.changes import with_changes
-from spatula_env.data.files import check_can_write
 from spatula_env.definitions import definition_number
-from spatula_env.learning.commands.common import add_overwrite_option, check_free, run_command
+from spatula_env.files import check_can_write, check_free
+from spatula_env.learning.commands.common import add_overwrite_option, run_command
 from spatula_env.learning.configuration import ENGINES
 from spatula_env.naming import find_environment
 from spatula_env.render.films import FILMS, check_film

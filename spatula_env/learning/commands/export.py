@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from spatula_env.files import whole_file
-from spatula_env.learning.commands.common import add_overwrite_option, check_free, run_command
-from spatula_env.learning.configuration import ENGINES, to_mapping
+from spatula_env.learning.commands.common import add_overwrite_option, run_command
+from spatula_env.learning.configuration import ENGINES, USUAL_ENGINES, to_mapping
 from spatula_env.naming import registered_id
 
 PROGRAM = "spatula export"
@@ -33,7 +33,9 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
         "--episodes", type=int, default=0, metavar="N",
         help="evaluate in N episodes in each engine, and write that down too; default: what training found only",
     )  # fmt: skip
-    parser.add_argument("--engines", nargs="+", choices=ENGINES, default=list(ENGINES), help="default: %(default)s")
+    parser.add_argument(
+        "--engines", nargs="+", choices=ENGINES, default=list(USUAL_ENGINES), help="default: %(default)s"
+    )
     parser.add_argument(
         "--env", metavar="MODULE:ID",
         help="with --episodes: the environment, if it is one of your own that has to be imported",
@@ -48,7 +50,7 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
 
 
 def _export(chosen: argparse.Namespace) -> None:
-    from spatula_env.data.files import check_can_write
+    from spatula_env.files import check_can_write, check_free
 
     for file in (chosen.output, chosen.output.with_suffix(".json")):
         check_free(file, chosen.overwrite)

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import yaml
 
-from spatula_env.data.files import check_can_write
-from spatula_env.files import write_text
+from spatula_env.files import check_can_write, write_text
 from spatula_env.installing import install_hint
 from spatula_env.learning.commands.common import choose_run, fail, run_parser, warn
 from spatula_env.learning.configuration import to_mapping

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from spatula_env.geometry.rotations import multiply, turn
 from spatula_env.render.display_surface import DisplaySurface, vertex_normals
 from spatula_env.render.palette import HIGHEST_PRESSURE, PRESSURE, STEEL, TISSUE, Color
+from spatula_env.render.primitives import perpendicular_axes
 from spatula_env.render.scene_model import ROLE_COLORS, Composition, SceneModel
 from spatula_env.render.viewpoints import viewpoint_toward
 from spatula_env.tasks.marks import Patch, Path, Points, Ring
@@ -334,7 +335,7 @@ def first_view(env: SpatulaEnv) -> tuple[FloatArray, Viewpoint]:
 def _points_of(mark: Ring | Path | Points) -> FloatArray:
     if not isinstance(mark, Ring):
         return np.asarray(mark.points)
-    side = mark.radius * np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    side = mark.radius * np.stack(perpendicular_axes(mark.normal)[:2])
     return np.concatenate([mark.point + side, mark.point - side])
 
 
