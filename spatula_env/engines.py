@@ -58,7 +58,8 @@ def choose_engine(engine: str | None = None, contact: str = "flags") -> str:
 
     Args:
         engine: Name of an engine; None: the default.
-        contact: The method that resolves contact; "bullet" needs the engine "bullet", which is then the default.
+        contact: The method that resolves contact; "bullet" and "mujoco" need the engine of that name, which is then
+            the default.
 
     Returns:
         Name of the engine.
@@ -74,6 +75,8 @@ def choose_engine(engine: str | None = None, contact: str = "flags") -> str:
     elif engine is None and contact == "bullet":
         import_bullet("contact='bullet'")
         return "bullet"
+    elif engine is None and contact == "mujoco":
+        return "mujoco"
     return default_engine() if engine is None else engine
 
 

@@ -18,6 +18,7 @@ from spatula_env.render.palette import Color
 from spatula_env.render.primitives import WET_TISSUE, GroundPlane, Mesh
 from spatula_env.render.renderer import Renderer
 from spatula_env.render.shapes import arrow_mesh, box_mesh, sphere_mesh
+from spatula_env.sim.engine import OWN_CONTACTS
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -166,11 +167,14 @@ def figure_caption(result: PressResult) -> Caption:
     case = result.case
     titles = {
         "bullet": "Bullet's own contact",
+        "mujoco": "MuJoCo's own contact",
         "second_step": "Flags method, second step only",
         "flags": "Flags method, both steps",
     }
+    own = f"Force on the spatula {result.force_mean:.2f} N."
     outcome = {
-        "bullet": f"Force on the spatula {result.force_mean:.2f} N.",
+        "bullet": own,
+        "mujoco": own,
         "second_step": f"Both faces push in {result.pairs_steps} of {result.steps} steps.",
         "flags": f"Force on the spatula {result.force_mean:.2f} N, deviation {result.force_deviation:.4f} N.",
     }[case.contact]
@@ -178,7 +182,7 @@ def figure_caption(result: PressResult) -> Caption:
     snapshot, opposite = result.snapshot, scenes.seed().tools[0].tool.opposite
     pairs = snapshot.flags & snapshot.flags[opposite]
     keys: list[tuple[Color, str]] = []
-    if case.contact == "bullet":
+    if case.contact in OWN_CONTACTS:
         keys.append((palette.IDLE, "contact nodes (not used)"))
     else:
         for color, label, present in (
@@ -211,7 +215,7 @@ def figure(result: PressResult, *, width: int = 960, text_scale: float = 1.0) ->
         text_scale: Size of the caption; 1 is what suits a picture that is shown alone.
     """
     painter = PressPainter(width, round(0.6 * width), inset=round(0.33 * width))
-    picture = painter.draw(result.snapshot, watched=result.case.contact == "bullet")
+    picture = painter.draw(result.snapshot, watched=result.case.contact in OWN_CONTACTS)
     return with_caption(picture, figure_caption(result), text_scale)
 
 

@@ -17,7 +17,7 @@ from spatula_env.demo.verdict import Verdict, judge
 from spatula_env.sim.report import Report
 from spatula_env.sim.simulation import ContactName, Simulation, SimulationDiverged
 
-CONTACTS: tuple[ContactName, ...] = ("flags", "second_step", "bullet")
+CONTACTS: tuple[ContactName, ...] = ("flags", "second_step", "bullet", "mujoco")
 """The contact models compared."""
 
 SPEEDS = (0.2, 1.0, 5.0, 20.0, 60.0, 200.0, 400.0)

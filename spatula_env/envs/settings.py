@@ -103,7 +103,8 @@ class EnvSettings:
         material: Material of the organ with the engines "tissue" and "mujoco": a `scenes.Material`, a mapping of its
             fields, or the name of a region that `Material.brain` knows. None: the engine's default.
         organ: A file of `spatula organ prepare`, with an organ to take instead of the task's own; None for that.
-        contact: Method that resolves contact: "flags", "second_step" or, with the engine "bullet", "bullet".
+        contact: Method that resolves contact: "flags", "second_step" or the own one of the engine "bullet" or "mujoco",
+            by its name.
         obs_mode: "state", "dict", "rgb", "rgbd" or "pointcloud".
         control: "velocity": the degrees of freedom that the task needs. "velocity_6d": six degrees of freedom.
         reward: "dense": the weighted sum of the task's terms. "sparse": 0 within tolerance, -1 elsewhere, with

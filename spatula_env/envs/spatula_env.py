@@ -229,7 +229,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `engine`               | **str \| None**    | `None`       | `"bullet"`, `"batch"`, `"tissue"` or `"mujoco"`     |
     | `material`             | **Material**       | `None`       | Of the organ, with `"tissue"` and `"mujoco"`        |
     | `organ`                | **str \| None**    | `None`       | A file of an organ to take instead of the task's    |
-    | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"` or, in Bullet, `"bullet"`|
+    | `contact`              | **str**            | `"flags"`    | `"flags"`, `"second_step"`, `"bullet"`, `"mujoco"`  |
     | `obs_mode`             | **str**            | `"state"`    | See above                                           |
     | `control`              | **str**            | `"velocity"` | `"velocity"` or `"velocity_6d"`                     |
     | `reward`               | **str**            | `"dense"`    | `"dense"` or `"sparse"`                             |

@@ -1,4 +1,4 @@
-"""Contact that an engine resolves itself, `contact="bullet"`: the engine has the tools, the detectors only observe."""
+"""Contact that an engine resolves itself, one of `OWN_CONTACTS`: engines have the tools, detectors only observe."""
 
 from __future__ import annotations
 

@@ -19,8 +19,11 @@ if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IntArray
     from spatula_env.scenes import PlacedTool, Scene
 
-ContactName = Literal["flags", "second_step", "bullet"]
+ContactName = Literal["flags", "second_step", "bullet", "mujoco"]
 """What resolves contact between tools and organs; see `Simulation`."""
+
+OWN_CONTACTS: tuple[ContactName, ...] = ("bullet", "mujoco")
+"""The methods that are an engine's own, each named like the engine."""
 
 Precision = Literal["single", "double"]
 """Precision in which an engine that offers both integrates the organs."""
@@ -49,7 +52,8 @@ class Abilities:
     """What an engine can do.
 
     Attributes:
-        contacts: The methods that can resolve contact with it. An engine with "bullet" is a `CollidingEngine`.
+        contacts: The methods that can resolve contact with it. An engine with one of `OWN_CONTACTS` is a
+            `CollidingEngine`.
         restores_exactly: Whether a restored state continues exactly as the original would have. If not, an environment
             that is saved is itself restored from the saved state, so that both continue alike.
         springs: Whether organs are networks of springs, which have no modulus; `calibrated` gives a scene the forces of

@@ -33,7 +33,7 @@ class Wrench:
         force: (3,) [kg u/s2].
         torque: (3,) about the tool's origin, world frame [kg u2/s2].
         node_forces: (n, 3) the force, distributed over the contact nodes; they sum to `force` [kg u/s2]. NaN with
-            `contact="bullet"`, where Bullet does not report them.
+            contact of the engine's own, "bullet" or "mujoco", which does not report them.
         pressures: (n,) the component of each node's force against its face, divided by the node's share of the face
             [kg/(u s2)].
     """
@@ -52,11 +52,12 @@ class Report:
         scene: The scene.
         motions: How the tools moved.
         loads: (N, 6) force and torque on each of the N tools, averaged over the step [kg u/s2, kg u2/s2].
-        nodal_impulses: (V, 3) impulses of the tools on the organs' nodes [kg u/s]; NaN with `contact="bullet"`, where
-            Bullet does not report them.
+        nodal_impulses: (V, 3) impulses of the tools on the organs' nodes [kg u/s]; NaN with contact of the engine's
+            own, which does not report them.
         ground_force: (3,) force of the ground on the organs, averaged over the step [kg u/s2].
         all_contacts: What the detector of each tool (outer) and organ (inner) found, before correction.
-        table: (C, 8) all points where something pushed; see `contact.pressure`. None with `contact="bullet"`.
+        table: (C, 8) all points where something pushed; see `contact.pressure`. None with contact of the
+            engine's own.
         penetration: Greatest depth of a contact node before correction [u].
         residual: Greatest depth that is left after correction: of any point of an organ's surface in a tool, and of a
             tool's corners and edges in an organ; see `contact.depth` and `contact.edge_depth` [u].

@@ -15,7 +15,7 @@ from spatula_env.contact.pressure import contact_table
 from spatula_env.geometry.checks import as_floats, as_seed, as_tuple_of, check_kind
 from spatula_env.geometry.transforms import as_quaternion, as_vector3
 from spatula_env.scenes import PlacedTool
-from spatula_env.sim.engine import ContactName
+from spatula_env.sim.engine import OWN_CONTACTS, ContactName
 from spatula_env.sim.report import Pressures, Report
 from spatula_env.sim.selection import check_speeds
 from spatula_env.sim.states import SimulationState
@@ -70,7 +70,8 @@ class Simulation:
                 installed, else "batch".
             contact: "flags": the flags method with both its steps; organs are kept apart from themselves and each other
                 too, which the other methods do not do. "second_step": without the first step, so that both faces of a
-                thin tool push. "bullet": PyBullet's own collision algorithm; the detector only observes.
+                thin tool push. "bullet", "mujoco": the own algorithm of the engine of that name; the detector only
+                observes.
             first_step: What the flags method's first step looks for, "inside" or "any_hit"; see `FlaggedDetector`.
             precision: Precision in which an engine that offers both integrates, "single" or "double". Bullet's is
                 always double, as is all contact.
@@ -203,7 +204,7 @@ class Simulation:
             nodal_impulses=worlds.last.impulses[0].copy(),
             ground_force=-wrenches[-1, :3],
             all_contacts=tuple(tuple(found[k : k + organs]) for k in range(0, len(found), organs)),
-            table=None if self.contact == "bullet" else contact_table(contact.workspace.constraints, count),
+            table=None if self.contact in OWN_CONTACTS else contact_table(contact.workspace.constraints, count),
             penetration=float(result[settings.PENETRATION]),
             residual=float(result[settings.RESIDUAL]),
             queries=int(result[settings.QUERIES]),
@@ -214,7 +215,7 @@ class Simulation:
         )
 
     def pressures(self) -> Pressures:
-        """The contact pressures of the last step; zero with `contact="bullet"`.
+        """The contact pressures of the last step; zero with contact of the engine's own.
 
         They are the same as in the step's report, but computed all at once and in a fraction of the time.
 

@@ -25,7 +25,7 @@ from spatula_env.scenes.material import INJURY_STRAIN
 from spatula_env.sim import step
 from spatula_env.sim.clock import later
 from spatula_env.sim.collisions import Collisions
-from spatula_env.sim.engine import PRECISIONS, BlockEngine, ContactName, Engine, EngineOptions, Strains
+from spatula_env.sim.engine import OWN_CONTACTS, PRECISIONS, BlockEngine, ContactName, Engine, EngineOptions, Strains
 from spatula_env.sim.report import LONGEST_CROSSED
 from spatula_env.sim.scene_checks import (
     check_surfaces,
@@ -84,7 +84,7 @@ class Loads:
         residuals: (W,) greatest depth left after correction, as in `Report`, at most in any physics step [u].
         ground_forces: (W, 3) force of the ground on the organs, averaged [kg u/s2].
         peak_pressures: (W,) greatest contact pressure on a node of a tool in a physics step [kg/(u s2)]. Zero with
-            `contact="bullet"`, where Bullet does not report it; so are the next three.
+            contact of the engine's own, which does not report it; so are the next three.
         mean_pressures: (W,) greatest mean pressure on a face of a tool: its normal force divided by its area, averaged
             over the control step [kg/(u s2)].
         overpressures: (W,) integral over time of the greatest pressure's excess over the limit [kg/(u s)].
@@ -288,10 +288,10 @@ class Worlds:
         )
         contacts = world_list([contact.structure for contact in self.contacts])
         parts = (FIRST_STEP_CODES[first_step], self.dt, self.state, self._drive, self._sums, self.last)
-        self._coupling = step.make_coupling(contacts, self.contact != "bullet", *parts)
+        self._coupling = step.make_coupling(contacts, self.contact not in OWN_CONTACTS, *parts)
         self._settling = step.make_coupling(contacts, False, *parts)
         self._collisions: Collisions | None = None
-        if self.contact == "bullet":
+        if self.contact in OWN_CONTACTS:
             colliding = cast("CollidingEngine", self.engine)
             self._collisions = Collisions(
                 scene, colliding, self.contacts, self._coupling, self.state, self._sums, self.last

@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 from benchmarks.flexes import LinearEngine, held_sphere, linear_engine, press
 from spatula_env import Simulation, scenes
-from spatula_env.engines import is_installed
+from spatula_env.engines import choose_engine, is_installed
 from spatula_env.geometry import Tool
 from spatula_env.learning.experts import PressExpert
 from spatula_env.scenes import Material, PlacedTool, Scene
@@ -241,6 +241,108 @@ def test_organs_push_each_other_and_momentum_is_kept() -> None:
     second = slice(len(one.organ.vertices), None)
     assert simulation.node_velocities[second, 0].mean() > 0.0
     simulation.close()
+
+
+def own_contact(scene: Scene) -> Simulation:
+    return Simulation(scene, engine="mujoco", contact="mujoco")
+
+
+@needs_mujoco
+def test_mujocos_own_contact_holds_a_slow_spatula_with_the_force_that_flags_find() -> None:
+    scene = held_sphere(replace(ELASTIC, viscosity=4.0))
+    found = {}
+    for contact in ("flags", "mujoco"):
+        simulation = Simulation(scene, engine="mujoco", contact=contact)  # type: ignore[arg-type]
+        top, half = float(simulation.nodes[:, 2].max()), 0.0625
+        simulation.place_tool((0.0, 0.0, top + half))
+        for _ in range(120):
+            report = simulation.step((0.0, 0.0, -0.5))
+        forces = [simulation.step().force_newtons for _ in range(60)]
+        found[contact] = np.mean(forces[-30:], axis=0)
+        # MuJoCo's contact is soft: it yields by some hundredths of a unit.
+        assert simulation.step().residual < 0.06
+        assert np.abs(report.loads[0, 3:]).max() > 0.0
+        simulation.close()
+    assert found["mujoco"][2] == pytest.approx(found["flags"][2], rel=0.3)
+
+
+@needs_mujoco
+def test_with_mujocos_own_contact_tools_feel_what_organs_gain() -> None:
+    scene = replace(make_scene(UNSTATED), ground=None)
+    one = scene.tools[0]
+    turned = replace(one, position=(0.4, 0.2, 6.3), orientation=(0.3**0.5, 0.0, 0.0, 0.7**0.5))
+    simulation = own_contact(replace(scene, tools=(turned, replace(one, position=(0.0, 0.0, 8.0)))))
+    masses = simulation.node_masses
+    engine: Any = simulation.worlds.engine
+    flexes = engine.flexes
+    every = np.concatenate([masses[flexes.moving], flexes.organs[0].masses[flexes.inner]])[:, None]
+    total, touched = np.zeros((2, 3)), 0
+    for _ in range(12):
+        before = (every * engine._state(0)[1]).sum(axis=0)
+        report = simulation.step([[0.0, 0.0, -3.0], [0.0, 0.0, 0.0]], [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        after = (every * engine._state(0)[1]).sum(axis=0)
+        gained = after - before
+        total += [report.loads[0, :3] * simulation.dt, -gained]
+        assert not report.loads[1].any() and np.isnan(report.nodal_impulses).all() and report.table is None
+        touched += bool(report.loads[0].any())
+    assert touched > 5
+    # In some steps MuJoCo's solver ends with forces that are a few per cent from what it has moved.
+    np.testing.assert_allclose(total[0], total[1], atol=0.03 * np.abs(total).max())
+    simulation.close()
+
+
+@needs_mujoco
+def test_the_torque_of_mujocos_own_contact_is_about_the_tools_origin_in_the_worlds_frame() -> None:
+    scene = replace(held_sphere(UNSTATED), gravity=0.0)
+    one = scene.tools[0]
+    found = []
+    # The same box, given at another place of its own frame.
+    for shift in (0.0, 0.3):
+        away = [shift, 0.0, 0.0]
+        tool = replace(one.tool, vertices=one.tool.vertices + away, nodes=one.tool.nodes + away)
+        turn = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
+        placed = replace(one, tool=tool, position=(0.4, -shift, 6.05), orientation=turn)
+        simulation = own_contact(replace(scene, tools=(placed,)))
+        for _ in range(24):
+            report = simulation.step((0.0, 0.0, -2.0))
+        found.append(report.loads[0])
+        simulation.close()
+    force, torque = found[0][:3], found[0][3:]
+    assert force[2] > 0.0
+    np.testing.assert_allclose(found[1][:3], force, rtol=0.05, atol=0.05 * force[2])
+    np.testing.assert_allclose(found[1][3:], torque + np.cross([0.0, 0.3, 0.0], force), atol=0.05 * np.abs(force).max())
+
+
+@needs_mujoco
+def test_states_of_mujocos_own_contact_go_on_exactly_and_tools_can_be_exchanged(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = scenes.palpate(material=replace(UNSTATED, viscosity=5.0))
+    worlds = Worlds(scene, 2, engine="mujoco", contact="mujoco", parallel=False)
+    worlds.place_tools(np.tile([0.0, 0.0, 6.1], (2, 1, 1)))
+    advance(worlds, 24)
+    state = worlds.save([0])
+    expected = advance(worlds, 6)[0]
+    assert expected[2] > 0.0
+    worlds.restore(state, [1])
+    assert advance(worlds, 6)[1].tolist() == expected.tolist()
+    tool = scenes.palpate().tools[0].tool
+    worlds.set_tools([replace(tool, vertices=2.0 * tool.vertices, nodes=2.0 * tool.nodes)], worlds=[1])
+    worlds.place_tools(np.tile([0.0, 0.0, 6.1], (2, 1, 1)))
+    forces = advance(worlds, 24)
+    assert forces[1, 2] > 1.2 * forces[0, 2] > 0.0
+    worlds.engine._state(1)[1][-1] = np.nan  # type: ignore[attr-defined]
+    assert worlds.advance(np.zeros((2, 1, 3)), steps=3).diverged.tolist() == [False, True]
+    assert not list(tmp_path.iterdir())
+    worlds.close()
+
+
+@needs_mujoco
+def test_an_engines_own_contact_chooses_the_engine() -> None:
+    assert choose_engine(contact="mujoco") == "mujoco"
+    with pytest.raises(ValueError, match="contact must be 'flags' or 'second_step' or 'mujoco' with engine 'mujoco'"):
+        Simulation(scenes.seed(), engine="mujoco", contact="bullet")
 
 
 @needs_mujoco

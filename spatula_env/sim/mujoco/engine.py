@@ -1,13 +1,13 @@
 """The engine "mujoco": organs as MuJoCo's flexes, one world after the other.
 
 MuJoCo computes forces and integrates, with contact of its own switched off; what holds the surface is this package's
-contact model, as with all engines.
+contact model, as with all engines. With `contact="mujoco"`, MuJoCo has the tools too, and does all of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,10 +17,11 @@ from spatula_env.sim.follow import follow_surface
 from spatula_env.sim.mujoco.held import Held
 from spatula_env.sim.mujoco.loading import import_mujoco
 from spatula_env.sim.mujoco.model import FlexModel
+from spatula_env.sim.mujoco.tools import FlexTools, silent
 
 if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IntArray
-    from spatula_env.scenes import Scene
+    from spatula_env.scenes import PlacedTool, Scene
     from spatula_env.sim.engine import EngineOptions
 
 
@@ -43,13 +44,13 @@ class Inner(NamedTuple):
 
 
 class MujocoEngine:
-    """A `FlexModel` of the scene's organs, and the state of each world in MuJoCo; see `engine.Engine`.
+    """A `FlexModel` of the scene's organs, and the state of each world in MuJoCo; see `engine.CollidingEngine`.
 
     Attributes:
-        flexes: The model, which all worlds share.
+        flexes: The model; worlds share it, but for those with other tools that MuJoCo collides with.
     """
 
-    abilities = Abilities(materials=True)
+    abilities = Abilities(contacts=("flags", "second_step", "mujoco"), materials=True)
 
     def __init__(self, scene: Scene, worlds: int, options: EngineOptions) -> None:
         """See `engine.Engine`. MuJoCo integrates in double precision, whatever the options say.
@@ -59,9 +60,12 @@ class MujocoEngine:
             ValueError: If MuJoCo has no counterpart of a material, or an organ cannot be filled.
         """
         self._mujoco = import_mujoco()
-        self.flexes = FlexModel.of(scene)
-        self._dt = scene.dt
-        self._data = [self._mujoco.MjData(self.flexes.model) for _ in range(worlds)]
+        self.flexes = FlexModel.of(scene, collides=options.contact == "mujoco")
+        self._scene, self._dt = scene, scene.dt
+        self._models = [self.flexes.model] * worlds
+        self._data = [self._mujoco.MjData(model) for model in self._models]
+        self._tools = [self._find_tools(world, scene.tools) for world in range(worlds)]
+        self._moved = [False] * worlds
         self._held = [Held.zeros(len(self.flexes.moving)) for _ in range(worlds)]
 
     @property
@@ -71,8 +75,8 @@ class MujocoEngine:
 
     def _state(self, world: int) -> tuple[FloatArray, FloatArray]:
         """Views (S + I, 3) of the positions [u] and velocities [u/s] of a world's moving nodes, the surface's first."""
-        data = self._data[world]
-        return data.qpos.reshape(-1, 3), data.qvel.reshape(-1, 3)
+        data, count = self._data[world], 3 * (len(self.flexes.moving) + len(self.flexes.inner))
+        return data.qpos[:count].reshape(-1, 3), data.qvel[:count].reshape(-1, 3)
 
     def advance(self, positions: FloatArray, velocities: FloatArray, diverged: BoolArray) -> None:
         """See `engine.Engine`."""
@@ -81,9 +85,21 @@ class MujocoEngine:
             all_positions, all_velocities = self._state(world)
             nodes, node_velocities = all_positions[: len(moving)], all_velocities[: len(moving)]
             nodes[:], node_velocities[:] = positions[world, moving], velocities[world, moving]
-            self._substeps(world, nodes, node_velocities)
+            if self.flexes.collides:
+                self._collide(world)
+            else:
+                self._substeps(world, nodes, node_velocities)
             positions[world, moving], velocities[world, moving] = nodes, node_velocities
             diverged[world] = not (np.isfinite(all_positions).all() and np.isfinite(all_velocities).all())
+
+    def _collide(self, world: int) -> None:
+        """Take a world through a step as MuJoCo's users do, with tools if `move_tools` has just said where they are."""
+        tools = self._tools[world]
+        if not self._moved[world]:
+            tools.park()
+        with silent(self._mujoco):
+            self._mujoco.mj_step(self._models[world], self._data[world])
+        self._moved[world] = False
 
     def _substeps(self, world: int, nodes: FloatArray, velocities: FloatArray) -> None:
         """Take a world through a step, its surface nodes given as views of its state."""
@@ -131,7 +147,7 @@ class MujocoEngine:
                 )
         for row, world in enumerate(worlds.tolist()):
             data, held, state = self._data[world], self._held[world], inner[row]
-            self._mujoco.mj_resetData(flexes.model, data)
+            self._mujoco.mj_resetData(self._models[world], data)
             nodes, node_velocities = self._state(world)
             nodes[:count], node_velocities[:count] = positions[row, flexes.moving], velocities[row, flexes.moving]
             if state is None:
@@ -155,3 +171,28 @@ class MujocoEngine:
 
     def close(self) -> None:
         """See `engine.Engine`: MuJoCo frees what it holds when it is no longer referred to."""
+
+    def set_tools(self, tools: Sequence[PlacedTool], world: int) -> None:
+        """See `engine.CollidingEngine`."""
+        self._models[world] = FlexModel.of(replace(self._scene, tools=tuple(tools)), collides=True).model
+        self._data[world] = self._mujoco.MjData(self._models[world])
+        self._tools[world] = self._find_tools(world, tuple(tools))
+
+    def place_tools(self, positions: FloatArray, orientations: FloatArray, world: int) -> None:
+        """See `engine.CollidingEngine`."""
+        self._tools[world].place(positions, orientations)
+
+    def move_tools(
+        self, positions: FloatArray, orientations: FloatArray, linear: FloatArray, angular: FloatArray, world: int
+    ) -> None:
+        """See `engine.CollidingEngine`."""
+        self._tools[world].move(positions, orientations, linear, angular)
+        self._moved[world] = True
+
+    def tool_impulses(self, linear: FloatArray, angular: FloatArray, world: int) -> FloatArray:
+        """See `engine.CollidingEngine`."""
+        return self._tools[world].impulses()
+
+    def _find_tools(self, world: int, tools: tuple[PlacedTool, ...]) -> FlexTools:
+        has = tools if self.flexes.collides else ()
+        return FlexTools(self._models[world], self._data[world], has, self._scene.gravity)

@@ -11,6 +11,7 @@ import numpy as np
 
 from spatula_env.sim.mujoco.flex import FlexOrgan
 from spatula_env.sim.mujoco.loading import import_mujoco
+from spatula_env.sim.mujoco.tools import ORGAN_GROUP, RADIUS, TOOL_GROUP, add_tools
 
 if TYPE_CHECKING:
     from spatula_env.arrays import FloatArray, IntArray
@@ -41,6 +42,7 @@ class FlexModel:
         moving: (S,) which of the V surface nodes have the first S coordinates.
         inner: (I,) which of all N nodes have the other coordinates.
         surface: (V,) which of all N nodes are the organs' vertices.
+        collides: Whether MuJoCo resolves contact with tools, which then are the last bodies.
     """
 
     organs: tuple[FlexOrgan, ...]
@@ -50,10 +52,15 @@ class FlexModel:
     moving: IntArray
     inner: IntArray
     surface: IntArray
+    collides: bool
 
     @classmethod
-    def of(cls, scene: Scene) -> FlexModel:
+    def of(cls, scene: Scene, *, collides: bool = False) -> FlexModel:
         """Build the model of a scene's organs.
+
+        Args:
+            scene: The scene.
+            collides: Whether to add the tools, for contact by MuJoCo's own algorithm.
 
         Raises:
             ImportError: If MuJoCo is not installed, or Netgen where it is needed; says what to install.
@@ -61,7 +68,7 @@ class FlexModel:
         """
         mujoco = import_mujoco()
         organs = tuple(FlexOrgan.of(placed, scene.scale) for placed in scene.organs)
-        substeps = max(organ.substeps(scene.dt) for organ in organs)
+        substeps = 1 if collides else max(organ.substeps(scene.dt) for organ in organs)
         first = np.cumsum([0, *(len(organ.nodes) for organ in organs)])
         surface = np.concatenate(
             [np.arange(len(organ.placed.organ.vertices)) + start for organ, start in zip(organs, first, strict=False)]
@@ -69,22 +76,25 @@ class FlexModel:
         fixed = np.concatenate([organ.fixed for organ in organs])
         moving = np.flatnonzero(~fixed[surface])
         inner = np.setdiff1d(np.arange(first[-1]), surface)
-        spec = _empty_spec(mujoco, scene.dt / substeps, scene.gravity)
+        spec = _empty_spec(mujoco, scene.dt / substeps, scene.gravity, collides=collides)
         nodes, masses = (np.concatenate([getattr(organ, name) for organ in organs]) for name in ("nodes", "masses"))
         # The order of bodies is that of coordinates.
         for node in [*surface[moving].tolist(), *inner.tolist(), *np.flatnonzero(fixed).tolist()]:
             _add_node(mujoco, spec, node, nodes[node], float(masses[node]), moves=not fixed[node])
         for index, (organ, start) in enumerate(zip(organs, first.tolist(), strict=False)):
-            _add_flex(mujoco, spec, index, organ, range(start, start + len(organ.nodes)))
+            _add_flex(mujoco, spec, index, organ, range(start, start + len(organ.nodes)), collides=collides)
+        if collides:
+            add_tools(mujoco, spec, scene)
         with warnings.catch_warnings():
             # Said of flexes without damping.
             warnings.filterwarnings("ignore", "flex .* has no equality constraints or passive forces", UserWarning)
             model = spec.compile()
-        # The model is compiled for another integrator, which its elements ask for; see `advance`.
-        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        if not collides:
+            # The model is compiled for another integrator, which its elements ask for; see `advance`.
+            model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         times = np.repeat([organ.viscous_time for organ in organs], [len(organ.nodes) for organ in organs])
         coordinates = np.repeat(times[np.concatenate([surface[moving], inner])], 3)
-        return cls(organs, model, substeps, coordinates, moving, inner, surface)
+        return cls(organs, model, substeps, coordinates, moving, inner, surface, collides)
 
     def advance(self, mujoco: Any, data: Any) -> None:
         """Advance a state of MuJoCo by a substep, by the semi-implicit Euler method.
@@ -123,14 +133,14 @@ class FlexModel:
         return inverse
 
 
-def _empty_spec(mujoco: Any, timestep: float, gravity: float) -> Any:
-    """A model without bodies, which makes no contacts, and in which diverged states are not reset."""
+def _empty_spec(mujoco: Any, timestep: float, gravity: float, *, collides: bool) -> Any:
+    """A model without bodies, in which diverged states are not reset, and that makes no contacts unless asked to."""
     spec, disable = mujoco.MjSpec(), mujoco.mjtDisableBit
     spec.option.timestep, spec.option.gravity = timestep, [0.0, 0.0, -gravity]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
-    spec.option.disableflags = int(
-        disable.mjDSBL_CONSTRAINT | disable.mjDSBL_CONTACT | disable.mjDSBL_SENSOR | disable.mjDSBL_AUTORESET
-    )
+    # Without a warm start, a step depends on positions and velocities alone.
+    own = disable.mjDSBL_WARMSTART if collides else disable.mjDSBL_CONSTRAINT | disable.mjDSBL_CONTACT
+    spec.option.disableflags = int(own | disable.mjDSBL_SENSOR | disable.mjDSBL_AUTORESET)
     return spec
 
 
@@ -144,7 +154,7 @@ def _add_node(mujoco: Any, spec: Any, node: int, position: FloatArray, mass: flo
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, ref=place)
 
 
-def _add_flex(mujoco: Any, spec: Any, index: int, organ: FlexOrgan, nodes: Sequence[int]) -> None:
+def _add_flex(mujoco: Any, spec: Any, index: int, organ: FlexOrgan, nodes: Sequence[int], *, collides: bool) -> None:
     """Add the elements of an organ, on the bodies of its nodes."""
     spec.add_flex(
         name=f"organ {index}",
@@ -154,7 +164,10 @@ def _add_flex(mujoco: Any, spec: Any, index: int, organ: FlexOrgan, nodes: Seque
         young=organ.young_modulus,
         poisson=organ.material.poisson_ratio,
         elastic3d=NEO_HOOKEAN,
-        contype=0,
-        conaffinity=0,
+        # MuJoCo's own damping is that of the implicit step, by which its own contact comes.
+        damping=organ.viscous_time if collides else 0.0,
+        contype=ORGAN_GROUP if collides else 0,
+        conaffinity=ORGAN_GROUP | TOOL_GROUP if collides else 0,
+        radius=RADIUS,
         selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
     )
