@@ -40,8 +40,8 @@ COLUMNS = (
 LEGEND = (
     "surface: height of the organ's surface over the spatula's lower face, by vertical rays over its footprint. "
     f"force: upward on the spatula. Both over the last {WINDOW} steps. nodes: contact nodes of the lower and the upper "
-    "face flagged at the end (with engines' own contact it is only watched). both: steps in which both nodes of a pair were "
-    "flagged."
+    "face flagged at the end (with engines' own contact it is only watched). both: steps in which both nodes of a pair "
+    "were flagged."
 )
 """What the columns say."""
 
