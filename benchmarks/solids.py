@@ -53,15 +53,39 @@ def block(size: FloatArray, cells: tuple[int, int, int]) -> Solid:
     return Solid(moved * np.asarray(size) / cells, np.concatenate(tetrahedra).astype(np.int32))
 
 
-def graded_sphere(radius: float, subdivisions: int, grading: float = 0.0) -> Organ:
+def geodesic_sphere(radius: float, frequency: int) -> Organ:
+    """A sphere of nearly equal triangles: an icosahedron whose edges are divided, with 10 frequency^2 + 2 nodes.
+
+    Args:
+        radius: Radius [u].
+        frequency: Number of parts of an edge. A power of two gives what `icosphere` does.
+    """
+    solid = icosphere(1.0, 0)
+    first, second = np.nonzero(np.add.outer(*[np.arange(frequency + 1)] * 2) <= frequency)
+    weights = np.column_stack([frequency - first - second, first, second]) / frequency
+    number = {place: index for index, place in enumerate(zip(first.tolist(), second.tolist(), strict=True))}
+    upward = [[number[i, j], number[i + 1, j], number[i, j + 1]] for i, j in number if i + j < frequency]
+    downward = [
+        [number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]] for i, j in number if i + j < frequency - 1
+    ]
+    faces = np.array(upward + downward)
+    points = (weights @ solid.vertices[solid.triangles]).reshape(-1, 3)
+    triangles = (faces + len(weights) * np.arange(len(solid.triangles))[:, None, None]).reshape(-1, 3)
+    # Nodes on the icosahedron's edges belong to two or five of its triangles.
+    _, kept, merged = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
+    vertices = points[kept] * (radius / np.linalg.norm(points[kept], axis=1, keepdims=True))
+    return Organ(vertices, merged.ravel()[triangles], "sphere")
+
+
+def graded_sphere(radius: float, frequency: int, grading: float = 0.0) -> Organ:
     """A sphere whose triangles are smaller at both poles of its z axis.
 
     Args:
         radius: Radius [u].
-        subdivisions: See `icosphere`.
+        frequency: See `geodesic_sphere`.
         grading: From 0, uniform, to less than 0.5. Edges near the poles are shorter by the factor 1 - 2 grading.
     """
-    sphere = icosphere(radius, subdivisions)
+    sphere = geodesic_sphere(radius, frequency)
     x, y, z = sphere.vertices.T
     polar, around = np.arccos(np.clip(z / radius, -1.0, 1.0)), np.arctan2(y, x)
     polar -= grading * np.sin(2.0 * polar)

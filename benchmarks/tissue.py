@@ -75,8 +75,14 @@ LENGTH = 0.02
 SQUEEZES = (0.03, 0.1, 0.2, 0.3)
 """How far each side of the sphere is pressed in, each in a world of its own [u]."""
 
-MESHES = {"162 nodes": (2, 0.0), "642": (3, 0.0), "642 graded": (3, 0.3), "2,562": (4, 0.0)}
-"""Subdivisions and grading of spheres, the finest last; see `solids.graded_sphere`."""
+MESHES = {"162 nodes": (4, 0.0), "642": (8, 0.0), "642 graded": (8, 0.3), "2,562": (16, 0.0)}
+"""Frequency and grading of spheres, the finest last; see `solids.graded_sphere`."""
+
+REFINED = {"362 nodes": 6, "1,212": 11, "4,842": 22}
+"""Frequencies of the spheres that the spatula is pressed into, the finest last."""
+
+REFINED_DEPTH = 0.5
+"""How deep [u]: 10 mm."""
 
 USUAL = "642"
 """The mesh with which time step, modulus and density are varied."""
