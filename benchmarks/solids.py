@@ -65,9 +65,7 @@ def geodesic_sphere(radius: float, frequency: int) -> Organ:
     weights = np.column_stack([frequency - first - second, first, second]) / frequency
     number = {place: index for index, place in enumerate(zip(first.tolist(), second.tolist(), strict=True))}
     upward = [[number[i, j], number[i + 1, j], number[i, j + 1]] for i, j in number if i + j < frequency]
-    downward = [
-        [number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]] for i, j in number if i + j < frequency - 1
-    ]
+    downward = [[number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]] for i, j in number if i + j < frequency - 1]
     faces = np.array(upward + downward)
     points = (weights @ solid.vertices[solid.triangles]).reshape(-1, 3)
     triangles = (faces + len(weights) * np.arange(len(solid.triangles))[:, None, None]).reshape(-1, 3)

@@ -8,7 +8,10 @@ shear          A block in simple shear of 0.1 and 0.2: shear stress, likewise.
 block          A block pressed by 10 % between plates that it is glued to: force against felupe, another code.
 plates         A sphere of 60 mm radius pressed between two frictionless plates: force against felupe.
 hertz          The same, by 0.6 mm a side: felupe against Hertz's formula, the limit of small strain.
-refinement     The same with the second finest uniform mesh, against the finest.
+plate_meshes   The same with the second finest uniform mesh, against the finest.
+refinement     The spatula pressed 10 mm into spheres of 362, 1,212 and 4,842 nodes, held at their base: force of the
+               second against the third.
+coarse_mesh    The same, of the first against the third.
 time_step      The same with half the time step.
 modulus        The same with twice the modulus, which doubles the force, and twice the density, which keeps it.
 volume         Loss of volume of a sphere pressed by 20 mm between the plates, at Poisson's ratio 0.49.
@@ -21,8 +24,9 @@ mujoco         The spatula pressed 2 and 5 mm into the seed's sphere, which is h
                force and nodes of the engine "mujoco" against the same linear tetrahedra in NumPy. How far the engine
                "tissue" is from it, whose elements are others, is for information.
 
-"block", "plates" and "hertz" need felupe (`pip install felupe`), "plates", "refinement", "time_step", "modulus" and
-"volume" Netgen (the extra `tissue`), and "mujoco" MuJoCo (the extra `mujoco`); "bar", "shear" and "block" need SciPy.
+"block", "plates" and "hertz" need felupe (`pip install felupe`). "plates", "plate_meshes", "refinement", "coarse_mesh",
+"time_step", "modulus" and "volume" need Netgen (the extra `tissue`), and "mujoco" MuJoCo (the extra `mujoco`). "bar",
+"shear" and "block" need SciPy.
 Checks that cannot be made are reported, and the benchmark then does not pass.
 """
 
@@ -32,7 +36,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -326,11 +330,29 @@ def check_plates(spheres: Spheres) -> Check:
     return Check(difference(spheres(list(MESHES)[-1]).forces[2:], expected[2:]), 0.05, details=details)
 
 
-def check_refinement(spheres: Spheres) -> Check:
+def check_plate_meshes(spheres: Spheres) -> Check:
     """Compare the second finest uniform mesh with the finest, at the greatest depth."""
     finest = spheres(list(MESHES)[-1]).forces[-1]
     told = {mesh: float(spheres(mesh).forces[-1] / finest - 1.0) for mesh in MESHES}
     return Check(abs(told[USUAL]), 0.05, details=told)
+
+
+@cache
+def refined_forces() -> dict[str, float]:
+    """Forces on the spatula in each of `REFINED` [N]."""
+    material = Material(viscosity=CALMING)
+    return {
+        mesh: flexes.press(
+            flexes.held_sphere(material, solids.geodesic_sphere(RADIUS, frequency)), "tissue", REFINED_DEPTH
+        ).force
+        for mesh, frequency in REFINED.items()
+    }
+
+
+def check_refined(index: int, limit: float) -> Check:
+    """Compare the force on the spatula in one of the refined spheres with that in the finest."""
+    forces = list(refined_forces().values())
+    return Check(abs(forces[index] / forces[-1] - 1.0), limit, details=refined_forces())
 
 
 def check_time_step(spheres: Spheres) -> Check:
@@ -479,7 +501,9 @@ def checks() -> dict[str, Callable[[], Check]]:
         "block": check_block,
         "hertz": check_hertz,
         "plates": partial(check_plates, spheres),
-        "refinement": partial(check_refinement, spheres),
+        "plate_meshes": partial(check_plate_meshes, spheres),
+        "refinement": partial(check_refined, 1, 0.05),
+        "coarse_mesh": partial(check_refined, 0, 0.12),
         "time_step": partial(check_time_step, spheres),
         "modulus": partial(check_modulus, spheres),
         "volume": check_volume,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks import elements, solids, tissue
+from spatula_env.geometry.meshes import icosphere
 from spatula_env.scenes import Material
 from spatula_env.sim.tissue.hyperelastic import Hyperelastic
 
@@ -26,11 +27,24 @@ def test_a_block_is_filled_by_tetrahedra_of_positive_volume() -> None:
     assert solid.nodes.max(axis=0).tolist() == [1.0, 2.0, 3.0]
 
 
+@pytest.mark.parametrize("frequency", [1, 2, 3, 8])
+def test_a_geodesic_sphere_is_closed_and_even(frequency: int) -> None:
+    organ = solids.geodesic_sphere(3.0, frequency)
+    assert (len(organ.vertices), len(organ.triangles)) == (10 * frequency**2 + 2, 20 * frequency**2)
+    np.testing.assert_allclose(np.linalg.norm(organ.vertices, axis=1), 3.0)
+    lengths = organ.edge_lengths
+    assert len(lengths) == 30 * frequency**2
+    assert lengths.max() < 1.5 * lengths.min()
+    if frequency & (frequency - 1) == 0:
+        same = icosphere(3.0, frequency.bit_length() - 1)
+        assert organ.volume == pytest.approx(same.volume)
+
+
 def test_a_graded_sphere_is_finer_at_its_poles() -> None:
-    organ = solids.graded_sphere(3.0, 2, 0.3)
+    organ = solids.graded_sphere(3.0, 4, 0.3)
     np.testing.assert_allclose(np.linalg.norm(organ.vertices, axis=1), 3.0)
     near_poles = np.abs(organ.vertices[:, 2]) > 2.7
-    even = np.abs(solids.graded_sphere(3.0, 2).vertices[:, 2]) > 2.7
+    even = np.abs(solids.graded_sphere(3.0, 4).vertices[:, 2]) > 2.7
     assert near_poles.sum() > 2 * even.sum()
 
 
