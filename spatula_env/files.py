@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 import uuid
 from collections.abc import Iterator
@@ -44,6 +45,15 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file atomically."""
     with whole_file(path) as unfinished:
         unfinished.write_bytes(content)
+
+
+def checksum(path: Path) -> str:
+    """SHA-256 of what a file holds, in hexadecimal digits.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def check_can_write(folder: Path) -> None:

@@ -75,6 +75,7 @@ def add_parser(commands: Parsers) -> None:
         metavar="MODULE:CLASS",
         help="a wrapper that the dataset may use with whatever arguments it gives; Gymnasium's are known",
     )
+    parser.add_argument("--organ", metavar="FILE", help="the organ's file, if it is not where it was when recorded")
     add_root_option(parser)
     add_view_options(parser)
     add_json_option(parser)
@@ -96,6 +97,8 @@ def run(chosen: argparse.Namespace) -> int:
         raise CommandError(f"{chosen.dataset!r} has no episodes")
     if chosen.mean_actions and chosen.by != "actions":
         raise CommandError("--mean-actions goes with --by actions: states are shown as they were recorded")
+    if chosen.organ is not None and chosen.by != "actions":
+        raise CommandError("--organ goes with --by actions: states are shown as they were recorded")
     if chosen.by == "states":
         return _by_states(chosen, dataset, numbers)
     return _by_actions(chosen, numbers)
@@ -126,6 +129,7 @@ def _by_actions(chosen: argparse.Namespace, numbers: list[int]) -> int:
             render_mode=render_mode(chosen),
             env_id=chosen.env,
             wrappers=[import_wrapper(name) for name in chosen.wrapper],
+            organ=chosen.organ,
             steering=not chosen.mean_actions,
             after_step=after_step,
             progress=told.append,

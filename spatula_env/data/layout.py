@@ -5,9 +5,11 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.definitions import FIRST, definition_number
+from spatula_env.files import checksum
 
 if TYPE_CHECKING:
     import gymnasium
@@ -33,6 +35,7 @@ class Layout:
         workspace_low: (3,) the corner of the tool's workspace, in which positions are given [m]; empty if not known.
         workspace_high: (3,) the opposite corner [m].
         definition: Number of the definition of the task; None if the data were not recorded by this package.
+        organ: Checksum of the file of the organ, if it was not the task's own, else empty.
     """
 
     observation_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -44,6 +47,7 @@ class Layout:
     workspace_low: tuple[float, ...] = ()
     workspace_high: tuple[float, ...] = ()
     definition: int | None = None
+    organ: str = ""
 
     @classmethod
     def of(cls, env: gymnasium.Env[Any, Any]) -> Layout:
@@ -86,6 +90,7 @@ class Layout:
             workspace_low=tuple(map(float, made.workspace.low)),
             workspace_high=tuple(map(float, made.workspace.high)),
             definition=int(made.task.definition),
+            organ="" if made.settings.organ is None else checksum(Path(made.settings.organ)),
         )
 
     @classmethod
@@ -104,6 +109,7 @@ class Layout:
             workspace_low=tuple(record.get("workspace_low", ())),
             workspace_high=tuple(record.get("workspace_high", ())),
             definition=None if number is None else int(number),
+            organ=str(record.get("organ", "")),
         )
 
     def definition_of(self, env_id: str) -> int:
@@ -122,6 +128,7 @@ class Layout:
             "workspace_low": list(self.workspace_low),
             "workspace_high": list(self.workspace_high),
             "definition": self.definition,
+            **({"organ": self.organ} if self.organ else {}),
         }
 
     def find(self, part: str) -> tuple[str, slice] | None:

@@ -16,7 +16,15 @@ from spatula_env.data.specs import differences, spec_from_json, storable_spec
 if TYPE_CHECKING:
     import gymnasium
 
-MEANING = ("observation_names", "action_names", "control_frequency", "workspace_low", "workspace_high", "definition")
+MEANING = (
+    "observation_names",
+    "action_names",
+    "control_frequency",
+    "workspace_low",
+    "workspace_high",
+    "definition",
+    "organ",
+)
 """Fields of a `Layout` on which the meaning of an episode's numbers depends."""
 
 

@@ -16,11 +16,12 @@ from spatula_env.data.dataset import dataset_folder, read_layout, require_minari
 from spatula_env.data.episode import STATE, physics_state
 from spatula_env.data.files import DatasetDamaged
 from spatula_env.data.index import SPECS, EpisodeEntry, check_harmless, read_index, read_metadata
-from spatula_env.data.layout import KEY
+from spatula_env.data.layout import KEY, Layout
 from spatula_env.data.pictures import ENCODED, has_pictures, reads_plain_pictures
 from spatula_env.data.specs import make_recorded, spec_from_json
 from spatula_env.definitions import tell_definition
 from spatula_env.envs.steering import STEERING
+from spatula_env.files import checksum
 
 if TYPE_CHECKING:
     from gymnasium.envs.registration import EnvSpec
@@ -130,6 +131,7 @@ def replay(
     render_mode: str | None = None,
     env_id: str | None = None,
     wrappers: Sequence[type[gymnasium.Wrapper[Any, Any, Any, Any]]] = (),
+    organ: str | Path | None = None,
     steering: bool = True,
     after_step: Callable[[gymnasium.Env[Any, Any], int], None] | None = None,
     progress: Callable[[EpisodeReplay], None] | None = None,
@@ -148,6 +150,7 @@ def replay(
         env_id: The environment as "module:id", if it is one of your own that is not registered yet.
         wrappers: Wrappers that are allowed with whatever arguments the dataset gives, in addition to those of Gymnasium
             and of this package that write nothing.
+        organ: The file of the organ on which the episodes were recorded; None: it is where it was then.
         steering: Whether to repeat the motion of each physics step, where that was recorded. False: only the actions
             that learners see, its mean in each control step, with which the results differ a little.
         after_step: Called with the environment and the step's number after the reset (0) and every step.
@@ -158,9 +161,10 @@ def replay(
 
     Raises:
         ImportError: If Minari is missing, or PyBullet is and the episodes were recorded with it.
-        FileNotFoundError: If there is no such dataset.
+        FileNotFoundError: If there is no such dataset, or no file of the organ.
         DatasetDamaged: If the dataset cannot be read, or refers to data outside of it.
-        ValueError: If an episode has no seed, its environment is not known here, or a wrapper is not allowed.
+        ValueError: If an episode has no seed, its environment is not known here, a wrapper is not allowed, or the
+            organ is another one than that of the episodes.
     """
     dataset = open_dataset(dataset_id, root)
     numbers = list(range(dataset.total_episodes)) if episodes is None else [int(number) for number in episodes]
@@ -176,7 +180,8 @@ def replay(
                 if env is not None:
                     env.close()
                 definition = layout.definition_of(spec.id)
-                env, made = make_recorded(spec, render_mode, env_id, wrappers, definition), spec
+                here = _on_organ(spec, layout, organ)
+                env, made = make_recorded(here, render_mode, env_id, wrappers, definition), spec
                 tell_definition(f"dataset {dataset_id!r}", spec.id, definition)
                 if env.action_space != dataset.action_space:
                     raise ValueError(f"the episodes of {dataset_id!r} have other actions than those of {spec.id}")
@@ -194,6 +199,29 @@ def replay(
         if env is not None:
             env.close()
     return results
+
+
+def _on_organ(spec: EnvSpec, layout: Layout, organ: str | Path | None) -> EnvSpec:
+    """The specification with the file of its organ here, which is checked to be that of the recording."""
+    recorded = spec.kwargs.get("organ")
+    if recorded is None:
+        if organ is not None:
+            raise ValueError(f"organ must be None: the episodes are of the task's own organ; got {str(organ)!r}")
+        return spec
+    path = Path(recorded if organ is None else organ)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"organ must name the file of the organ on which the episodes were recorded, then {str(recorded)!r}; there "
+            f"is no file {str(path)!r}"
+        )
+    if layout.organ and checksum(path) != layout.organ:
+        raise ValueError(
+            f"organ must be the file on which the episodes were recorded, with the checksum {layout.organ[:12]}...; "
+            f"{str(path)!r} has {checksum(path)[:12]}..."
+        )
+    changed = copy.copy(spec)
+    changed.kwargs = {**spec.kwargs, "organ": str(path)}
+    return changed
 
 
 def recorded_states(
