@@ -72,7 +72,7 @@ def geodesic_sphere(radius: float, frequency: int) -> Organ:
     # Nodes on the icosahedron's edges belong to two or five of its triangles.
     _, kept, merged = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
     vertices = points[kept] * (radius / np.linalg.norm(points[kept], axis=1, keepdims=True))
-    return Organ(vertices, merged.ravel()[triangles], "sphere")
+    return Organ(vertices, merged.ravel()[triangles].astype(np.int32), "sphere")
 
 
 def graded_sphere(radius: float, frequency: int, grading: float = 0.0) -> Organ:

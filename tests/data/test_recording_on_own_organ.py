@@ -72,14 +72,12 @@ def test_the_organ_may_be_elsewhere_when_it_is_replayed(
 def test_another_organ_is_refused(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     root, organ = recorded
     other = Path(written(bean(divisions=2), tmp_path))
-    with pytest.raises(
-        ValueError, match="organ must be the file on which the episodes were recorded, with the checksu"
-    ):
+    with pytest.raises(ValueError, match="organ must be the file on which the episodes were recorded"):
         replay(ID, root=root, organ=other)
     content = organ.read_bytes()
     try:
         organ.write_bytes(other.read_bytes())
-        with pytest.raises(ValueError, match="has episodes with another .*organ"):
+        with pytest.raises(ValueError, match=r"has episodes with another .*organ"):
             record_on(organ, root)
     finally:
         organ.write_bytes(content)
