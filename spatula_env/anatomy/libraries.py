@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -19,7 +23,28 @@ def load(name: str, extra: str = "anatomy") -> Any:
         ImportError: If it is not installed; the message says what to install.
     """
     try:
-        return import_module(name)
+        with _interrupted_afterwards():
+            return import_module(name)
     except ImportError as error:
         library = name.partition(".")[0]
         raise ImportError(f"preparing an organ needs {library} here: {install_hint(extra)}") from error
+
+
+@contextmanager
+def _interrupted_afterwards() -> Iterator[None]:
+    """Let Ctrl-C wait for the end of a block: trimesh, for one, ignores all exceptions while it imports others.
+
+    Only the main thread can handle signals; in other threads this does nothing.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield
+        return
+    came: list[tuple[int, Any]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        before(*came[0])

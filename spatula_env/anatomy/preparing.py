@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.anatomy.distances import greatest_distance
 from spatula_env.anatomy.holes import Hole, fill_holes
 from spatula_env.anatomy.options import METRES, PrepareOptions, Report, Step
 from spatula_env.anatomy.posing import held_nodes, posed
@@ -28,6 +29,7 @@ from spatula_env.anatomy.topology import (
 )
 from spatula_env.anatomy.volumes import restored
 from spatula_env.anatomy.voxels import choose_label, clean_voxels, crop, surface_of_voxels
+from spatula_env.geometry.crossings import self_crossings
 from spatula_env.geometry.meshes import Organ
 from spatula_env.geometry.prepared import UNIT_LENGTH, PreparedOrgan
 from spatula_env.geometry.surface import connected_components
@@ -45,6 +47,15 @@ SMALLEST, LARGEST = 2e-3, 2.0
 CHANGED_VOLUME = 0.05
 """Change of the volume, as a part of it, from which on there is a warning."""
 
+LOST_VOLUME = 0.5
+"""Loss of the volume, as a part of it, from which on the shape is another one, and refused."""
+
+DROPPED = 0.05
+"""Part of the volume in pieces that are removed, from which on there is a warning."""
+
+FAR = 1.0
+"""Greatest distance from the segmentation, in median edges of the organ, from which on there is a warning."""
+
 SMALL_ANGLE = 15.0
 """Least angle below which there is a warning [deg]."""
 
@@ -60,6 +71,13 @@ class _Log:
     def changed(self, count: int, singular: str, plural: str, what: str) -> None:
         if count:
             self.changes.append(f"{count} {singular if count == 1 else plural} {what}")
+
+    def dropped(self, count: int, share: float, what: str = "") -> None:
+        """Tell of islands with a part of the volume."""
+        told = f"{what}removed with {share:.1%} of the volume, the largest piece is kept"
+        self.changed(count, "island", "islands", told)
+        if share > DROPPED:
+            self.warnings.append(f"{share:.1%} of the volume was in pieces that were removed; keep_islands keeps them")
 
 
 def prepare_organ(
@@ -101,11 +119,13 @@ def prepare_organ(
         start = Surface(raw.vertices * METRES[units], raw.triangles)
     _check_size(start, units, file.name)
     mended = _mended(start, wanted, file.name, log)
-    if volume is None and (count_edges(mended.triangles)[1] == 2).all():
-        volume = float(mended.volumes.sum())
     surface, steps = reduced(mended, wanted.nodes, file.name, progress)
+    if volume is None:
+        volume = _enclosed(mended)
     surface, change = _with_volume(surface, volume, steps, log)
+    _check_shape(mended, surface, change, file.name)
     organ, result = _finished(surface, change, wanted, file.name, log)
+    result["distance_mm"] = _distance(mended, surface, result, log, both=volume is not None)
     report = Report(
         file.name,
         units,
@@ -127,7 +147,7 @@ def _from_volume(raw: RawVolume, options: PrepareOptions, name: str, metres: flo
     affine[:3] *= metres
     inside, matrix = crop(raw.labels == label, affine)
     inside, cleaned = clean_voxels(inside, keep_islands=options.keep_islands, keep_cavities=options.keep_cavities)
-    log.changed(cleaned.islands, "island", "islands", "of voxels removed, the largest piece is kept")
+    log.dropped(cleaned.islands, cleaned.removed, "of voxels ")
     log.changed(cleaned.cavities, "cavity", "cavities", "of voxels filled")
     log.progress("marching cubes")
     surface = surface_of_voxels(inside, matrix)
@@ -213,7 +233,8 @@ def _chosen_pieces(surface: Surface, options: PrepareOptions, log: _Log) -> Surf
     keep[int(np.argmax(volumes))] = True
     tested = np.ones(count, dtype=np.bool_)
     tested[untested] = False
-    log.changed(int((~keep & ~inside & tested).sum()), "island", "islands", "removed, the largest piece is kept")
+    islands = ~keep & ~inside & tested
+    log.dropped(int(islands.sum()), float(volumes[islands].sum() / np.maximum(volumes[~inside].sum(), 1e-300)))
     log.changed(int((~keep & inside).sum()), "cavity", "cavities", "filled")
     log.changed(len(untested), "speck", "specks", "removed, the smallest of very many pieces")
     turned = np.where(inside[component][:, None], surface.triangles[:, ::-1], surface.triangles)
@@ -250,6 +271,42 @@ def _with_volume(surface: Surface, volume: float | None, steps: list[Step], log:
     return moved, float(moved.volumes.sum()) / volume - 1.0
 
 
+def _enclosed(surface: Surface) -> float | None:
+    """The volume of a mended surface [m3]; None if it is open, or pieces of it overlap, which the sum counts twice."""
+    if not (count_edges(surface.triangles)[1] == 2).all():
+        return None
+    several = connected_components(surface.triangles).any()
+    if several and len(self_crossings(surface.vertices, surface.triangles)):
+        return None
+    return float(surface.volumes.sum())
+
+
+def _check_shape(mended: Surface, surface: Surface, change: float | None, name: str) -> None:
+    """Refuse an organ that has lost most of itself."""
+    if change is not None and change < -LOST_VOLUME:
+        edge = 1e3 * float(np.median(edge_lengths(surface.vertices, surface.triangles)))
+        thickness = 2e3 * float(mended.volumes.sum()) / mended.area
+        raise ValueError(
+            f"{name} loses {-change:.0%} of its volume with {len(surface.vertices)} nodes, whose edges are {edge:.3g} "
+            f"mm long: it is {thickness:.2g} mm thick in the mean, and what is thinner than an edge is lost; more "
+            "nodes keep more of it"
+        )
+
+
+def _distance(mended: Surface, surface: Surface, result: dict[str, Any], log: _Log, *, both: bool) -> float:
+    """Greatest distance of organ and segmentation [mm]; there is a warning if it is great beside edges.
+
+    Where pieces of the segmentation overlap, what is inside of others is not of the organ: `both` is then false.
+    """
+    far = 1e3 * greatest_distance(surface, mended, both=both)
+    if far > FAR * result["edges_mm"][1]:
+        log.warnings.append(
+            f"the organ is up to {far:.3g} mm from the segmentation's surface, more than its edges of "
+            f"{result['edges_mm'][1]:.3g} mm: look at the picture"
+        )
+    return round(far, 3)
+
+
 def _finished(
     surface: Surface, change: float | None, options: PrepareOptions, name: str, log: _Log
 ) -> tuple[PreparedOrgan, dict[str, Any]]:
@@ -279,7 +336,7 @@ def _finished(
             round(float(v), 3) for v in (filling.qualities.min(), filling.qualities.mean())
         ]
     if change is None:
-        log.warnings.append("the volume cannot be compared, as the surface of the file is not closed")
+        log.warnings.append("the volume cannot be compared, as the surface of the file is open or pieces of it overlap")
     elif abs(change) > CHANGED_VOLUME:
         log.warnings.append(f"the volume has changed by {change:+.1%}: more nodes keep more of the shape")
     if result["angles_deg"][0] < SMALL_ANGLE:

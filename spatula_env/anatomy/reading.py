@@ -83,7 +83,8 @@ def read_file(path: Path) -> RawSurface | RawVolume:
     """
     kind = file_kind(path)
     if not path.is_file():
-        raise FileNotFoundError(f"there is no file {os.fspath(path)!r}")
+        is_there = "is no file" if path.exists() else "does not exist"
+        raise FileNotFoundError(f"{os.fspath(path)!r} {is_there}")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     readers: dict[str, Callable[[Path], RawSurface | RawVolume]] = {

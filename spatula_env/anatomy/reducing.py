@@ -30,9 +30,13 @@ that does not cross itself, or else a manifold. Where furrows are narrow, that m
 GOOD_ANGLE = 15.0
 """A surface whose least angle is greater is taken at once; else the best of all is [deg]."""
 
+CHANGED = 0.2
+"""A surface whose volume has changed by no more than this part is taken before others."""
+
 MOST_REMESHED = 40_000
-"""Most nodes of a surface that is remeshed. One with more holes through it than the wanted nodes can have, as of a
-thresholded image, has no decimation that is a manifold, and to remesh it as it is would take many minutes."""
+"""Most nodes of a surface that is remeshed, or the least of `FINE` for each wanted node if that is more. One with more
+holes through it than the wanted nodes can have, as of a thresholded image, has no decimation that is a manifold, and to
+remesh it as it is would take many minutes."""
 
 PITCHES = 4.0
 """Voxels of a wrap along an edge of the wanted length."""
@@ -59,7 +63,8 @@ def reduced(
         ValueError: If no way leads to one; the message has the numbers.
     """
     steps: list[Step] = []
-    best: tuple[float, Surface] | None = None
+    best: tuple[tuple[bool, float], Surface] | None = None
+    volume = 1e6 * float(surface.volumes.sum()) if is_manifold(surface) else None
     for way, start in _starts(surface, node_count, steps, progress):
         progress(f"remeshing to {node_count} nodes ({way})")
         candidate = remesh(start, start if way != "decimated" else surface, node_count)
@@ -67,8 +72,10 @@ def reduced(
         steps.append(step)
         if not step.closed or step.crossings:
             continue
-        if best is None or step.least_angle > best[0]:
-            best = (step.least_angle, candidate)
+        alike = volume is None or abs(step.volume - volume) <= CHANGED * abs(volume)
+        rank = alike, step.least_angle
+        if best is None or rank > best[0]:
+            best = rank, candidate
         if step.least_angle > GOOD_ANGLE:
             break
     if best is None:
@@ -76,7 +83,9 @@ def reduced(
             f"{step.name}: {'closed' if step.closed else 'open'}, {step.crossings} crossings" for step in steps
         )
         told = told or "no decimation of it is a manifold"
-        raise ValueError(f"{name} cannot be made into a closed surface of {node_count} nodes ({told}); try more nodes")
+        raise ValueError(
+            f"{name} cannot be made into a closed surface of {node_count} nodes ({told}); try more nodes, or fewer"
+        )
     return best[1], steps
 
 
@@ -98,10 +107,11 @@ def _starts(
     surface: Surface, node_count: int, steps: list[Step], progress: Callable[[str], None]
 ) -> Iterator[tuple[str, Surface]]:
     """Surfaces with which a remeshing can begin, closed manifolds all with few nodes, and how they were made."""
+    most = max(MOST_REMESHED, FINE[0] * node_count)
     if is_manifold(surface):
         progress(f"decimating {len(surface.triangles)} triangles")
         start = _decimated_manifold(surface, node_count)
-        if len(start.vertices) <= MOST_REMESHED:
+        if len(start.vertices) <= most:
             steps.append(measured(start, "decimated"))
             yield "decimated", start
     length = math.sqrt(2.0 * surface.area / (math.sqrt(3.0) * node_count))
@@ -119,7 +129,7 @@ def _starts(
         wrapped = orient(_largest(weld(wrapped)[0]))[0]
         if is_manifold(wrapped):
             start = _decimated_manifold(wrapped, node_count)
-            if len(start.vertices) <= MOST_REMESHED:
+            if len(start.vertices) <= most:
                 yield way, start
 
 

@@ -182,7 +182,7 @@ def remesh(
         The surface; whether it crosses itself is not checked.
     """
     length = math.sqrt(2.0 * reference.area / (math.sqrt(3.0) * node_count))
-    target = _Target(reference, length)
+    target = NearestSurface(reference, length)
     mesh = EditableMesh(surface.vertices, surface.triangles)
     for index in range(ROUNDS):
         _split_long(mesh, LONG * length)
@@ -247,7 +247,7 @@ def _flip_all(mesh: EditableMesh) -> None:
             return
 
 
-def _smoothed(mesh: EditableMesh, target: _Target) -> EditableMesh:
+def _smoothed(mesh: EditableMesh, target: NearestSurface) -> EditableMesh:
     """Flip, move each node towards the middle of the triangles around it, and put it back onto the surface."""
     _flip_all(mesh)
     vertices, triangles = mesh.arrays()
@@ -267,10 +267,15 @@ def _smoothed(mesh: EditableMesh, target: _Target) -> EditableMesh:
     return EditableMesh(vertices, triangles)
 
 
-class _Target:
-    """The surface on which nodes are put."""
+class NearestSurface:
+    """A surface on which the points nearest to others are looked for.
+
+    Attributes:
+        middles: (n, 3) points on the surface, no farther apart than a length [m].
+    """
 
     def __init__(self, surface: Surface, length: float) -> None:
+        """Divide the triangles of a surface until no side is longer than a length [m]."""
         corners = surface.vertices[surface.triangles]
         # Divided until none is long: the nearest centroids then belong to the nearest triangles.
         while True:
@@ -283,15 +288,20 @@ class _Target:
         sizes = np.linalg.norm(normals, axis=1)
         there = sizes > 0.0
         self._corners, self._normals = corners[there], normals[there] / sizes[there, None]
-        self._tree = load("scipy.spatial").cKDTree(self._corners.mean(axis=1))
+        self.middles = self._corners.mean(axis=1)
+        self._tree = load("scipy.spatial").cKDTree(self.middles)
 
-    def nearest(self, points: FloatArray, normals: FloatArray) -> FloatArray:
-        """(n, 3) the nearest points of what faces the same way; the points themselves where there is nothing."""
+    def nearest(self, points: FloatArray, normals: FloatArray | None = None) -> FloatArray:
+        """(n, 3) the nearest points to (n, 3); with normals (n, 3), of what faces the same way.
+
+        Where there is nothing, they are the points themselves.
+        """
         count = min(NEIGHBOURS, len(self._corners))
         found = self._tree.query(points, k=count)[1].reshape(len(points), count)
         near = _nearest_on_triangles(np.repeat(points[:, None], count, axis=1), self._corners[found])
         distance = np.linalg.norm(near - points[:, None], axis=2)
-        distance[(self._normals[found] * normals[:, None]).sum(axis=2) <= 0.0] = np.inf
+        if normals is not None:
+            distance[(self._normals[found] * normals[:, None]).sum(axis=2) <= 0.0] = np.inf
         best = distance.argmin(axis=1)
         chosen = near[np.arange(len(points)), best]
         return np.where(np.isfinite(distance.min(axis=1))[:, None], chosen, points)

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 FARTHEST = 0.25
 """Greatest offset, in median edges: a greater loss is not of the blur or of chords, but of the shape."""
 
+THICKENED = 0.05
+"""Greatest offset, as a part of the mean thickness, which is twice the volume by the area: what is thin would else be
+thickened for what it has lost at its borders."""
+
 NEAR = 1e-4
 """A volume is restored if what is missing is a smaller part of it."""
 
@@ -54,7 +58,9 @@ def restored(surface: Surface, volume: float) -> Surface | None:
         vertices = vertices + missing / current.area * _node_normals(current)
     moved = Surface(vertices, surface.triangles)
     farthest = float(np.linalg.norm(vertices - surface.vertices, axis=1).max())
-    if farthest > FARTHEST * float(np.median(edge_lengths(surface.vertices, surface.triangles))):
+    thickness = 2.0 * volume / surface.area
+    edge = float(np.median(edge_lengths(surface.vertices, surface.triangles)))
+    if farthest > min(FARTHEST * edge, THICKENED * thickness):
         return None
     if abs(float(moved.volumes.sum()) - volume) > NEAR * volume:
         return None

@@ -37,10 +37,12 @@ class Cleaned:
 
     Attributes:
         islands: Pieces apart from the largest that were removed.
+        removed: Part of the voxels that was in these.
         cavities: Cavities that were filled.
     """
 
     islands: int
+    removed: float
     cavities: int
 
 
@@ -56,12 +58,12 @@ def choose_label(volume: RawVolume, label: int | None, name: str) -> int:
         ValueError: If it is not there, or none was named and there are several; the message lists those that are.
     """
     found, counts = np.unique(volume.labels, return_counts=True)
-    there = {int(value): int(count) for value, count in zip(found, counts, strict=True) if value != 0}
+    there = {int(value): int(count) for value, count in zip(found, counts, strict=True) if value > 0}
     listed = ", ".join(f"{value} ({count} voxels)" for value, count in list(there.items())[:MOST_LISTED])
     if len(there) > MOST_LISTED:
         listed += f" and {len(there) - MOST_LISTED} more; if it is an image and no segmentation, segment it first"
     if not there:
-        raise ValueError(f"{name} holds no label: all its voxels are 0")
+        raise ValueError(f"{name} holds no label: none of its voxels is above 0")
     if label is None and len(there) == 1:
         return next(iter(there))
     if label is None:
@@ -84,16 +86,18 @@ def clean_voxels(inside: BoolArray, *, keep_islands: bool, keep_cavities: bool) 
     """
     ndimage = load("scipy.ndimage")
     islands = cavities = 0
+    removed = 0.0
     if not keep_islands:
         # Voxels are of one piece if they share a face: at a shared edge, the surface would be no manifold.
         pieces, count = ndimage.label(inside)
         sizes = np.bincount(pieces.ravel())[1:]
         inside, islands = pieces == 1 + int(np.argmax(sizes)), count - 1
+        removed = 1.0 - float(sizes.max() / sizes.sum())
     if not keep_cavities:
         filled = ndimage.binary_fill_holes(inside)
         cavities = int(ndimage.label(filled & ~inside)[1])
         inside = filled
-    return inside, Cleaned(islands, cavities)
+    return inside, Cleaned(islands, removed, cavities)
 
 
 def crop(inside: BoolArray, affine: FloatArray) -> tuple[BoolArray, FloatArray]:

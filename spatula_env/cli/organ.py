@@ -141,11 +141,15 @@ def _options(chosen: argparse.Namespace) -> PrepareOptions:
 def _read_nodes(path: Path | None) -> tuple[int, ...]:
     if path is None:
         return ()
-    words = path.read_text(encoding="utf-8").replace(",", " ").split()
     try:
-        return tuple(map(int, words))
+        nodes = tuple(map(int, path.read_text(encoding="utf-8").replace(",", " ").split()))
+    except OSError as error:
+        raise CommandError(f"--hold-nodes: {path} cannot be read: {error.strerror}") from None
     except ValueError as error:
         raise CommandError(f"--hold-nodes must be a file of whole numbers, {path.name} is not: {error}") from None
+    if not nodes:
+        raise CommandError(f"--hold-nodes must be a file of whole numbers, {path.name} holds none")
+    return nodes
 
 
 def _check_writable(path: Path, option: str, endings: tuple[str, ...], overwrite: bool) -> None:
@@ -183,7 +187,7 @@ def _tell(report: Report, output: Path) -> None:
     result = report.result
     say(f"{output}: {result['nodes']} nodes, {result['triangles']} triangles, {result['tetrahedra']} tetrahedra")
     size = " x ".join(f"{value:.4g}" for value in result["size_mm"])
-    say(f"  {size} mm, {result['volume_cm3']:.4g} cm3{_change(result)}")
+    say(f"  {size} mm, {result['volume_cm3']:.4g} cm3{_change(result)}, up to {result['distance_mm']:.3g} mm from it")
     say("  edges {:.3g} / {:.3g} / {:.3g} mm (least, median, greatest)".format(*result["edges_mm"]))
     say("  angles {:.3g} / {:.3g} / {:.3g} degrees (least, 5%, greatest)".format(*result["angles_deg"]))
     say(f"  {result['held']} nodes held")

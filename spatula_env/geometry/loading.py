@@ -51,7 +51,8 @@ def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | Non
     suffix = file.suffix.lower()
     check_positive(scale, "scale")
     if not file.is_file():
-        raise FileNotFoundError(f"there is no file {os.fspath(file)!r}")
+        is_there = "is no file" if file.exists() else "does not exist"
+        raise FileNotFoundError(f"{os.fspath(file)!r} {is_there}")
     if suffix == PREPARED_SUFFIX:
         return read_prepared(file).scaled(scale, name)
     if suffix not in FILE_SUFFIXES:

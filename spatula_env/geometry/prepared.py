@@ -138,7 +138,9 @@ def read_prepared(path: Path) -> PreparedOrgan:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
-        raise ValueError(f"{path.name} cannot be read as an organ: {error}") from error
+        # What NumPy says of a file that is none of its own is how to load pickles.
+        reason = "it is no archive of NumPy" if "pickle" in str(error) else error
+        raise ValueError(f"{path.name} cannot be read as an organ: {reason}") from error
     missing = [name for name in NEEDED if name not in arrays]
     if missing:
         raise ValueError(f"{path.name} holds no organ of `spatula organ prepare`: it lacks {', '.join(missing)}")

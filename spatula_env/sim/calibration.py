@@ -35,7 +35,10 @@ POISSON = 0.5
 
 DEPTHS = (0.2, 0.3, 0.4, 0.5)
 """Depths below first contact at which the force is measured, in widths of the tool's face: 4 to 10 mm with a spatula of
-20 mm."""
+20 mm. In an organ that is thinner than the face is wide, they are parts of its thickness instead."""
+
+THINNEST = 0.1
+"""Least thickness of an organ under the tool, in widths of its face."""
 
 PLACES = ((0.0, 0.0), (0.25, 0.0), (-0.25, 0.0), (0.0, 0.25), (0.0, -0.25))
 """Offsets in x and y from the requested place, in widths of the tool's face. The force is averaged over them, because
@@ -55,11 +58,11 @@ def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: Ar
     """Choose a scene's scale such that forces are those of a material, by pressing the first tool onto the organ.
 
     This works for any organ. The tool comes down from above, oriented as in the scene, at five places close together,
-    and waits at four depths up to half its width. The mean of force over depth is compared with that of a flat punch
-    on an elastic half-space that is nearly incompressible (I. N. Sneddon, International Journal of Engineering
-    Science 3, 1965): force = modulus x 2a / (1 - ν²) x depth, a being the radius of the circle that has the area of the
-    tool's lower face. Masses in scene units do not change; what changes is the number of kilograms in a unit of mass,
-    and with it all forces in newtons and pressures in pascals.
+    and waits at four depths up to half its width, or half of the organ's thickness there. The mean of force over depth
+    is compared with that of a flat punch on an elastic half-space that is nearly incompressible (I. N. Sneddon,
+    International Journal of Engineering Science 3, 1965): force = modulus x 2a / (1 - ν²) x depth, a being the radius
+    of the circle that has the area of the tool's lower face. Masses in scene units do not change; what changes is the
+    number of kilograms in a unit of mass, and with it all forces in newtons and pressures in pascals.
 
     Args:
         scene: A scene with the organ and the tool. The other tools stay where they are.
@@ -70,7 +73,8 @@ def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: Ar
         The scene, with another scale.
 
     Raises:
-        ValueError: If an argument is not allowed, or there is no organ where the tool comes down or none that resists.
+        ValueError: If an argument is not allowed, or there is no organ where the tool comes down, or one that is too
+            thin or does not resist.
 
     Warns:
         SceneWarning: If force and depth are far from proportional, or about the scene itself; see `Simulation`.
@@ -91,8 +95,15 @@ def calibrated(scene: Scene, young_modulus: float = TISSUE_MODULUS, *, place: Ar
     if middle.shape != (2,) or not np.isfinite(middle).all():
         raise ValueError(f"place must be two finite numbers, got {place!r}")
     width = math.sqrt(lower_face(placed))
-    depths = np.array(DEPTHS) * width
-    starts = _first_contacts(scene, middle + np.array(PLACES) * width, width)
+    starts, thickness = _first_contacts(scene, middle + np.array(PLACES) * width, width)
+    if thickness < THINNEST * width:
+        length = 1e3 * scene.scale.length
+        raise ValueError(
+            f"scene {scene.name!r} must have an organ that is at least {THINNEST * width * length:.2g} mm thick under "
+            f"the tool, a tenth of the width of its face, for its stiffness to be measured; at {middle.tolist()} u it "
+            f"is {thickness * length:.2g} mm"
+        )
+    depths = np.array(DEPTHS) * min(width, thickness)
     forces = _forces(scene, starts, depths, width).mean(axis=0)
     stiffness = float(forces @ depths / (depths @ depths))
     if stiffness <= 0.0:
@@ -118,8 +129,13 @@ def lower_face(placed: PlacedTool) -> float:
     return float(0.5 * np.maximum(-across[:, 2], 0.0).sum())
 
 
-def _first_contacts(scene: Scene, places: FloatArray, width: float) -> FloatArray:
-    """(m, 3) where the tool's origin is when, coming down at places (p, 2), it first meets an organ, if it does [u]."""
+def _first_contacts(scene: Scene, places: FloatArray, width: float) -> tuple[FloatArray, float]:
+    """Find where a tool that comes down at places (p, 2) first meets an organ.
+
+    Returns:
+        (m, 3) where its origin is then, at those places at which it does [u], and how thick the organ is below, at the
+        thinnest [u].
+    """
     worlds = BatchSimulation(scene, len(places))
     nodes = worlds.nodes
     corners = rotate(np.array(scene.tools[0].orientation), scene.tools[0].tool.vertices)
@@ -142,7 +158,16 @@ def _first_contacts(scene: Scene, places: FloatArray, width: float) -> FloatArra
         middle = places[0].tolist()
         raise ValueError(f"there is no organ under the tool at {middle} in scene {scene.name!r}; choose another place")
     found = ~np.isnan(met)
-    return np.column_stack([places[found], met[found]])
+    return np.column_stack([places[found], met[found]]), min(
+        z + under - _lowest_below(nodes[0], place, width, low)
+        for place, z in zip(places[found], met[found].tolist(), strict=True)
+    )
+
+
+def _lowest_below(nodes: FloatArray, place: FloatArray, width: float, low: float) -> float:
+    """Height of the lowest of the nodes (V, 3) under a face around a place (2,), or `low` if there are none [u]."""
+    under = (np.abs(nodes[:, :2] - place) <= 0.5 * width).all(axis=1)
+    return float(nodes[under, 2].min()) if under.any() else low
 
 
 def _forces(scene: Scene, starts: FloatArray, depths: FloatArray, width: float) -> FloatArray:

@@ -184,7 +184,7 @@ def test_tasks_that_need_parts_of_an_organ_say_so(task: str, organ: str) -> None
     ("value", "error", "told"),
     [
         ("liver.stl", ValueError, "organ must be a file of `spatula organ prepare`, which ends in .npz, got 'liver"),
-        ("nothing.npz", FileNotFoundError, "there is no file 'nothing.npz'"),
+        ("nothing.npz", FileNotFoundError, "'nothing.npz' does not exist"),
         (3, ValueError, "organ must be the path of a file of `spatula organ prepare`, or None, got 3"),
     ],
 )
