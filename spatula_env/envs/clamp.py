@@ -5,10 +5,11 @@ from __future__ import annotations
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.clamp import ClampConfig, ClampTask
+from spatula_env.tasks.clamp_anywhere import ClampAnywhereTask
 
 OPENING_RANGE = (0.002, 0.032)
 """Least and greatest free width between the jaws [m]. A clamp for tissue does not close altogether: what is between its
@@ -39,6 +40,7 @@ CLAMP = Definition(
         untouched={"velocity": (5, 11)},
         face_count=12,
     ),
+    own_organ=OwnOrgan(scenes.organ_with_ridge, ClampAnywhereTask),
 )
 """Two jaws above a ridge."""
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.fissure import FissureConfig, FissureTask
+from spatula_env.tasks.fissure_anywhere import FissureAnywhereTask
 
 FISSURE = Definition(
     name="fissure",
@@ -37,6 +38,7 @@ FISSURE = Definition(
         untouched={"velocity": (5,)},
         face_count=6,
     ),
+    own_organ=OwnOrgan(scenes.organ_with_fissure, FissureAnywhereTask, {"max_force": 0.6}),
 )
 """A blade on edge above a fissure."""
 
