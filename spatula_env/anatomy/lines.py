@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IndexArray, IntArray
 
 FARTHEST = 3.0
-"""Greatest distance of a point from the nearest node, in mean edges of that node; also the least half width of the strip
-in which a way lies, seen from above, in mean edges of the surface."""
+"""Greatest distance of a point from the nearest node, in mean edges of that node; also the least half width of the
+strip in which a way lies, seen from above, in mean edges of the surface."""
 
 NEAR = 0.5
 """By how much farther than the nearest node one may be that is lower or higher and taken for a point, in such edges."""

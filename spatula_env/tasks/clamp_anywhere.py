@@ -111,33 +111,31 @@ class ClampAnywhereTask(ClampTask):
 
     def _deepest(self, profile: Profile, middle: float) -> tuple[float, float, float]:
         """How deep the jaws get beside the ridge, and y of its sides there [m]."""
-        widest = self.config.start_opening_range[1]
-        top = self._top(self.setting)
-        told = ""
+        # Why they do not get to each of the depths, and the same in words.
+        faults: dict[str, list[str]] = {}
         for depth in np.arange(DEPTHS[1], DEPTHS[0] - 0.5 * STEP, -STEP).tolist():
             low, high = profile.sides(depth)
-            width = high - low
-            if not np.isfinite(width):
-                told = f"{1e3 * depth:.0f} mm below its crest it has not two flanks all along the jaws"
-                continue
-            told = (
-                f"{1e3 * depth:.0f} mm below its crest it is {1e3 * width:.1f} mm wide, "
-                f"{1e3 * LEAST_WIDTH:.0f} to {1e3 * (widest - 2.0 * ROOM):.0f} mm are allowed"
-            )
-            if not LEAST_WIDTH <= width <= widest - 2.0 * ROOM:
-                continue
-            lean = profile.lean(depth)
-            told = (
-                f"{1e3 * depth:.0f} mm below its crest its flanks lean by {lean:.2f} mm per mm of height, "
-                f"{STEEPEST:g} are allowed"
-            )
-            if lean > STEEPEST:
-                continue
-            told = f"there is no room beside it for jaws {1e3 * depth:.0f} mm below its crest"
-            grip = np.array([middle, 0.5 * (low + high), profile.top - depth - self.setting.tool_low[2]])
-            if jaws_fit(self.setting, grip, width + 2.0 * ROOM, top):
+            fault, told = self._fault_at(profile, depth, middle, low, high)
+            if not fault:
                 return depth, low, high
-        raise self._unfit(told)
+            faults.setdefault(fault, []).append(f"{1e3 * depth:.0f} mm below its crest {told}")
+        raise self._unfit(max(faults.values(), key=len)[-1])
+
+    def _fault_at(self, profile: Profile, depth: float, middle: float, low: float, high: float) -> tuple[str, str]:
+        """Why the jaws cannot grip that deep, in a word and in numbers; "" twice if they can."""
+        width, widest = high - low, self.config.start_opening_range[1]
+        if not np.isfinite(width):
+            return "ends", "it has not two flanks all along the jaws"
+        if not LEAST_WIDTH <= width <= widest - 2.0 * ROOM:
+            allowed = f"{1e3 * LEAST_WIDTH:.0f} to {1e3 * (widest - 2.0 * ROOM):.0f} mm"
+            return "width", f"it is {1e3 * width:.1f} mm wide, {allowed} are allowed"
+        lean = profile.lean(depth)
+        if lean > STEEPEST:
+            return "lean", f"its flanks lean by {lean:.2f} mm per mm of height, {STEEPEST:g} are allowed"
+        grip = np.array([middle, 0.5 * (low + high), profile.top - depth - self.setting.tool_low[2]])
+        if not jaws_fit(self.setting, grip, width + 2.0 * ROOM, self._top(self.setting)):
+            return "room", "there is no room for the jaws beside it"
+        return "", ""
 
     def _check_grip(self, grip: FloatArray, width: float) -> None:
         """Check that the jaws' middle may be where they grip."""

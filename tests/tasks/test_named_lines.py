@@ -175,15 +175,15 @@ def test_a_slope_is_no_flank() -> None:
 
 
 def test_jaws_need_room_beside_a_ridge() -> None:
-    """Beside a post of 10 mm, which stands 4 mm away from it."""
+    """Beside a post of 10 mm, which stands 2.5 mm away from it."""
     one = fold()
     post = box_surface((0.5, 0.5, 0.9), 1.0)
     vertices = post.vertices - [0.0, post.vertices[:, 1].min(), post.vertices[:, 2].min()]
     both = PreparedOrgan(
-        np.concatenate([one.vertices, vertices + np.array([0.0, 0.0105 / UNIT_LENGTH, 1.25])]),
+        np.concatenate([one.vertices, vertices + np.array([0.0, 0.009 / UNIT_LENGTH, 1.25])]),
         np.concatenate([one.triangles, post.triangles + len(one.vertices)]),
         "folds",
         lines=one.lines,
     )
-    with pytest.raises(ValueError, match="there is no room beside it for jaws"):
+    with pytest.raises(ValueError, match="mm below its crest there is no room for the jaws beside it"):
         gripped(both)
