@@ -124,9 +124,9 @@ class Report:
         read: Vertices and triangles as read, or as marching cubes gave them.
         changes: What was changed, in words.
         steps: The surface after each step, those that were given up included.
-        result: Numbers of the organ: nodes, triangles, held, size_mm, volume_cm3, volume_change, edges_mm,
-            angles_deg, and tetrahedra. The change is a part of the volume of the segmentation, of the cleaned voxels
-            or of the mended surface; None if that is not closed.
+        result: Numbers of the organ: nodes, triangles, held, lines (nodes and length_mm of each), size_mm, volume_cm3,
+            volume_change, edges_mm, angles_deg, and tetrahedra. The change is a part of the volume of the
+            segmentation, of the cleaned voxels or of the mended surface; None if that is not closed.
         warnings: What to look at.
     """
 
