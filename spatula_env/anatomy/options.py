@@ -44,6 +44,9 @@ class PrepareOptions:
         hold: Half spaces whose nodes are held, such as "z<0.01" [m]; several in one, with commas, must all be met.
         hold_boxes: Boxes whose nodes are held: lower corner, then upper corner, six numbers each [m].
         hold_nodes: Indices of further held nodes.
+        fissure: Points along the floor of a fissure, its two ends at least, three numbers each [m]; none if the organ
+            is not to name one. As those of `hold`, they are positions after turning and placing.
+        ridge: The same along the crest of a ridge.
         fill: Whether tetrahedra are made: "auto" if Netgen is installed, "yes", "no".
     """
 
@@ -58,6 +61,8 @@ class PrepareOptions:
     hold: tuple[str, ...] = ()
     hold_boxes: tuple[tuple[float, ...], ...] = ()
     hold_nodes: tuple[int, ...] = ()
+    fissure: tuple[tuple[float, ...], ...] = ()
+    ridge: tuple[tuple[float, ...], ...] = ()
     fill: str = "auto"
 
     def __post_init__(self) -> None:
@@ -80,6 +85,10 @@ class PrepareOptions:
         for box in self.hold_boxes:
             if len(box) != 6 or not all(map(is_number, box)) or any(box[k] > box[k + 3] for k in range(3)):
                 raise ValueError(f"hold_boxes must be lower corners, then upper corners, six numbers, got {box}")
+        for name in ("fissure", "ridge"):
+            points = getattr(self, name)
+            if len(points) == 1 or not all(len(point) == 3 and all(map(is_number, point)) for point in points):
+                raise ValueError(f"{name} must be two points or more, three numbers each, in metres, got {points}")
 
 
 @dataclass(frozen=True)
@@ -115,9 +124,9 @@ class Report:
         read: Vertices and triangles as read, or as marching cubes gave them.
         changes: What was changed, in words.
         steps: The surface after each step, those that were given up included.
-        result: Numbers of the organ: nodes, triangles, held, size_mm, volume_cm3, volume_change, edges_mm,
-            angles_deg, and tetrahedra. The change is a part of the volume of the segmentation, of the cleaned voxels
-            or of the mended surface; None if that is not closed.
+        result: Numbers of the organ: nodes, triangles, held, lines (nodes and length_mm of each), size_mm, volume_cm3,
+            volume_change, edges_mm, angles_deg, and tetrahedra. The change is a part of the volume of the
+            segmentation, of the cleaned voxels or of the mended surface; None if that is not closed.
         warnings: What to look at.
     """
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from spatula_env.anatomy.distances import greatest_distance
 from spatula_env.anatomy.holes import Hole, fill_holes
+from spatula_env.anatomy.lines import length_of, traced
 from spatula_env.anatomy.options import METRES, PrepareOptions, Report, Step
 from spatula_env.anatomy.posing import held_nodes, posed
 from spatula_env.anatomy.reading import RawVolume, read_file
@@ -31,7 +32,7 @@ from spatula_env.anatomy.volumes import restored
 from spatula_env.anatomy.voxels import choose_label, clean_voxels, crop, surface_of_voxels
 from spatula_env.geometry.crossings import self_crossings
 from spatula_env.geometry.meshes import Organ
-from spatula_env.geometry.prepared import UNIT_LENGTH, PreparedOrgan
+from spatula_env.geometry.prepared import FISSURE, RIDGE, UNIT_LENGTH, PreparedOrgan
 from spatula_env.geometry.surface import connected_components
 from spatula_env.geometry.tetrahedra import tetrahedralize
 from spatula_env.installing import DISTRIBUTION
@@ -313,17 +314,26 @@ def _finished(
     """The organ, posed, held and filled, and its numbers."""
     vertices = posed(surface.vertices, options.up, options.place)
     held = held_nodes(vertices, options)
+    lines = {
+        name: traced(vertices, surface.triangles, points, name)
+        for name, points in ((FISSURE, options.fissure), (RIDGE, options.ridge))
+        if points
+    }
     organ = Organ(vertices / UNIT_LENGTH, surface.triangles.astype(np.int32), name)
     filling = None
     if options.fill == "yes" or (options.fill == "auto" and find_spec("netgen") is not None):
         log.progress("filling with tetrahedra")
         filling = tetrahedralize(organ)
-    prepared = PreparedOrgan(organ.vertices, organ.triangles, name, held=held, filling=filling)
+    prepared = PreparedOrgan(organ.vertices, organ.triangles, name, held=held, filling=filling, lines=lines)
     corners, lengths = angles(vertices, surface.triangles), 1e3 * edge_lengths(vertices, surface.triangles)
     result: dict[str, Any] = {
         "nodes": len(vertices),
         "triangles": len(surface.triangles),
         "held": len(held),
+        "lines": {
+            name: {"nodes": len(nodes), "length_mm": round(1e3 * length_of(vertices[list(nodes)]), 2)}
+            for name, nodes in lines.items()
+        },
         "size_mm": (1e3 * np.ptp(vertices, axis=0)).round(2).tolist(),
         "volume_cm3": round(1e6 * float(surface.volumes.sum()), 4),
         "volume_change": None if change is None else round(change, 4),

@@ -19,7 +19,7 @@ FLAGS = {"hold_boxes": "hold-box", "fill": "tetrahedra"}
 """Options that are named otherwise than the arguments of `PrepareOptions`."""
 
 NAMED = (
-    re.compile(r"^(units|label|nodes|widest_hole|hold|hold_boxes|hold_nodes|fill)( must )"),
+    re.compile(r"^(units|label|nodes|widest_hole|hold|hold_boxes|hold_nodes|fissure|ridge|fill)( must )"),
     re.compile(r"(?<=; )(widest_hole)( allows )"),
     re.compile(r"(?<=: )(units)(=(?:mm|m)\?)$"),
 )
@@ -78,6 +78,12 @@ def add_parser(commands: Parsers) -> None:
         help="box that is held [m]",
     )
     each.add_argument("--hold-nodes", type=Path, metavar="FILE", help="text with the indices of held nodes")
+    for name, what in (("fissure", "floor"), ("ridge", "crest")):
+        each.add_argument(
+            f"--{name}",
+            metavar="'X,Y,Z X,Y,Z'",
+            help=f"the two ends of a {name}'s {what}, or more points along it [m], or a text file of them",
+        )
     each.add_argument(
         "--tetrahedra", choices=("auto", "yes", "no"), default="auto", help="auto: if Netgen is installed"
     )
@@ -134,6 +140,8 @@ def _options(chosen: argparse.Namespace) -> PrepareOptions:
         hold=tuple(chosen.hold),
         hold_boxes=tuple(map(tuple, chosen.hold_box)),
         hold_nodes=_read_nodes(chosen.hold_nodes),
+        fissure=_read_points(chosen.fissure, "--fissure"),
+        ridge=_read_points(chosen.ridge, "--ridge"),
         fill=chosen.tetrahedra,
     )
 
@@ -150,6 +158,24 @@ def _read_nodes(path: Path | None) -> tuple[int, ...]:
     if not nodes:
         raise CommandError(f"--hold-nodes must be a file of whole numbers, {path.name} holds none")
     return nodes
+
+
+def _read_points(text: str | None, option: str) -> tuple[tuple[float, ...], ...]:
+    """Points of an option, which has them itself or names a file of them; commas and spaces separate numbers."""
+    if text is None:
+        return ()
+    path = Path(text)
+    words = (path.read_text(encoding="utf-8") if path.is_file() else text).replace(",", " ").split()
+    try:
+        numbers = tuple(map(float, words))
+    except ValueError:
+        numbers = ()
+    if len(numbers) < 6 or len(numbers) % 3:
+        raise CommandError(
+            f"{option} must be like '0.01,-0.02,0.03 0.01,0.02,0.03', two points or more in metres, or a text file of "
+            f"them, got {text!r}"
+        )
+    return tuple(numbers[first : first + 3] for first in range(0, len(numbers), 3))
 
 
 def _check_writable(path: Path, option: str, endings: tuple[str, ...], overwrite: bool) -> None:
@@ -191,5 +217,7 @@ def _tell(report: Report, output: Path) -> None:
     say("  edges {:.3g} / {:.3g} / {:.3g} mm (least, median, greatest)".format(*result["edges_mm"]))
     say("  angles {:.3g} / {:.3g} / {:.3g} degrees (least, 5%, greatest)".format(*result["angles_deg"]))
     say(f"  {result['held']} nodes held")
+    for name, line in result["lines"].items():
+        say(f"  {name}: {line['nodes']} nodes, {line['length_mm']:.4g} mm long")
     for warning in report.warnings:
         note(f"warning: {warning}")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.clamp import ClampConfig, ClampTask
+from spatula_env.tasks.clamp_anywhere import ClampAnywhereTask
 
 OPENING_RANGE = (0.002, 0.032)
 """Least and greatest free width between the jaws [m]. A clamp for tissue does not close altogether: what is between its
@@ -39,6 +40,7 @@ CLAMP = Definition(
         untouched={"velocity": (5, 11)},
         face_count=12,
     ),
+    own_organ=OwnOrgan(scenes.organ_with_ridge, ClampAnywhereTask),
 )
 """Two jaws above a ridge."""
 
@@ -148,6 +150,19 @@ class ClampEnv(SpatulaEnv):
     ## Info
     Besides what every environment tells (see `SpatulaEnv`): `lift`, `lift_error` and `slip` [m]; `gripped`, 1 with a
     grip and 0 without; and `grip_force`, that of the jaw that presses less [N].
+
+    ## An Organ of One's Own
+    With `organ="FILE.npz"`, a file of `spatula organ prepare --ridge`, the organ stands on the ground, turned about the
+    vertical so that its ridge runs along x, and the workspace is over the middle of it. The ridge is what is between
+    the jaws there, which get 18 mm below its crest, or less deep where they do not fit, down to 8 mm. The crest is what
+    is at most 3 mm below the lowest point of its top between the jaws. The jaws start above all of the organ.
+    Observations have one more part, `ridge_shape` (3): the ridge's width, and the heights above the middle of its
+    flanks where the jaws grip and where they are free of the organ [m]. Budget and limits are those of the preset.
+
+    An organ is refused, with the numbers, if the ridge is shorter than half a jaw, narrower than 6 mm, or wider than
+    the jaws are open at the start, less 2 mm; if its flanks lean by more than a tenth of their height; if jaws do not
+    get beside it; or if nodes are held that are nearer to the jaws than ten times the greatest lift. So most organs
+    have to lie free, as the preset's does.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. Another default has

@@ -133,7 +133,7 @@ class Episodes:
             settings.max_speed,
             settings.max_rotation_rate,
             settings.max_jaw_speed,
-            definition.stop_height,
+            definition.stop_height if self.task.stop_height is None else self.task.stop_height,
         )
         self.observation_builder = ObservationBuilder(
             self.setting,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
 from spatula_env.envs.observed_ranges import ObservedRanges
-from spatula_env.envs.settings import Definition
+from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
 from spatula_env.tasks.fissure import FissureConfig, FissureTask
+from spatula_env.tasks.fissure_anywhere import FissureAnywhereTask
 
 FISSURE = Definition(
     name="fissure",
@@ -37,6 +38,7 @@ FISSURE = Definition(
         untouched={"velocity": (5,)},
         face_count=6,
     ),
+    own_organ=OwnOrgan(scenes.organ_with_fissure, FissureAnywhereTask, {"max_force": 0.6}),
 )
 """A blade on edge above a fissure."""
 
@@ -146,6 +148,19 @@ class FissureEnv(SpatulaEnv):
     Besides what every environment tells (see `SpatulaEnv`): `exposure`, the share of the target that is seen;
     `target_distance`, from the blade's lower edge to 3 mm above and 2 mm beside the target, where the sight leans to
     [m]; and `view_error`, the angle between the blade's tilt and the line of sight's [rad].
+
+    ## An Organ of One's Own
+    With `organ="FILE.npz"`, a file of `spatula organ prepare --fissure`, the organ stands on the ground, turned about
+    the vertical so that its fissure runs along x, and the workspace is over the middle of it. The floor is a parabola
+    through the nodes of its line, which are held too. Targets are within 10 mm of the middle, nearer where the blade
+    does not get down farther away. Tools are stopped 2 mm above the lowest place of the floor. Observations have one
+    more part, `fissure_depth` (1), how high the organ's top is above the target [m]. `max_force` is 0.6 N. Budget and
+    limits are those of the preset.
+
+    An organ is refused, with the numbers, if the upright blade meets it on the way down to 3 mm above the target in
+    the middle; if more than a tenth of the target is inside it, or more than half is seen at rest; if the floor is
+    deeper than the blade reaches, or its lips are higher than the blade; if a wall would have to be moved aside by more
+    than 13 mm; or if that wall is nearer to held nodes than one and a half times of what it has to be moved.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `FissureConfig`. Other defaults have

@@ -38,19 +38,19 @@ def scene_of(definition: Definition, settings: EnvSettings) -> Scene:
     """
     if settings.organ is None:
         scene = definition.scene()
-    else:
-        assert definition.own_organ is not None
-        organ = load_organ(settings.organ)
-        assert isinstance(organ, PreparedOrgan)
-        scene = definition.own_organ.scene(organ)
+        return scene if settings.material is None else with_material(scene, settings.material)
+    own = definition.own_organ
+    assert own is not None
+    assert settings.engine is not None
+    organ = load_organ(settings.organ)
+    assert isinstance(organ, PreparedOrgan)
+    scene = own.scene(organ)
     if settings.material is not None:
         scene = with_material(scene, settings.material)
-    if settings.organ is None:
-        return scene
-    assert settings.engine is not None
     abilities = load_engine(settings.engine).abilities
     if abilities.springs:
-        return calibrated(scene)
+        vertices = scene.organs[0].organ.vertices
+        return calibrated(scene, place=vertices[vertices[:, 2].argmax(), :2])
     return with_short_steps(scene) if abilities.materials else scene
 
 

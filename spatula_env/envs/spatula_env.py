@@ -252,7 +252,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     With `engine=None` it is `"bullet"` where PyBullet is installed, else `"batch"`, and a warning says so once;
     `env.spec` has the one that is used. `material` is a `scenes.Material`, a mapping of its fields, or the name of a
     region of the brain, as `"cortex"`; None is the engine's default, and all that the engines of springs take. `organ`
-    is a file of `spatula organ prepare`, for Press, Palpate and Retract, which tell what is then different.
+    is a file of `spatula organ prepare`; each task tells what is then different, and what it needs of the organ.
 
     Attributes:
         definition: Scene and task; subclasses have one.

@@ -22,8 +22,8 @@ FILE_SUFFIXES = (".obj", ".stl", ".ply")
 def load_organ(path: str | os.PathLike[str], scale: float = 1.0, name: str | None = None) -> Organ:
     """Read an organ from an OBJ, STL or PLY file, or from an .npz that `spatula organ prepare` has written.
 
-    An .npz gives a :class:`~spatula_env.geometry.prepared.PreparedOrgan`, with its held nodes and its tetrahedra, in
-    scene units; it needs no extra. Of the other files, nodes and triangles keep the
+    An .npz gives a :class:`~spatula_env.geometry.prepared.PreparedOrgan`, with its held nodes, its lines and its
+    tetrahedra, in scene units; it needs no extra. Of the other files, nodes and triangles keep the
     file's order. STL files name no shared vertices, so there vertices at the same position become one, in the order in
     which the file first names them. Faces of more than three corners are divided into triangles. Nothing else is
     changed: a surface with a defect is an error, which :func:`spatula_env.anatomy.prepare_organ` may mend. Needs the

@@ -19,6 +19,7 @@ from spatula_env.scenes.base import (
 from spatula_env.scenes.clamp import JAW_CLEARANCE, clamp
 from spatula_env.scenes.fissure import FISSURE_CLEARANCE, ON_EDGE, fissure
 from spatula_env.scenes.material import BrainRegion, Material, ModelName, as_material
+from spatula_env.scenes.own_lines import organ_with_fissure, organ_with_ridge
 from spatula_env.scenes.own_organ import organ_from_above, organ_from_aside, own_organ
 from spatula_env.scenes.palpate import palpate
 from spatula_env.scenes.retract import BLADE_CLEARANCE, QUARTER_TURN, UPRIGHT, retract
@@ -48,6 +49,8 @@ __all__ = [
     "fissure",
     "organ_from_above",
     "organ_from_aside",
+    "organ_with_fissure",
+    "organ_with_ridge",
     "own_organ",
     "palpate",
     "retract",

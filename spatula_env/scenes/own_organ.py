@@ -32,13 +32,13 @@ LEVEL, STEEP = 0.7, 0.35
 
 def organ_from_above(organ: PreparedOrgan, **options: Any) -> Scene:
     """A spatula, 20 x 20 x 2.5 mm, over an organ of one's own; see `own_organ`."""
-    options = {"tool": Tool.box(_units((0.02, 0.02, 0.0025), organ), nodes_per_edge=6), **options}
+    options = {"tool": Tool.box(in_units((0.02, 0.02, 0.0025), organ), nodes_per_edge=6), **options}
     return own_organ(organ, **options)
 
 
 def organ_from_aside(organ: PreparedOrgan, **options: Any) -> Scene:
     """An upright blade, 20 mm wide, 40 mm high and 1.8 mm thick, over an organ of one's own; see `own_organ`."""
-    size = _units((0.02, 0.04, 0.0018), organ)
+    size = in_units((0.02, 0.04, 0.0018), organ)
     blade = Tool.box(size, faces="all", node_spacing=0.004 / organ.unit_length, name="blade")
     return own_organ(
         organ,
@@ -91,23 +91,48 @@ def own_organ(
     organ = organ.moved((-x, -y, -organ.bounds[0, 2]))
     top = organ.vertices[organ.vertices[:, 2].argmax()]
     height = float(top[2]) + CLEARANCE / length + 0.5 * float(np.max(tool.size))
-    density = STANDARD_DENSITY if material is None else material.density
     placed = PlacedTool(
         tool,
         position=(float(top[0]), float(top[1]), height),
         orientation=tuple(np.asarray(orientation, dtype=np.float64).tolist()),
         friction=friction,
     )
+    return scene_on_ground(organ, (placed,), mass, dt, material, organ.held)
+
+
+def scene_on_ground(
+    organ: PreparedOrgan,
+    tools: tuple[PlacedTool, ...],
+    mass: float,
+    dt: float,
+    material: Material | None,
+    fixed_nodes: tuple[int, ...],
+) -> Scene:
+    """A scene of an organ that stands on the ground, and tools; see `own_organ`.
+
+    Args:
+        organ: The organ, as it stands.
+        tools: The tools, placed.
+        mass: Mass of the organ [kg].
+        dt: Length of a physics step [s].
+        material: What the organ is made of; None for none.
+        fixed_nodes: Nodes that do not move.
+
+    Returns:
+        The scene. Its scale gives the organ its density.
+    """
+    density, length = STANDARD_DENSITY if material is None else material.density, organ.unit_length
     return Scene(
-        organs=(PlacedOrgan(organ, mass=mass, fixed_nodes=organ.held, material=material),),
-        tools=(placed,),
+        organs=(PlacedOrgan(organ, mass=mass, fixed_nodes=fixed_nodes, material=material),),
+        tools=tools,
         dt=dt,
         scale=Scale(length=length, mass=density * organ.volume * length**3 / mass),
         name="own_organ",
     )
 
 
-def _units(lengths: tuple[float, ...], organ: PreparedOrgan) -> NDArray[np.float64]:
+def in_units(lengths: tuple[float, ...], organ: PreparedOrgan) -> NDArray[np.float64]:
+    """Lengths [m] in the scene units of an organ [u]."""
     return np.array(lengths) / organ.unit_length
 
 

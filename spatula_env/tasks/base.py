@@ -84,6 +84,7 @@ class Task(ABC):
         definition: Version number of the task's goals, rewards and costs. Policies, data sets and results carry it:
             those with another number belong to another task.
         extra_parts: The task's own pieces of the observation.
+        stop_height: Height above the ground below which no point of a tool gets [m]; None for that of the environment.
         setting: Setting of the task, without anything drawn at random.
     """
 
@@ -93,6 +94,7 @@ class Task(ABC):
     hindsight: ClassVar[bool] = True
     definition: ClassVar[int] = 1
     extra_parts: tuple[PartSpec, ...] = ()
+    stop_height: float | None = None
 
     def __init__(self, config: TaskConfig, setting: Setting, goal_low: ArrayLike, goal_high: ArrayLike) -> None:
         """Prepare the task for a setting.

@@ -131,14 +131,11 @@ class ClampTask(Task):
         Raises:
             ValueError: If the organ has no ridge, there are not two tools, or a goal or a start is out of reach.
         """
-        organ = organ_with_parts(setting, RidgedBlock, "flanks", "crest")
         if len(setting.tools) != 2:
             raise ValueError(f"setting.tools must be two jaws, got {len(setting.tools)}")
         super().__init__(config, setting, [LEAST_LIFT, 0.0], [GREATEST_LIFT, GREATEST_SLIP])
         self.config = config
         self.extra_parts = (PartSpec("ridge_offset", "m", np.full(3, -GREATEST_OFFSET), np.full(3, GREATEST_OFFSET)),)
-        self._crest = organ.crest.astype(np.int64)
-        self._flanks = np.concatenate(organ.flanks).astype(np.int64)
         first, second = setting.tools
         away = second.offset - first.offset
         away = away / np.linalg.norm(away)
@@ -147,6 +144,7 @@ class ClampTask(Task):
         self._plane = _across(self._away)
         along = first.vertices @ self._plane.T
         self._middle, self._half = 0.5 * (along.max(axis=0) + along.min(axis=0)), 0.5 * np.ptp(along, axis=0)
+        self._crest, self._flanks = self._read_ridge()
         middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
         self.check_room("start_offset", config.start_offset, middle)
 
@@ -162,9 +160,8 @@ class ClampTask(Task):
         offset = generator.uniform(-config.start_offset, config.start_offset, size=(count, 2))
         height = generator.uniform(*config.start_height_range, size=count)
         opening = generator.uniform(*config.start_opening_range, size=count)
-        crest = setting.rest_nodes[self._crest]
         middle = setting.rest_nodes[self._flanks, :2].mean(axis=0)
-        grip = np.column_stack([middle + offset, crest[:, 2].max() + height - setting.tool_low[2]])
+        grip = np.column_stack([middle + offset, self._top(setting) + height - setting.tool_low[2]])
         return Start(goal=np.column_stack([lift, slip]), tool_position=grip, control=opening[:, None])
 
     def check_goal(self, goal: FloatArray) -> None:
@@ -261,6 +258,19 @@ class ClampTask(Task):
         ends = np.array([rest[np.argmin(rest[:, 0])], rest[np.argmax(rest[:, 0])]])
         ends[:, 2] = rest[:, 2].max() + goal[0]
         return Patch(self._crest), Path(ends)
+
+    def _read_ridge(self) -> tuple[IntArray, IntArray]:
+        """Nodes of the ridge's crest, and those of its flanks.
+
+        Raises:
+            ValueError: If the organ is no `RidgedBlock`.
+        """
+        organ = organ_with_parts(self.setting, RidgedBlock, "flanks", "crest")
+        return organ.crest.astype(np.int64), np.concatenate(organ.flanks).astype(np.int64)
+
+    def _top(self, setting: Setting) -> float:
+        """Height above which the jaws start on the organ of a setting [m]."""
+        return float(setting.rest_nodes[self._crest, 2].max())
 
     def _grip_forces(self, situation: Situation) -> tuple[FloatArray, FloatArray]:
         """Forces with which the jaws press on the ridge: the smaller one (W,) and the greater one (W,) [N]."""

@@ -175,7 +175,6 @@ class FissureTask(Task):
         Raises:
             ValueError: If the organ has no fissure, there are several tools, or a goal or a start is out of reach.
         """
-        organ = organ_with_parts(setting, FissuredBlock, "floor")
         if len(setting.tools) != 1:
             raise ValueError(f"setting.tools must be one blade, got {len(setting.tools)} tools")
         low, high = setting.workspace_low, setting.workspace_high
@@ -183,9 +182,7 @@ class FissureTask(Task):
         self.config = config
         self.extra_parts = (PartSpec("target_offset", "m", np.full(3, -GREATEST_OFFSET), np.full(3, GREATEST_OFFSET)),)
         self._triangles = np.array(setting.triangles)
-        floor = organ.floor
-        along = setting.rest_nodes[floor, 0]
-        self._ends = (int(floor[np.argmin(along)]), int(floor[np.argmax(along)]))
+        self._ends = self._read_ends()
         blade = setting.tools[0]
         self._corners, self._blade_start = blade.vertices, blade.orientation
         heights = turn(blade.orientation, blade.vertices)[:, 2]
@@ -203,7 +200,8 @@ class FissureTask(Task):
             Goals (W, 3), positions (W, 3) [m] and orientations (W, 4) of the blade.
         """
         config = self.config
-        place = generator.uniform(-config.place_limit, config.place_limit, size=count)
+        limit = min(config.place_limit, self._greatest_place())
+        place = generator.uniform(-limit, limit, size=count)
         view = generator.uniform(*config.view_range, size=count) * generator.choice([-1.0, 1.0], size=count)
         exposure = generator.uniform(*config.exposure_range, size=count)
         offset = generator.uniform(-config.start_offset, config.start_offset, size=(count, 2))
@@ -246,7 +244,7 @@ class FissureTask(Task):
         scale = situation.tool_scale
         position, orientation = situation.tool_positions[:, 0], situation.tool_orientations[:, 0]
         middle, along = self._floor_line(situation.nodes)
-        target = self._target(middle, along, goal[:, 0])
+        target = self._target(situation.nodes, goal[:, 0])
         edge = position + turn(orientation, scale[:, None] * self._edge)
         corners = position[:, None] + turn(orientation[:, None], scale[:, None, None] * self._corners)
         exposure = self._exposure(situation.nodes, corners, target, along, goal[:, 1])
@@ -299,12 +297,22 @@ class FissureTask(Task):
     ) -> tuple[Mark, ...]:
         """The target's outline, and the line of sight."""
         nodes = self.setting.rest_nodes[None] if situation is None else situation.nodes
-        middle, along = self._floor_line(nodes)
-        target = self._target(middle, along, goal[None, 0])[0]
+        _, along = self._floor_line(nodes)
+        target = self._target(nodes, goal[None, 0])[0]
         length, width = self.config.target_size
         across = np.cross([0.0, 0.0, 1.0], along[0])
         outline = [target + 0.5 * (x * length * along[0] + y * width * across) for x, y in _ROUND]
         return Path(np.array(outline)), Path(np.array([target, target + SIGHT_LENGTH * sight(goal[None, 1])[0]]))
+
+    def _read_ends(self) -> tuple[int, int]:
+        """The nodes at the two ends of the floor.
+
+        Raises:
+            ValueError: If the organ is no `FissuredBlock`.
+        """
+        floor = organ_with_parts(self.setting, FissuredBlock, "floor").floor
+        along = self.setting.rest_nodes[floor, 0]
+        return int(floor[np.argmin(along)]), int(floor[np.argmax(along)])
 
     def _floor_line(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """For organs (W, V, 3): middle of the floor's lowest line (W, 3) [m], and its direction (W, 3)."""
@@ -312,16 +320,21 @@ class FissureTask(Task):
         way = last - first
         return 0.5 * (first + last), way / np.sqrt((way**2).sum(axis=1, keepdims=True))
 
-    def _target(self, middle: FloatArray, along: FloatArray, place: FloatArray) -> FloatArray:
-        """(W, 3) the targets' middles at places (W,) [m]."""
+    def _target(self, nodes: FloatArray, place: FloatArray) -> FloatArray:
+        """(W, 3) the targets' middles at places (W,) on organs (W, V, 3) [m]."""
+        middle, along = self._floor_line(nodes)
         return np.asarray(middle + place[:, None] * along + [0.0, 0.0, self.config.target_height])
+
+    def _points(self, target: FloatArray, along: FloatArray) -> FloatArray:
+        """(W, K, 3) points of targets with middles (W, 3) that are tested for visibility [m]."""
+        across = np.cross([0.0, 0.0, 1.0], along)
+        return np.asarray(target[:, None] + self._grid[:, :1] * along[:, None] + self._grid[:, 1:] * across[:, None])
 
     def _exposure(
         self, nodes: FloatArray, corners: FloatArray, target: FloatArray, along: FloatArray, view: FloatArray
     ) -> FloatArray:
         """(W,) visible share of the target."""
-        across = np.cross([0.0, 0.0, 1.0], along)
-        points = target[:, None] + self._grid[:, :1] * along[:, None] + self._grid[:, 1:] * across[:, None]
+        points = self._points(target, along)
         seen = visible_points(
             np.ascontiguousarray(nodes),
             self._triangles,

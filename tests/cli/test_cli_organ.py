@@ -51,6 +51,8 @@ def test_an_organ_a_picture_and_a_report(ball: Path, capsys: pytest.CaptureFixtu
         (("--units", "m"), "in mm it would be 60 mm: --units mm?"),
         (("--units", "mm", "--label", "2"), "--label must not be given, as ball.obj is a surface: got 2"),
         (("--units", "mm", "--hold", "down"), '--hold must be like "z<0.01"'),
+        (("--units", "mm", "--ridge", "0,0,0.06"), "--ridge must be like '0.01,-0.02,0.03 0.01,0.02,0.03', two points"),
+        (("--units", "mm", "--fissure", "0,0,1 0,0,2"), "--fissure must be points on the surface: [0.0, 0.0, 1.0] is"),
         (("--units", "mm", "--hold-box", *"111000"), "--hold-box must be lower corners"),
         (("--units", "mm", "--widest-hole", "-1"), "--widest-hole must be positive"),
         (("--units", "mm", "--picture", "organ.gif"), "--picture must end in .png or .svg or .pdf"),
@@ -91,3 +93,20 @@ def test_held_nodes_from_a_file(ball: Path) -> None:
     assert isinstance(loaded, PreparedOrgan)
     assert loaded.held == (3, 4, 7)
     assert np.isfinite(loaded.vertices).all()
+
+
+def test_a_line_is_named_by_its_ends_or_by_a_file(ball: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ends = "-0.015,0,0.056 0.015,0,0.056"
+    points = ball.with_name("points.txt")
+    points.write_text(ends.replace(" ", "\n"), encoding="utf-8")
+    lines = []
+    for number, option in enumerate((ends, str(points))):
+        organ = ball.with_name(f"{number}.npz")
+        words = ["organ", "prepare", str(ball), "-o", str(organ), "--units", "mm", "--nodes", "200", "--ridge", option]
+        assert main([*words, "--tetrahedra", "no"]) == 0
+        loaded = load_organ(organ)
+        assert isinstance(loaded, PreparedOrgan)
+        lines.append(loaded.line("ridge"))
+    assert "  ridge: " in capsys.readouterr().out
+    np.testing.assert_array_equal(*lines)
+    assert (lines[0][:, 2] > 2.6).all()

@@ -174,12 +174,6 @@ def test_an_environment_is_made_again_from_its_record(organ: str, tmp_path: Path
         assert env.unwrapped.task.setting.organ.name == "ellipsoid"
 
 
-@pytest.mark.parametrize("task", ["Fissure", "Clamp"])
-def test_tasks_that_need_parts_of_an_organ_say_so(task: str, organ: str) -> None:
-    with pytest.raises(ValueError, match=f"organ must be None in {task.lower()}, which needs an organ with parts"):
-        made(task, organ)
-
-
 @pytest.mark.parametrize(
     ("value", "error", "told"),
     [

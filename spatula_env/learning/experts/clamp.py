@@ -49,6 +49,19 @@ ABOVE, BESIDE = 0.024, 0.02
 AT, LOW = 0.006, 0.0025
 """Heights of the grip above the ridge's middle [m]: below which the jaws close, and where they grip."""
 
+CLEARANCE = 0.004
+"""How far the grip is below where the jaws are free of the organ when it goes on down [m]."""
+
+ROOM = 0.008
+"""Excess of the jaws' free width over that of a ridge of an organ of one's own while they go down [m]."""
+
+WIDEST = 0.0315
+"""Greatest free width of the jaws while they go down [m]."""
+
+AIM, LEAST_AIM, FORCE_GAIN, FORCE_SPEED = 0.19, 0.15, 0.08, 0.008
+"""On a ridge of an organ of one's own: force of the jaw that presses less that is aimed at, and from which on it lifts
+[N]; speed of the jaws per force [m/(N s)], and greatest speed [m/s]."""
+
 IN_LINE, IN_PLACE = 0.0012, 0.002
 """Greatest misalignment with which the grip goes down: across and along the ridge [m]."""
 
@@ -71,6 +84,8 @@ class ClampExpert(Expert):
 
     def velocities(self, observation: Any) -> Mapping[str, FloatArray]:
         """See `Expert`."""
+        if self.has_part("ridge_shape"):
+            return self._by_force(observation)
         along, across, down = np.moveaxis(self.part(observation, "ridge_offset"), -1, 0)
         opening = self.part(observation, "jaw_opening")[..., 0]
         error, height = self.error(observation), -down
@@ -94,4 +109,31 @@ class ClampExpert(Expert):
             "velocity_y": towards(across),
             "velocity_z": np.where(holding, lifting, going),
             "jaw_speed": np.where(gripping, closing, CLOSING_GAIN * (OPEN - opening)),
+        }
+
+    def _by_force(self, observation: Any) -> Mapping[str, FloatArray]:
+        """On a ridge of an organ of one's own, whose width and stiffness differ: closes until the jaws press enough."""
+        along, across, down = np.moveaxis(self.part(observation, "ridge_offset"), -1, 0)
+        width, low, free = np.moveaxis(self.part(observation, "ridge_shape"), -1, 0)
+        opening, height = self.part(observation, "jaw_opening")[..., 0], -down
+        forces = self.part(observation, "contact_force")
+        force = np.minimum(-forces[..., 1], forces[..., 4])
+        open_width = np.minimum(width + ROOM, WIDEST)
+        gripping = height < low + AT - LOW
+        holding = gripping & (force > LEAST_AIM)
+        ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (opening > 0.5 * (width + open_width))
+        wanted_height = np.where(ready | (height < free - CLEARANCE), low, free)
+
+        def towards(distance: FloatArray) -> FloatArray:
+            return np.where(gripping, 0.0, np.clip(GAIN * distance, -FREE_SPEED, FREE_SPEED))
+
+        going = np.clip(GAIN * (wanted_height - height), -FREE_SPEED, FREE_SPEED)
+        lifting = np.clip(LIFT_GAIN * self.error(observation)[..., 0], -LIFT_SPEED, LIFT_SPEED)
+        closing = np.clip(FORCE_GAIN * (force - AIM), -FORCE_SPEED, FORCE_SPEED)
+        closing = np.where(opening > width + TOUCHING - WIDTH, -CLOSING_SPEED, closing)
+        return {
+            "velocity_x": towards(along),
+            "velocity_y": towards(across),
+            "velocity_z": np.where(holding, lifting, going),
+            "jaw_speed": np.where(gripping, closing, CLOSING_GAIN * (open_width - opening)),
         }

@@ -19,8 +19,11 @@ GAIN, FREE_SPEED = 6.0, 0.05
 TURN_GAIN, TURN_SPEED = 4.0, 0.4
 """Rate of rotation per angle [1/s], and greatest rate [rad/s]."""
 
-ABOVE, LIPS = 0.036, 0.027
-"""Heights above the target [m]: where the blade waits until aligned with the fissure, and below which it is inside."""
+DEPTH = 0.03
+"""Depth of the target in the fissure [m], where observations do not tell it."""
+
+ABOVE, LIPS = 0.006, -0.003
+"""Heights above the organ [m]: where the blade waits until aligned with the fissure, and below which it is inside."""
 
 LOW, DEEP = 0.004, 0.0035
 """Height above the target at which the blade's edge is held, and height above that at which opening begins [m]."""
@@ -58,7 +61,8 @@ class FissureExpert(Expert):
         height = -down
         deep = height < self.low + DEEP
         ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (np.abs(tilt) < UPRIGHT)
-        wanted_height = np.where(ready | (height < LIPS), self.low, ABOVE)
+        depth = self.part(observation, "fissure_depth")[..., 0] if self.has_part("fissure_depth") else DEPTH
+        wanted_height = np.where(ready | (height < depth + LIPS), self.low, depth + ABOVE)
 
         # Push the wall on the side to which the line of sight leans; a positive angle leans towards negative y.
         opening = np.minimum(np.abs(tilt) / TILTED, 1.0)
