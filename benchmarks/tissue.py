@@ -9,8 +9,8 @@ block          A block pressed by 10 % between plates that it is glued to: force
 plates         A sphere of 60 mm radius pressed between two frictionless plates: force against felupe.
 hertz          The same, by 0.6 mm a side: felupe against Hertz's formula, the limit of small strain.
 plate_meshes   The same with the second finest uniform mesh, against the finest.
-refinement     The spatula pressed 10 mm into spheres of 362, 1,212 and 4,842 nodes, held at their base: force of the
-               second against the third.
+refinement     The spatula pressed 10 mm into spheres of 362, 1,212 and 2,562 nodes, held at their base, with steps that
+               are short enough for each: force of the second against the third.
 coarse_mesh    The same, of the first against the third.
 time_step      The same with half the time step.
 modulus        The same with twice the modulus, which doubles the force, and twice the density, which keeps it.
@@ -45,6 +45,7 @@ from benchmarks import elements, flexes, solids
 from benchmarks.fidelity import Check
 from benchmarks.measure import finish, parser
 from spatula_env import scenes
+from spatula_env.envs.scenery import with_short_steps
 from spatula_env.geometry import Organ, Tool
 from spatula_env.scenes import Material, PlacedOrgan, PlacedTool, Scale, Scene
 from spatula_env.sim.mujoco.loading import import_mujoco
@@ -82,7 +83,7 @@ SQUEEZES = (0.03, 0.1, 0.2, 0.3)
 MESHES = {"162 nodes": (4, 0.0), "642": (8, 0.0), "642 graded": (8, 0.3), "2,562": (16, 0.0)}
 """Frequency and grading of spheres, the finest last; see `solids.graded_sphere`."""
 
-REFINED = {"362 nodes": 6, "1,212": 11, "4,842": 22}
+REFINED = {"362 nodes": 6, "1,212": 11, "2,562": 16}
 """Frequencies of the spheres that the spatula is pressed into, the finest last."""
 
 REFINED_DEPTH = 0.5
@@ -341,12 +342,11 @@ def check_plate_meshes(spheres: Spheres) -> Check:
 def refined_forces() -> dict[str, float]:
     """Forces on the spatula in each of `REFINED` [N]."""
     material = Material(viscosity=CALMING)
-    return {
-        mesh: flexes.press(
-            flexes.held_sphere(material, solids.geodesic_sphere(RADIUS, frequency)), "tissue", REFINED_DEPTH
-        ).force
-        for mesh, frequency in REFINED.items()
-    }
+    forces = {}
+    for mesh, frequency in REFINED.items():
+        scene = with_short_steps(flexes.held_sphere(material, solids.geodesic_sphere(RADIUS, frequency)))
+        forces[mesh] = flexes.press(scene, "tissue", REFINED_DEPTH).force
+    return forces
 
 
 def check_refined(index: int, limit: float) -> Check:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from spatula_env import Simulation, scenes
-from spatula_env.geometry import Tool, icosphere, torus
+from spatula_env.geometry import Tool, box_surface, icosphere, torus
 from spatula_env.sim import calibrated
 from spatula_env.sim.calibration import lower_face
 
@@ -92,3 +92,18 @@ def test_bad_places_are_refused(place):
 def test_bad_moduli_are_refused(modulus):
     with pytest.raises(ValueError, match="young_modulus must be positive"):
         calibrated(scenes.seed(), modulus)
+
+
+@pytest.mark.filterwarnings("ignore::spatula_env.sim.SceneWarning")
+def test_a_thin_organ_is_pressed_by_half_of_its_thickness_and_a_thinner_one_refused():
+    scene = scenes.seed()
+    for thickness, borne in ((0.4, True), (0.06, False)):
+        slab = box_surface((5.0, 4.0, thickness), 0.5)
+        organ = scenes.PlacedOrgan(slab, position=(0.0, 0.0, 0.5 * thickness))
+        fixed = tuple(np.flatnonzero(organ.vertices[:, 2] < 0.01).tolist())
+        thin = dataclasses.replace(scene, organs=(dataclasses.replace(organ, fixed_nodes=fixed),))
+        if borne:
+            assert calibrated(thin).scale.mass > 0.0
+        else:
+            with pytest.raises(ValueError, match="at least 2 mm thick under the tool"):
+                calibrated(thin)

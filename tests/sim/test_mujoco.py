@@ -19,6 +19,7 @@ from spatula_env.engines import choose_engine, is_installed
 from spatula_env.geometry import Tool
 from spatula_env.learning.experts import PressExpert
 from spatula_env.scenes import Material, PlacedTool, Scene
+from spatula_env.sim import SceneWarning
 from spatula_env.sim.engine import PRECISIONS, EngineOptions
 from spatula_env.sim.mujoco.engine import MujocoEngine
 from spatula_env.sim.mujoco.flex import UNSTATED, FlexOrgan
@@ -336,6 +337,12 @@ def test_states_of_mujocos_own_contact_go_on_exactly_and_tools_can_be_exchanged(
     assert worlds.advance(np.zeros((2, 1, 3)), steps=3).diverged.tolist() == [False, True]
     assert not list(tmp_path.iterdir())
     worlds.close()
+
+
+@needs_mujoco
+def test_steps_that_are_too_long_for_an_organ_are_told() -> None:
+    with pytest.warns(SceneWarning, match="forces of contact will shake with steps of"):
+        engine_of(make_scene(replace(ELASTIC, young_modulus=2e5, viscosity=50.0)))
 
 
 @needs_mujoco

@@ -18,6 +18,7 @@ from spatula_env.sim.mujoco.held import Held
 from spatula_env.sim.mujoco.loading import import_mujoco
 from spatula_env.sim.mujoco.model import FlexModel
 from spatula_env.sim.mujoco.tools import FlexTools, silent
+from spatula_env.sim.scene_checks import warn_of_long_steps
 
 if TYPE_CHECKING:
     from spatula_env.arrays import BoolArray, FloatArray, IntArray
@@ -58,9 +59,14 @@ class MujocoEngine:
         Raises:
             ImportError: If MuJoCo is not installed, or Netgen where it is needed; says what to install.
             ValueError: If MuJoCo has no counterpart of a material, or an organ cannot be filled.
+
+        Warns:
+            SceneWarning: If steps are too long for contact with an organ; see `warn_of_long_steps`.
         """
         self._mujoco = import_mujoco()
         self.flexes = FlexModel.of(scene, collides=options.contact == "mujoco")
+        for organ in self.flexes.organs:
+            warn_of_long_steps(organ.placed.organ, organ.wave_speed, scene.dt)
         self._scene, self._dt = scene, scene.dt
         self._models = [self.flexes.model] * worlds
         self._data = [self._mujoco.MjData(model) for model in self._models]

@@ -81,6 +81,12 @@ class FlexOrgan:
         fixed[list(self.placed.fixed_nodes)] = True
         return fixed
 
+    @property
+    def wave_speed(self) -> float:
+        """Speed of a shear wave [u/s]."""
+        shear = self.young_modulus / (2.0 * (1.0 + self.material.poisson_ratio))
+        return math.sqrt(shear * float(Solid(self.nodes, self.tetrahedra).volumes.sum() / self.masses.sum()))
+
     def substeps(self, dt: float) -> int:
         """Number of substeps in a step."""
         return math.ceil(dt / float(longest_substep(np.array(self.frequency**2), self.viscous_time)))

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from spatula_env._kernels import kernel
-from spatula_env._warnings import warn
 from spatula_env.sim.engine import PRECISIONS, Abilities, Strains
 from spatula_env.sim.lanes import choose_lanes
+from spatula_env.sim.scene_checks import warn_of_long_steps
 from spatula_env.sim.step import couple_worlds
-from spatula_env.sim.tissue.body import LONGEST_PASSAGE, TissueBody
+from spatula_env.sim.tissue.body import TissueBody
 from spatula_env.sim.tissue.kernels import Blocks, advance_block, advance_blocks, read_block, write_block
 from spatula_env.sim.tissue.signals import organ_strains
 
@@ -96,19 +96,12 @@ class TissueEngine:
             ValueError: If an organ cannot be filled.
 
         Warns:
-            SceneWarning: If steps are too long for contact with an organ; see `LONGEST_PASSAGE`.
+            SceneWarning: If steps are too long for contact with an organ; see `warn_of_long_steps`.
         """
         self.lanes = choose_lanes(worlds, options.threads)
         self.body = TissueBody(scene, worlds, lanes=self.lanes, dtype=PRECISIONS[options.precision])
         for lump in self.body.lumps:
-            passage = lump.passage(scene.dt)
-            if passage > LONGEST_PASSAGE:
-                warn(
-                    f"organ {lump.placed.organ.name!r} is so stiff, and its surface so fine, that forces of contact "
-                    f"will shake with steps of {scene.dt:.5f} s: a shear wave gets {passage:.2f} edges far in one. "
-                    f"Take dt of {scene.dt * LONGEST_PASSAGE / passage:.5f} s or less, a softer material or a coarser "
-                    "surface"
-                )
+            warn_of_long_steps(lump.placed.organ, lump.wave_speed, scene.dt)
 
     @property
     def inverse_masses(self) -> FloatArray:
