@@ -70,8 +70,11 @@ def with_types(lines: list[str], what: str, described: Any) -> list[str]:
         if match and types.get(name):
             kind = "type" if line.startswith(":param") else "vartype"
             out.insert(-1, f":{kind} {match[1]}{name}: `{types[name]}`")
-    if any(line.startswith(":returns:") for line in lines) and types.get("return"):
-        out.append(f":rtype: `{types['return']}`")
+    returned = next((index for index, line in enumerate(out) if line.startswith(":returns:")), None)
+    if returned is not None and types.get("return"):
+        # Behind what is said of it, which is as far as lines are indented.
+        end = next((index for index in range(returned + 1, len(out)) if out[index][:1].strip()), len(out))
+        out.insert(end, f":rtype: `{types['return']}`")
     return out
 
 
