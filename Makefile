@@ -3,7 +3,7 @@ SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-fast test-without-bullet test-ray test-lerobot test-libraries test-matrix test-all check format lock slow-tests \
-	clean distclean setup-demo setup-test setup-ray setup-lerobot setup-libraries setup-matrix
+	docs dist check-dist clean distclean setup-demo setup-test setup-ray setup-lerobot setup-libraries setup-matrix setup-docs
 
 BIN := .venv/bin
 UV ?= uv
@@ -61,6 +61,7 @@ test-all:  ## All of the above, then what was skipped in all of them, and why
 	$(BIN)/python scripts/summarize_tests.py $(RESULTS) $${failed:+--failed $$failed}
 
 RESULTS := build/test-results
+SITE := docs/_build
 
 # $(1): the folder of the interpreter. The result of each test is written into a file with the name of the target.
 # Python keeps what it has compiled, for the many processes that tests start, whatever is said outside.
@@ -76,12 +77,26 @@ format: setup-test  ## Format the code and mend what ruff can
 	$(BIN)/ruff check --fix --exit-zero
 	$(BIN)/ruff format
 
+docs: setup-docs  ## Set up .venv-docs, then build the site of the documentation in docs/_build; warnings are errors
+	@rm -rf $(SITE)
+	@OMP_NUM_THREADS=1 .venv-docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going --builder html \
+	  --conf-dir docs --doctree-dir build/doctrees --fresh-env . $(SITE) $(ARGS)
+	@echo 'The site is in $(SITE): open $(SITE)/index.html'
+
+dist: setup-docs  ## Build the source archive and the wheel in dist
+	@rm -rf dist
+	@.venv-docs/bin/python -m hatchling build
+
+check-dist: dist  ## Build both, then check what package indexes ask of their metadata
+	@.venv-docs/bin/python -m twine check --strict dist/*
+
 lock:  ## Renew the locks in requirements (needs uv)
 	@command -v $(UV) >/dev/null || { echo 'error: "make lock" needs uv: install it, or name it: UV=/path/to/uv' >&2; exit 1; }
 	$(call lock_file,lock.txt,$(LOCKED_EXTRAS),--python-version 3.10,$(CUDA))
 	$(call lock_file,lock-ray.txt,$(RAY_EXTRAS),--python-version 3.10,$(CUDA))
 	$(call lock_file,lock-lerobot.txt,$(LEROBOT_EXTRAS),--python-version 3.12 --no-config,^$$)
 	$(call lock_file,lock-libraries.txt,$(LIBRARIES_EXTRAS),--python-version 3.11 requirements/libraries.in,$(CUDA))
+	$(call lock_file,lock-docs.txt,,--python-version 3.11 requirements/docs.in,^$$)
 	@echo 'The locks are renewed; "make check test test-ray" tells whether all goes well with them.'
 
 # A lock, all at once. $(1): its name, $(2): the extras in it, $(3): options of uv, $(4): what is left out. LeRobot's is
@@ -95,7 +110,7 @@ define lock_file
 endef
 
 clean:  ## Remove caches and build outputs
-	rm -rf .nox build dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .nox build dist docs/_build .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -path './.venv*' -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean  ## Remove .venv, .venv-ray and the like as well
@@ -118,3 +133,6 @@ setup-matrix:
 
 setup-libraries:
 	@scripts/bootstrap.sh libraries
+
+setup-docs:
+	@scripts/bootstrap.sh docs

@@ -6,6 +6,7 @@
 #   scripts/bootstrap.sh ray         .venv-ray instead, with lock-ray.txt: what the tests with Ray need
 #   scripts/bootstrap.sh lerobot     .venv-lerobot, with lock-lerobot.txt and Python 3.12 or 3.13: those with LeRobot
 #   scripts/bootstrap.sh libraries   .venv-libraries, with libraries.in: those with other libraries for learning
+#   scripts/bootstrap.sh docs        .venv-docs, with lock-docs.txt: what builds the site, and the archives to upload
 #   scripts/bootstrap.sh matrix      .venv-matrix: nox, which tests the package with one interpreter after the other
 #
 # Versions come from requirements/lock.txt. PYTHON=... chooses the interpreter. A finished profile leaves a stamp made
@@ -231,7 +232,7 @@ set_up() {
     if [[ $1 == matrix ]]; then
         stage "nox (5 MB)" install nox
     else
-        stage "spatula_env with $CONTENT" install ${INPUT:+--requirement "$INPUT"} --no-build-isolation --editable ".[$EXTRAS]"
+        stage "spatula_env with $CONTENT" install ${INPUT:+--requirement "$INPUT"} --no-build-isolation --editable ".${EXTRAS:+[$EXTRAS]}"
     fi
     [[ -z $ALONE ]] || stage "libraries without what they ask for" install --no-deps --requirement "$ALONE"
     if [[ $1 == test ]]; then
@@ -270,6 +271,10 @@ case ${1:-} in
         EXTRAS="test,train" LOCK=requirements/lock-libraries.txt VENV=.venv-libraries VERSIONS="3.11 3.12"
         INPUT=requirements/libraries.in ALONE=requirements/libraries-alone.txt
         ;;
+    docs)
+        FOR="documentation" CONTENT="Sphinx (150 MB, about half a minute)" STAGES=3 EXTRAS="" TORCH="" TARGET=docs
+        LOCK=requirements/lock-docs.txt VENV=.venv-docs VERSIONS="3.11 3.12 3.13" INPUT=requirements/docs.in
+        ;;
     matrix)
         FOR="tests with all interpreters" STAGES=3 EXTRAS="" TORCH="" VENV=.venv-matrix
         ;;
@@ -277,7 +282,7 @@ case ${1:-} in
         interpreters
         exit
         ;;
-    *) fail "usage: scripts/bootstrap.sh demo|test|ray|lerobot|libraries|matrix|interpreters; got '${1:-}'." ;;
+    *) fail "usage: scripts/bootstrap.sh demo|test|ray|lerobot|libraries|docs|matrix|interpreters; got '${1:-}'." ;;
 esac
 LOG=$VENV/bootstrap.log
 UNFINISHED=$VENV/.unfinished # stands from the first change to the environment until the last

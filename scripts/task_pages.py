@@ -37,7 +37,15 @@ COMMON = "common"
 
 COMMAND = "python scripts/task_pages.py"
 
+HEAD = """This page is for you if you train, test or operate in this task: what is asked, with the tables of its action,
+observation, reward and information."""
+
+COMMON_HEAD = """This page is for you if you use any of the environments: the options, observations and information that
+all of them have."""
+
 PAGE = """# {title}
+
+{head}
 
 *Written by `{command}` from the docstring of [`{cls}`](../../{source}): change it there. [All tasks](../tasks.md).*
 {picture}
@@ -99,6 +107,7 @@ def page(name: str) -> str:
             f"contact pressure in colour](../images/{name}.png)\n"
         )
     return PAGE.format(
+        head=HEAD if name != COMMON else COMMON_HEAD,
         title=f"Spatula/{task}-v0" if name != COMMON else "What all environments have in common",
         command=COMMAND,
         cls=cls,

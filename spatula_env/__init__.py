@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from spatula_env.sim.simulation import Simulation
 
 __version__ = "0.1.0"
+"""The version of the package."""
 
 __all__ = ["Simulation", "__version__", "scenes"]
 

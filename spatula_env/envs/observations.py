@@ -94,8 +94,9 @@ def lerobot_keys(space: spaces.Space[Any]) -> dict[str, str]:
         space: Observation space of one environment.
 
     Returns:
-        New names by old ones: "observation.state" for a vector (called "observation" if it is the whole observation),
-        "state" or "sensors"; "observation.images.front" for "image"; and "observation.<name>" for other parts.
+        New names by old ones, such as "observation.state" for a vector (called "observation" if it is the whole
+        observation), "state" or "sensors"; "observation.images.front" for "image"; and "observation.<name>" for other
+        parts.
     """
     names = list(space.spaces) if isinstance(space, spaces.Dict) else ["observation"]
     return {name: LEROBOT_KEYS.get(name, f"observation.{name}") for name in names}

@@ -145,9 +145,9 @@ class Renderer:
             out: as in `render`.
 
         Returns:
-            The picture (H, W, 3), uint8, and the depth (H, W), float32: distance along the optical axis in u, at the
-            pixel's centre, of the nearest opaque thing in the pixel; the ground counts even where it has faded, and
-            the depth is `camera.far` where there is nothing. Translucent meshes do not count.
+            The picture (H, W, 3), uint8, and the depth (H, W), float32, which is the distance along the optical axis in
+            u, at the pixel's centre, of the nearest opaque thing in the pixel; the ground counts even where it has
+            faded, and the depth is `camera.far` where there is nothing. Translucent meshes do not count.
 
         Raises:
             ValueError: as in `render`.

@@ -11,9 +11,10 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from browsers import open_browser
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from web_helpers import new_page, open_browser, until
+from web_helpers import new_page, until
 
 from spatula_env.teleop.web import WebDevice
 

@@ -6,7 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, open_browser, steady, until, wait_for
+from browsers import open_browser
+from web_helpers import HUSH, PATIENCE, SEEN_AT, click, mesh, new_page, steady, until, wait_for
 
 from spatula_env.teleop.web import WebDevice, WebSession
 

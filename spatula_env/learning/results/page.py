@@ -18,6 +18,8 @@ ENGINE_NAMES = {"batch": "the batch engine", "bullet": "Bullet", "tissue": "the 
 
 INTRODUCTION = """# Results
 
+This page is for you if you want to know what agents learn here, or compare your own with them.
+
 Agents trained with the configurations in `configs`, {seeds} seeds each, beside {references}.
 Figures are of the tasks' [definition]({definitions}) {definition}.
 `python -m agents.results` makes this page: it trains what has not been trained, evaluates it, and writes what follows;
