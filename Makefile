@@ -27,7 +27,9 @@ help:  ## Show this list
 demo: setup-demo  ## Set up, then reproduce the contact model's figures and run an episode
 	@$(BIN)/spatula demo $(ARGS)
 
-test: setup-test  ## Set up, then run the tests; ARGS="tests/contact -n 0" is passed to pytest
+# Tests have five minutes each; on a slow machine, compiling takes more.
+test: setup-test  ## Set up, compile, then run the tests; ARGS="tests/contact -n 0" is passed to pytest
+	@PYTHONDONTWRITEBYTECODE= $(THREADS) $(BIN)/spatula compile
 	@$(call pytest,$(BIN)) $(ARGS)
 
 test-fast: setup-test  ## Set up, then run those tests that take no time, under a minute in all
