@@ -159,15 +159,23 @@ def _first_contacts(scene: Scene, places: FloatArray, width: float) -> tuple[Flo
         raise ValueError(f"there is no organ under the tool at {middle} in scene {scene.name!r}; choose another place")
     found = ~np.isnan(met)
     return np.column_stack([places[found], met[found]]), min(
-        z + under - _lowest_below(nodes[0], place, width, low)
+        z + under - _lowest_below(scene, nodes[0], place, low)
         for place, z in zip(places[found], met[found].tolist(), strict=True)
     )
 
 
-def _lowest_below(nodes: FloatArray, place: FloatArray, width: float, low: float) -> float:
-    """Height of the lowest of the nodes (V, 3) under a face around a place (2,), or `low` if there are none [u]."""
-    under = (np.abs(nodes[:, :2] - place) <= 0.5 * width).all(axis=1)
-    return float(nodes[under, 2].min()) if under.any() else low
+def _lowest_below(scene: Scene, nodes: FloatArray, place: FloatArray, low: float) -> float:
+    """Height of the lowest point of the organs with nodes (V, 3) on the vertical at a place (2,), or `low` [u]."""
+    starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
+    triangles = [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
+    corners = nodes[np.concatenate(triangles)]
+    # Twice the areas, as seen from above, of the triangles that the place makes with the sides.
+    x, y = np.moveaxis(corners[:, :, :2] - place, 2, 0)
+    shares = np.roll(x, -1, axis=1) * np.roll(y, -2, axis=1) - np.roll(x, -2, axis=1) * np.roll(y, -1, axis=1)
+    areas = shares.sum(axis=1)
+    met = (shares * np.sign(areas)[:, None] >= 0.0).all(axis=1) & (areas != 0.0)
+    heights = (shares[met] * corners[met, :, 2]).sum(axis=1) / areas[met]
+    return float(heights.min(initial=np.inf)) if met.any() else low
 
 
 def _forces(scene: Scene, starts: FloatArray, depths: FloatArray, width: float) -> FloatArray:

@@ -408,7 +408,7 @@ def test_what_does_not_exist_is_refused(make: Env, id: str) -> None:
         ("obs_mode", "smell", r"\['state', 'dict', 'rgb', 'rgbd', 'pointcloud'\]"),
         ("control", "force", r"\['velocity', 'velocity_6d'(, 'velocity_level')?\]"),
         ("reward", "shaped", r"\['dense', 'sparse'\]"),
-        ("contact", "magic", r"\['flags', 'second_step', 'bullet'\]"),
+        ("contact", "magic", r"\['flags', 'second_step', 'bullet', 'mujoco'\]"),
     ):
         with pytest.raises(ValueError, match=f"{option} must be one of {allowed}, got '{value}'"):
             made(**{option: value})

@@ -316,7 +316,7 @@ def test_only_the_goal_interface_has_compute_reward(env: PressEnv, sparse_env: P
         ),
         ({"control": "force"}, r"control must be one of \['velocity', 'velocity_6d'\], got 'force'"),
         ({"engine": "magic"}, "engine must be one of .* got 'magic'"),
-        ({"contact": "magic"}, r"contact must be one of \['flags', 'second_step', 'bullet'\], got 'magic'"),
+        ({"contact": "magic"}, r"contact must be one of \['flags', 'second_step', 'bullet', 'mujoco'\], got 'magic'"),
         ({"reward": "shaped"}, r"reward must be one of \['dense', 'sparse'\], got 'shaped'"),
         ({"render_mode": "ansi"}, r"render_mode must be one of \[None, 'rgb_array', 'human'\], got 'ansi'"),
         (
