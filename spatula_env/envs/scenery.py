@@ -11,6 +11,7 @@ from spatula_env.geometry.loading import load_organ
 from spatula_env.geometry.prepared import PreparedOrgan
 from spatula_env.scenes import Material, with_material
 from spatula_env.sim.calibration import calibrated
+from spatula_env.sim.scene_checks import wave_passage
 
 if TYPE_CHECKING:
     from spatula_env.envs.settings import Definition, EnvSettings
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from spatula_env.tasks.base import Task
     from spatula_env.tasks.situation import Setting
 
-LONGEST_PASSAGE = 0.3
+CALM_PASSAGE = 0.3
 """Longest way of a shear wave in a step, by the mean edge of a surface, on an organ of one's own."""
 
 
@@ -65,9 +66,9 @@ def with_short_steps(scene: Scene) -> Scene:
     """
     placed = scene.organs[0]
     material = Material() if placed.material is None else placed.material
-    edge = float(placed.organ.edge_lengths.mean()) * scene.scale.length
-    passage = scene.dt * math.sqrt(material.shear_modulus / material.density) / edge
-    return replace(scene, dt=scene.dt / max(1, math.ceil(passage / LONGEST_PASSAGE)))
+    wave_speed = math.sqrt(material.shear_modulus / material.density) / scene.scale.length
+    passage = wave_passage(placed.organ, wave_speed, scene.dt)
+    return replace(scene, dt=scene.dt / max(1, math.ceil(passage / CALM_PASSAGE)))
 
 
 def task_of(definition: Definition, settings: EnvSettings, setting: Setting) -> Task:

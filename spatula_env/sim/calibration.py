@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from spatula_env._warnings import warn
+from spatula_env.contact.raycast import cast_ray
 from spatula_env.geometry.checks import check_positive
 from spatula_env.geometry.transforms import rotate
 from spatula_env.scenes import TISSUE_MODULUS, Scale, Scene
@@ -168,14 +169,10 @@ def _lowest_below(scene: Scene, nodes: FloatArray, place: FloatArray, low: float
     """Height of the lowest point of the organs with nodes (V, 3) on the vertical at a place (2,), or `low` [u]."""
     starts = np.cumsum([0, *(len(placed.organ.vertices) for placed in scene.organs)])
     triangles = [placed.organ.triangles + start for placed, start in zip(scene.organs, starts, strict=False)]
-    corners = nodes[np.concatenate(triangles)]
-    # Twice the areas, as seen from above, of the triangles that the place makes with the sides.
-    x, y = np.moveaxis(corners[:, :, :2] - place, 2, 0)
-    shares = np.roll(x, -1, axis=1) * np.roll(y, -2, axis=1) - np.roll(x, -2, axis=1) * np.roll(y, -1, axis=1)
-    areas = shares.sum(axis=1)
-    met = (shares * np.sign(areas)[:, None] >= 0.0).all(axis=1) & (areas != 0.0)
-    heights = (shares[met] * corners[met, :, 2]).sum(axis=1) / areas[met]
-    return float(heights.min(initial=np.inf)) if met.any() else low
+    below = np.array([*place, nodes[:, 2].min() - 1.0])
+    surface = np.concatenate(triangles).astype(np.int32)
+    triangle, distance, *_ = cast_ray(below, np.array([0.0, 0.0, 1.0]), np.array(nodes), surface)
+    return low if triangle < 0 else float(below[2]) + distance
 
 
 def _forces(scene: Scene, starts: FloatArray, depths: FloatArray, width: float) -> FloatArray:

@@ -162,6 +162,17 @@ def _doubts(scene: Scene, placed: PlacedOrgan, sweeps: int | None) -> Iterator[s
         )
 
 
+def wave_passage(organ: Organ, wave_speed: float, dt: float) -> float:
+    """How far a shear wave gets in a step, by the mean edge of an organ's surface.
+
+    Args:
+        organ: The organ.
+        wave_speed: Speed of a shear wave in it [u/s].
+        dt: Length of a step [s].
+    """
+    return dt * wave_speed / float(organ.edge_lengths.mean())
+
+
 def warn_of_long_steps(organ: Organ, wave_speed: float, dt: float) -> None:
     """Warn if physics steps are too long for contact with an organ of a material; see `LONGEST_PASSAGE`.
 
@@ -173,7 +184,7 @@ def warn_of_long_steps(organ: Organ, wave_speed: float, dt: float) -> None:
     Warns:
         SceneWarning: If so.
     """
-    passage = dt * wave_speed / float(organ.edge_lengths.mean())
+    passage = wave_passage(organ, wave_speed, dt)
     if passage > LONGEST_PASSAGE:
         warn(
             f"organ {organ.name!r} is so stiff, and its surface so fine, that forces of contact will shake with steps "

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from own_organs import bean, ellipsoid, written
 
 from spatula_env import scenes
-from spatula_env.envs.scenery import LONGEST_PASSAGE, with_short_steps
+from spatula_env.envs.scenery import CALM_PASSAGE, with_short_steps
 from spatula_env.geometry import PreparedOrgan
 from spatula_env.geometry.overlap import overlaps
 from spatula_env.geometry.prepared import UNIT_LENGTH
@@ -214,7 +214,7 @@ def test_steps_are_short_enough_for_contact_with_the_material(modulus: float, ti
     speed = np.sqrt(placed.material.shear_modulus / placed.material.density)
     short = with_short_steps(scene)
     assert scene.dt / short.dt == pytest.approx(round(scene.dt / short.dt))
-    assert short.dt * speed <= LONGEST_PASSAGE * edge
+    assert short.dt * speed <= CALM_PASSAGE * edge
     assert round(scene.dt / short.dt) == times
     # Not shorter than it takes.
-    assert times == 1 or scene.dt / (times - 1) * speed > LONGEST_PASSAGE * edge
+    assert times == 1 or scene.dt / (times - 1) * speed > CALM_PASSAGE * edge

@@ -38,6 +38,7 @@ class FlexOrgan:
         young_modulus: Young's modulus [kg/(u s2)].
         viscous_time: Viscosity divided by shear modulus [s].
         frequency: Greatest angular frequency of small motions [1/s].
+        wave_speed: Speed of a shear wave [u/s].
     """
 
     placed: PlacedOrgan
@@ -48,6 +49,7 @@ class FlexOrgan:
     young_modulus: float
     viscous_time: float
     frequency: float
+    wave_speed: float
 
     @classmethod
     def of(cls, placed: PlacedOrgan, scale: Scale) -> FlexOrgan:
@@ -72,6 +74,7 @@ class FlexOrgan:
             young_modulus=material.young_modulus / scale.pressure,
             viscous_time=material.viscosity / material.shear_modulus,
             frequency=math.sqrt(UNDERESTIMATE * greatest_eigenvalue(solid.nodes, mesh.tetrahedra, masses, shear, lame)),
+            wave_speed=math.sqrt(shear * float(solid.volumes.sum() / masses.sum())),
         )
 
     @property
@@ -80,12 +83,6 @@ class FlexOrgan:
         fixed = np.zeros(len(self.nodes), dtype=np.bool_)
         fixed[list(self.placed.fixed_nodes)] = True
         return fixed
-
-    @property
-    def wave_speed(self) -> float:
-        """Speed of a shear wave [u/s]."""
-        shear = self.young_modulus / (2.0 * (1.0 + self.material.poisson_ratio))
-        return math.sqrt(shear * float(Solid(self.nodes, self.tetrahedra).volumes.sum() / self.masses.sum()))
 
     def substeps(self, dt: float) -> int:
         """Number of substeps in a step."""
