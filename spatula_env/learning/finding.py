@@ -23,6 +23,9 @@ from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenanc
 NAMES = ("expert", "proportional", "random", "pretrained")
 """Policies that have a name; any other name is a path."""
 
+SCRIPTED = ("expert", "proportional")
+"""Those that read all parts of observations, whatever a level shows to agents."""
+
 
 def find_policy(name: str, env_id: str) -> PolicySource:
     """Find the policy that a name on the command line stands for.
@@ -61,7 +64,7 @@ def find_policy(name: str, env_id: str) -> PolicySource:
     folder = find_saved(path)
     config = read_saved_config(folder)
     _check_env(config.environment.id, env_id, path)
-    kwargs = present_options(env_id, definition_of(folder), interface_of(config.environment.kwargs))
+    kwargs = present_options(env_id, definition_of(folder), interface_of(env_id, config.environment.kwargs))
     return PolicySource(_SavedMaker(folder), kwargs, f"saved policy {folder}")
 
 

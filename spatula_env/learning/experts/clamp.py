@@ -62,6 +62,10 @@ AIM, LEAST_AIM, FORCE_GAIN, FORCE_SPEED = 0.19, 0.15, 0.08, 0.008
 """On a ridge of an organ of one's own: force of the jaw that presses less that is aimed at, and from which on it lifts
 [N]; speed of the jaws per force [m/(N s)], and greatest speed [m/s]."""
 
+MOST_FORCE, ENOUGH_FORCE = 0.21, 0.17
+"""Force of the jaw that presses less beyond which the grip widens, and from which on it lifts whatever its width: a
+ridge may be stiffer or wider than usual [N]."""
+
 IN_LINE, IN_PLACE = 0.0012, 0.002
 """Greatest misalignment with which the grip goes down: across and along the ridge [m]."""
 
@@ -91,7 +95,9 @@ class ClampExpert(Expert):
         error, height = self.error(observation), -down
         missing, slip = error[..., 0], self.goal(observation)[..., 1] - error[..., 1]
         gripping = height < AT
-        holding = gripping & (opening < self.squeeze * WIDTH + CLOSED)
+        forces = self.part(observation, "contact_force")
+        force = np.minimum(-forces[..., 1], forces[..., 4])
+        holding = gripping & ((opening < self.squeeze * WIDTH + CLOSED) | (force > ENOUGH_FORCE))
         ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (opening > WIDTH + 0.5 * (OPEN - WIDTH))
         wanted_height = np.where(ready | (height < BESIDE), LOW, ABOVE)
 
@@ -104,6 +110,8 @@ class ClampExpert(Expert):
         width = (self.squeeze - tighter) * WIDTH
         fastest = np.where(opening > TOUCHING, FREE_CLOSING_SPEED, CLOSING_SPEED)
         closing = np.clip(CLOSING_GAIN * (width - opening), -fastest, fastest)
+        widening = np.clip(FORCE_GAIN * (force - MOST_FORCE), 0.0, FORCE_SPEED)
+        closing = np.where(force > MOST_FORCE, widening, closing)
         return {
             "velocity_x": towards(along),
             "velocity_y": towards(across),
