@@ -37,7 +37,7 @@ from spatula_env.render.translucent import draw_translucent
 _SHADOW_TINT = (1.0, 0.985, 0.955)
 
 # Factor on the ground's 1 / W, which puts it slightly further away, so that things lying on it are seen.
-_GROUND_BEHIND = 1.0 - 1e-4
+GROUND_BEHIND = 1.0 - 1e-4
 
 
 @inlined
@@ -339,7 +339,7 @@ def _clear_band(
         start = slope[1] * (y + 0.5) + slope[2] + 0.5 * slope[0]
         row = (y - top) * stride
         for x in range(first, last):
-            value = _GROUND_BEHIND * (start + slope[0] * x)
+            value = GROUND_BEHIND * (start + slope[0] * x)
             # Ground nearer than the near plane is not drawn.
             value = 0.0 if value > nearest else value
             depth[row + x] = max(value, farthest)
