@@ -14,6 +14,8 @@ import numpy as np
 from numba import types
 
 from spatula_env._kernels import kernel
+from spatula_env.contact.flags import fill_rotation
+from spatula_env.contact.rigid import turn
 from spatula_env.render.layout import (
     DEPTH,
     EYE,
@@ -88,7 +90,7 @@ class States(NamedTuple):
     Attributes:
         nodes: (n, V, 3) of the organs [u].
         positions: (n, N, 3) of the tools [u].
-        rotations: (n, N, 3, 3) of the tools.
+        orientations: (n, N, 4) of the tools, quaternions xyzw.
         scales: (n,) factors on the lengths of the tools.
         dyes: (n, V) dye of each node, 0 for none.
         heights: (n,) of the ground [u].
@@ -97,7 +99,7 @@ class States(NamedTuple):
 
     nodes: Floats
     positions: Floats
-    rotations: Floats
+    orientations: Floats
     scales: Floats
     dyes: Bytes
     heights: Floats
@@ -113,26 +115,30 @@ def _type_of(kind: Any, *elements: str) -> Any:
 
 MODEL = _type_of(Model, "i4 1", "f8 2", "i4 1", "i4 2", "f8 3", "f8 2", "f8 1", "f8 1", "f8 2", "u1 1")
 BACKDROPS = _type_of(Backdrops, "u1 4", "f4 3", "f4 3")
-STATES = _type_of(States, "f8 3", "f8 3", "f8 4", "f8 1", "u1 2", "f8 1", "i8 1")
+STATES = _type_of(States, "f8 3", "f8 3", "f8 3", "f8 1", "u1 2", "f8 1", "i8 1")
 
 
 @kernel(types.void(types.int64, MODEL, STATES, types.float64[:, ::1]))
 def place_bodies(world: int, model: Model, states: States, points: Floats) -> None:
     """Write the positions (O + Q, 3) of all vertices of a world."""
-    nodes, positions, rotations = states.nodes[world], states.positions[world], states.rotations[world]
+    nodes, positions, orientations = states.nodes[world], states.positions[world], states.orientations[world]
     scale = states.scales[world]
     source, local, tools = model.source, model.tool_vertices, model.tools
     for i in range(len(source)):
         for k in range(3):
             points[i, k] = nodes[source[i], k]
-    first = len(source)
+    rotation, at, placed = np.empty(9), np.empty(3), -1
     for i in range(len(tools)):
-        tool = tools[i]
+        if tools[i] != placed:
+            placed = tools[i]
+            fill_rotation(orientations[placed], 1.0, rotation)
         for k in range(3):
-            turned = 0.0
-            for j in range(3):
-                turned += rotations[tool, k, j] * local[i, j]
-            points[first + i, k] = positions[tool, k] + scale * turned
+            at[k] = scale * local[i, k]
+        x, y, z = turn(rotation, at)
+        row = len(source) + i
+        points[row, 0] = positions[placed, 0] + x
+        points[row, 1] = positions[placed, 1] + y
+        points[row, 2] = positions[placed, 2] + z
 
 
 @kernel(types.void(types.int64, MODEL, STATES, *[types.float64[:, ::1]] * 2, types.float64[::1], types.float64[:, ::1]))

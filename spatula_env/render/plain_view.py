@@ -9,7 +9,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.geometry.rotations import turn
 from spatula_env.render import layout as k
 from spatula_env.render import plain
 from spatula_env.render.aiming import encoding_table, fill_light, fill_view, mesh_parameters
@@ -39,6 +38,8 @@ class PlainView:
 
     Attributes:
         camera: The view.
+        scene: The scene with organs and tools.
+        triangles: (T, 3) of all organs.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class PlainView:
         Raises:
             ValueError: If the width or the height is not allowed.
         """
+        self.scene, self.triangles = scene, triangles
         # Ground and background are those of pictures in the full style, without anything on them.
         self._renderer = Renderer(width, height, supersample=1)
         self.camera = camera or default_camera(scene, width / height)
@@ -159,11 +161,10 @@ class PlainView:
                 raise ValueError(f"patches must be of the roles {list(ROLES)}, got {role!r}")
             dyes[inside] = 1 + ROLES.index(role)
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        axes = turn(np.asarray(moments.tool_orientations)[:, :, None], np.eye(3))
         return plain.States(
             nodes=nodes,
             positions=np.ascontiguousarray(moments.tool_positions, dtype=np.float64),
-            rotations=np.ascontiguousarray(np.swapaxes(axes, -1, -2)),
+            orientations=np.ascontiguousarray(moments.tool_orientations, dtype=np.float64),
             scales=np.ascontiguousarray(scales, dtype=np.float64),
             dyes=dyes,
             heights=heights,
