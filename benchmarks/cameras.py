@@ -26,7 +26,7 @@ import numba
 import numpy as np
 
 import spatula_env
-from benchmarks.measure import finish, load_average, parser
+from benchmarks.measure import finish, load_average, output_file, parser
 from spatula_env.engines import bullet_hint, bullet_is_there
 from spatula_env.envs.pictures import EpisodePictures
 from spatula_env.envs.plain_pictures import PlainPictures
@@ -34,6 +34,8 @@ from spatula_env.learning.threads import numba_threads
 from spatula_env.threads import share_out
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from spatula_env.envs.episodes import Episodes
@@ -248,13 +250,34 @@ def second_thread_gain(turns: int) -> float:
     return times["one"] / times["two"]
 
 
+def draw_styles(path: Path) -> None:
+    """Draw the tasks at the size of observed pictures, enlarged: in the full style above, in the plain style below."""
+    from PIL import Image
+
+    columns = []
+    for task in ("Press", "Retract", "Fissure", "Clamp", "Palpate"):
+        env: Any = gym.make_vec(f"Spatula/{task}-v0", num_envs=1)
+        env.reset(seed=1)
+        env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+        episodes = episodes_of(env)
+        full, _ = EpisodePictures(episodes, LEARNERS, LEARNERS).rgbd()
+        plain, _ = PlainPictures(episodes, LEARNERS, LEARNERS).draw(np.arange(1), depth=False)
+        columns.append(np.concatenate([full[0], plain[0]]))
+        env.close()
+    page = np.concatenate(columns, axis=1).repeat(2, axis=0).repeat(2, axis=1)
+    Image.fromarray(page).save(path, "PNG", optimize=True)
+
+
 def main() -> None:
     """Run the benchmark from the command line."""
     options = parser(__doc__ or "")
     options.add_argument("--worlds", type=int, default=64, help="number of worlds (default %(default)s)")
+    options.add_argument("--picture", type=output_file, help="PNG to write: five tasks in the full and plain styles")
     options.add_argument("--turns", type=int, default=15, help="timed turns of each side (default %(default)s)")
     arguments = options.parse_args()
     tell = (lambda *_: None) if arguments.json else print
+    if arguments.picture is not None:
+        draw_styles(arguments.picture)
     worlds = measure_worlds(arguments.worlds, arguments.turns)
     for name, value in worlds.items():
         tell(f"{name:32} {value:8.3f} ms")

@@ -16,10 +16,13 @@ from numba import types
 from spatula_env._kernels import kernel
 from spatula_env.contact.flags import fill_rotation
 from spatula_env.contact.rigid import turn
+from spatula_env.render.compose import GROUND_BEHIND, fill_slope
 from spatula_env.render.layout import (
     DEPTH,
     EYE,
+    FAR,
     GROUND_HEIGHT,
+    GROUND_SEEN,
     NEAR,
     TONES,
     Bytes,
@@ -70,20 +73,6 @@ class Model(NamedTuple):
     tones: Bytes
 
 
-class Backdrops(NamedTuple):
-    """Pictures of ground and background: B of them, one for all worlds or one for each.
-
-    Attributes:
-        pictures: (B, H, W, 3).
-        depths: (B, H, W) along the optical axis [u].
-        inverses: (B, H, W) 1 / depth, slightly further away, so that things lying on the ground are seen [1/u].
-    """
-
-    pictures: Bytes
-    depths: Singles
-    inverses: Singles
-
-
 class States(NamedTuple):
     """What n worlds look like now.
 
@@ -94,7 +83,7 @@ class States(NamedTuple):
         scales: (n,) factors on the lengths of the tools.
         dyes: (n, V) dye of each node, 0 for none.
         heights: (n,) of the ground [u].
-        backdrops: (n,) backdrop of each world.
+        backdrops: (n,) picture of ground and background of each world.
     """
 
     nodes: Floats
@@ -114,7 +103,6 @@ def _type_of(kind: Any, *elements: str) -> Any:
 
 
 MODEL = _type_of(Model, "i4 1", "f8 2", "i4 1", "i4 2", "f8 3", "f8 2", "f8 1", "f8 1", "f8 2", "u1 1")
-BACKDROPS = _type_of(Backdrops, "u1 4", "f4 3", "f4 3")
 STATES = _type_of(States, "f8 3", "f8 3", "f8 3", "f8 1", "u1 2", "f8 1", "i8 1")
 
 
@@ -205,7 +193,7 @@ def draw_triangles(
         width: Pixels in a row.
         height: Rows of pixels.
         functions: (T, PLAIN_FUNCTIONS) to write, of those that may be visible.
-        depth: (H W,) 1 / W of each pixel, larger is nearer; starts with that of the backdrop.
+        depth: (H W,) 1 / W of each pixel, larger is nearer; starts with that of the ground.
         shown: (H W,) triangle of each pixel; starts at -1 for none.
     """
     edge, limits = np.empty((3, 3)), np.empty((1, 5, 3))
@@ -235,42 +223,67 @@ def draw_triangles(
                     shown[row + x] = t
 
 
-@kernel("void(i8, f8[:,::1], f4[::1], i4[::1], u1[:,:,::1], f4[:,::1])")
+@inlined
+def _clear(view: Floats, slope: Floats, width: int, height: int, depth: Singles, shown: Indices) -> None:
+    """Reset pixels to show only the ground: 1 / W, slightly further away than it is, and no triangle."""
+    fill_slope(view, slope)
+    nearest, farthest = 1.0 / view[NEAR], 1.0 / view[FAR]
+    for y in range(height):
+        start = GROUND_BEHIND * (slope[1] * (y + 0.5) + slope[2] + 0.5 * slope[0])
+        for x in range(width):
+            value = start + GROUND_BEHIND * slope[0] * x
+            # Ground nearer than the near plane is not drawn.
+            value = 0.0 if value > nearest else value
+            depth[y * width + x] = max(value, farthest)
+            shown[y * width + x] = -1
+
+
+@kernel("void(i8, f8, f8[:,::1], f4[::1], i4[::1], u1[:,:,::1], f4[:,::1])")
 def resolve_plain(
-    width: int, functions: Floats, depth: Singles, shown: Indices, picture: Bytes, depth_picture: Singles
+    width: int, far: float, functions: Floats, depth: Singles, shown: Indices, picture: Bytes, depth_picture: Singles
 ) -> None:
-    """Write the colour and the depth of every pixel that shows a triangle.
+    """Write the colour of every pixel that shows a triangle, and the depth of all.
 
     Args:
         width: Pixels in a row.
+        far: Depth of what shows nothing [u].
         functions: See `draw_triangles`.
         depth: See `draw_triangles`.
         shown: See `draw_triangles`.
         picture: (H, W, 3) to write over.
-        depth_picture: (H, W) to write over [u], or without rows.
+        depth_picture: (H, W) to write [u], or without rows.
     """
     deep = len(depth_picture) > 0
     for y in range(len(picture)):
         middle = y + 0.5
         for x in range(width):
             t = shown[y * width + x]
-            if t < 0:
-                continue
-            w = np.float32(1.0) / depth[y * width + x]
-            if deep:
-                depth_picture[y, x] = w
-            for k in range(3):
-                column = SHADE + 3 * k
-                value = functions[t, column] * (x + 0.5) + functions[t, column + 1] * middle + functions[t, column + 2]
-                picture[y, x, k] = int(min(max(w * value + 0.5, 0.0), 255.0))
+            if t >= 0:
+                w = 1.0 / depth[y * width + x]
+                for k in range(3):
+                    i = SHADE + 3 * k
+                    value = functions[t, i] * (x + 0.5) + functions[t, i + 1] * middle + functions[t, i + 2]
+                    picture[y, x, k] = int(min(max(w * value + 0.5, 0.0), 255.0))
+                if deep:
+                    depth_picture[y, x] = w
+            elif deep:
+                depth_picture[y, x] = min(GROUND_BEHIND / depth[y * width + x], far)
 
 
 @kernel(
-    types.void(types.int64, types.int64, MODEL, BACKDROPS, STATES, types.uint8[:, :, :, ::1], types.float32[:, :, ::1]),
+    types.void(
+        types.int64,
+        types.int64,
+        MODEL,
+        types.uint8[:, :, :, ::1],
+        STATES,
+        types.uint8[:, :, :, ::1],
+        types.float32[:, :, ::1],
+    ),
     nogil=True,
 )
 def draw_worlds(
-    first: int, last: int, model: Model, backdrops: Backdrops, states: States, pictures: Bytes, depths: Singles
+    first: int, last: int, model: Model, backdrops: Bytes, states: States, pictures: Bytes, depths: Singles
 ) -> None:
     """Draw the worlds first..last. Each is drawn on its own, so that it does not matter which are drawn together.
 
@@ -278,13 +291,13 @@ def draw_worlds(
         first: First world.
         last: End of the worlds.
         model: What all worlds have in common.
-        backdrops: Ground and background.
+        backdrops: (B, H, W, 3) pictures of ground and background.
         states: The states of n worlds.
         pictures: (n, H, W, 3) to write.
         depths: (n, H, W) to write, along the optical axis [u]; or (0, H, W).
     """
     height, width = pictures.shape[1], pictures.shape[2]
-    triangles, view = model.triangles, model.viewing.copy()
+    triangles, view, slope = model.triangles, model.viewing.copy(), np.empty(3)
     count = len(model.source) + len(model.tools)
     points, placed = np.empty((count, 3)), np.empty((count, 3))
     normals, shades = np.empty((count, 3)), np.empty((count, 3))
@@ -292,19 +305,16 @@ def draw_worlds(
     depth, shown = np.empty(height * width, np.float32), np.empty(height * width, np.int32)
     nothing = np.empty((0, width), np.float32)
     for world in range(first, last):
-        backdrop = states.backdrops[world]
         view[GROUND_HEIGHT] = states.heights[world]
+        view[GROUND_SEEN] = model.viewing[GROUND_SEEN] if view[EYE + 2] > view[GROUND_HEIGHT] else 0.0
         place_bodies(world, model, states, points)
         place(points, 0, count, model.matrix, placed)
         vertex_normals(points, triangles, 0, count, 0, len(triangles), normals)
         light_vertices(world, model, states, points, normals, view, shades)
-        depth[:] = backdrops.inverses[backdrop].reshape(-1)
-        shown[:] = -1
+        _clear(view, slope, width, height, depth, shown)
         draw_triangles(placed, triangles, shades, view[NEAR], width, height, functions, depth, shown)
-        picture = pictures[world]
-        picture[:] = backdrops.pictures[backdrop]
+        pictures[world] = backdrops[states.backdrops[world]]
         deep = nothing
         if len(depths) > 0:
             deep = depths[world]
-            deep[:] = backdrops.depths[backdrop]
-        resolve_plain(width, functions, depth, shown, picture, deep)
+        resolve_plain(width, view[FAR], functions, depth, shown, pictures[world], deep)

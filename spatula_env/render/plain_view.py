@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from spatula_env.render import layout as k
 from spatula_env.render import plain
 from spatula_env.render.aiming import encoding_table, fill_light, fill_view, mesh_parameters
-from spatula_env.render.compose import GROUND_BEHIND
 from spatula_env.render.palette import linear_color, srgb_to_linear
 from spatula_env.render.primitives import BRUSHED_STEEL, WET_TISSUE, Lighting
 from spatula_env.render.renderer import Renderer
@@ -193,14 +192,10 @@ class PlainView:
                 self._draw_backdrop(slot, height)
         return np.ascontiguousarray(slots, dtype=np.int64)
 
-    def _blank(self, count: int) -> plain.Backdrops:
-        size = (count, self._renderer.height, self._renderer.width)
-        pictures, depths = np.zeros((*size, 3), dtype=np.uint8), np.zeros(size, dtype=np.float32)
-        return plain.Backdrops(pictures, depths, np.zeros_like(depths))
+    def _blank(self, count: int) -> NDArray[np.uint8]:
+        return np.zeros((count, self._renderer.height, self._renderer.width, 3), dtype=np.uint8)
 
     def _draw_backdrop(self, index: int, height: float) -> None:
         ground = None if self._ground is None else replace(self._ground, height=height)
-        picture, depth = self._renderer.render_rgbd(self.camera, [], ground=ground)
-        self._backdrops.pictures[index], self._backdrops.depths[index] = picture, depth
-        self._backdrops.inverses[index] = GROUND_BEHIND / depth
+        self._renderer.render(self.camera, [], ground=ground, out=self._backdrops[index])
         self._heights[index] = height
