@@ -224,6 +224,13 @@ def draw_triangles(
 
 
 @inlined
+def _copy(source: Bytes, target: Bytes) -> None:
+    """Copy bytes one by one, which LLVM makes fifty times as fast as an assignment of pictures."""
+    for i in range(len(target)):
+        target[i] = source[i]
+
+
+@inlined
 def _clear(view: Floats, slope: Floats, width: int, height: int, depth: Singles, shown: Indices) -> None:
     """Reset pixels to show only the ground: 1 / W, slightly further away than it is, and no triangle."""
     fill_slope(view, slope)
@@ -313,7 +320,7 @@ def draw_worlds(
         light_vertices(world, model, states, points, normals, view, shades)
         _clear(view, slope, width, height, depth, shown)
         draw_triangles(placed, triangles, shades, view[NEAR], width, height, functions, depth, shown)
-        pictures[world] = backdrops[states.backdrops[world]]
+        _copy(backdrops[states.backdrops[world]].reshape(-1), pictures[world].reshape(-1))
         deep = nothing
         if len(depths) > 0:
             deep = depths[world]
