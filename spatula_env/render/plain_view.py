@@ -36,7 +36,7 @@ class PlainView:
     Each picture is the same, to the last bit, whichever worlds are drawn together and with however many threads.
 
     Attributes:
-        camera: The view.
+        camera: The view, which stays as it is.
         scene: The scene with organs and tools.
         triangles: (T, 3) of all organs.
     """
@@ -138,7 +138,7 @@ class PlainView:
 
     def _states(self, moments: Moments, slots: NDArray[np.int64] | None) -> plain.States:
         """The worlds' states as kernels take them; draws the ground where it has not been drawn before."""
-        nodes = np.ascontiguousarray(moments.nodes, dtype=np.float64)
+        nodes = _own(moments.nodes)
         count = len(nodes)
         scales = np.ones(count) if moments.tool_scales is None else moments.tool_scales
         level = 0.0 if self._ground is None else self._ground.height
@@ -159,12 +159,12 @@ class PlainView:
             if role not in ROLES:
                 raise ValueError(f"patches must be of the roles {list(ROLES)}, got {role!r}")
             dyes[inside] = 1 + ROLES.index(role)
-        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        heights = _own(heights)
         return plain.States(
             nodes=nodes,
-            positions=np.ascontiguousarray(moments.tool_positions, dtype=np.float64),
-            orientations=np.ascontiguousarray(moments.tool_orientations, dtype=np.float64),
-            scales=np.ascontiguousarray(scales, dtype=np.float64),
+            positions=_own(moments.tool_positions),
+            orientations=_own(moments.tool_orientations),
+            scales=_own(scales),
             dyes=dyes,
             heights=heights,
             backdrops=self._backdrops_at(heights, np.arange(count) if slots is None else slots),
@@ -190,7 +190,7 @@ class PlainView:
         for slot, height in zip(slots.tolist(), heights.tolist(), strict=True):
             if self._heights[slot] != height:
                 self._draw_backdrop(slot, height)
-        return np.ascontiguousarray(slots, dtype=np.int64)
+        return np.require(slots, np.int64, ["C", "W"])
 
     def _blank(self, count: int) -> NDArray[np.uint8]:
         return np.zeros((count, self._renderer.height, self._renderer.width, 3), dtype=np.uint8)
@@ -199,3 +199,8 @@ class PlainView:
         ground = None if self._ground is None else replace(self._ground, height=height)
         self._renderer.render(self.camera, [], ground=ground, out=self._backdrops[index])
         self._heights[index] = height
+
+
+def _own(values: FloatArray) -> FloatArray:
+    """Values as kernels take them: C-contiguous and writable; the same array if it is so already."""
+    return np.require(values, np.float64, ["C", "W"])

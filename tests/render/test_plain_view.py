@@ -199,6 +199,18 @@ def test_a_tool_that_reaches_behind_the_eye_is_cut_at_the_near_plane() -> None:
     assert depths.min() >= 0.5
 
 
+def test_arrays_may_be_read_only_and_of_any_layout() -> None:
+    scene = scenes.seed()
+    view, moments = PlainView(scene, triangles_of(scene), 20, 16), moments_of(scene, 2)
+    nodes = np.asfortranarray(moments.nodes)
+    nodes.flags.writeable = False
+    orientations = np.broadcast_to(moments.tool_orientations[:1], moments.tool_orientations.shape)
+    other = replace(moments, nodes=nodes, tool_orientations=orientations)
+    slots = np.arange(2)
+    slots.flags.writeable = False
+    assert (view.draw(other, slots=slots)[0] == view.draw(moments)[0]).all()
+
+
 def test_no_worlds_are_no_pictures() -> None:
     scene = scenes.seed()
     pictures, depths = PlainView(scene, triangles_of(scene), 20, 16).draw(moments_of(scene, 0), depth=True)
