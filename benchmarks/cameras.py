@@ -194,10 +194,11 @@ class TinyRenderer:
         self._client, self._camera = client, camera
         moments = plain.moments(np.arange(1))
         scene, physics = plain.view.scene, plain.view.triangles
-        self._add(moments.nodes[0], physics, (0.83, 0.545, 0.53, 1.0))
+        self._add(moments.nodes[0] * moments.unit + moments.origin, physics, (0.83, 0.545, 0.53, 1.0))
         tool = scene.tools[0].tool
         self._tool = self._add(np.array(tool.vertices), np.array(tool.triangles), (0.8, 0.815, 0.83, 1.0))
-        self._pose = moments.tool_positions[0, 0].tolist(), moments.tool_orientations[0, 0].tolist()
+        place = moments.tool_positions[0, 0] * moments.unit + moments.origin
+        self._pose = place.tolist(), moments.tool_orientations[0, 0].tolist()
         if moments.ground_heights is not None:
             low = float(moments.ground_heights[0])
             plane = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])

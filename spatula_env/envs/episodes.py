@@ -244,7 +244,7 @@ class Episodes:
     def patches(self, worlds: IntArray) -> dict[str, BoolArray]:
         """Nodes of the organ that are dyed in worlds (n,), as cameras see them: (n, V) by role; see `Task.patches`."""
         assert self.situation is not None
-        if self._are_all(worlds):
+        if self.are_all(worlds):
             return self.task.patches(self.goals, self.situation, self._memory)
         memory = {name: values[worlds] for name, values in self._memory.items()}
         return self.task.patches(self.goals[worlds], self.situation.rows(worlds), memory)
@@ -420,7 +420,7 @@ class Episodes:
         # Restore the tools before contact, because exchanging them clears the contact memory.
         self._variation.restore(state.drawn, state.generators, worlds)
         self.worlds.restore(joined(physics), worlds)
-        every = self._are_all(worlds)
+        every = self.are_all(worlds)
         for mine, saved in (
             (self._counters(), state.counters),
             (self._memory, state.memory),
@@ -441,7 +441,7 @@ class Episodes:
         """Close the engine. Closing twice is allowed."""
         self.worlds.close()
 
-    def _are_all(self, worlds: IntArray) -> bool:
+    def are_all(self, worlds: IntArray) -> bool:
         """Whether some worlds (n,) are all there are, in their order."""
         return len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
 
@@ -545,7 +545,7 @@ class Episodes:
     def _show(self, situation: Situation, worlds: IntArray, *, first: bool) -> Evaluation:
         """Evaluate the situation of some worlds (n,), and update their observation and info."""
         goals = self.goals[worlds]
-        every = self._are_all(worlds)
+        every = self.are_all(worlds)
         memory = self._memory if every else {name: values[worlds] for name, values in self._memory.items()}
         evaluation = self.task.evaluate(situation, goals, memory)
         self.achieved[worlds] = evaluation.achieved
@@ -620,7 +620,7 @@ class Episodes:
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames = self._frames.show(worlds)
-        if self._are_all(worlds):
+        if self.are_all(worlds):
             self._observation = frames[""] if "" in frames else frames
             return
         whole = self._seen()

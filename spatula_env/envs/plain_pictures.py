@@ -70,17 +70,16 @@ class PlainPictures:
         situation, workspace = episodes.situation, episodes.workspace
         if situation is None:
             raise ValueError("there is nothing to draw before an episode has begun")
-        nodes = workspace.to_scene(situation.nodes[worlds])
-        # Where physics has diverged, only the tools can be shown.
-        if not np.isfinite(nodes).all():
-            nodes = workspace.to_scene(np.nan_to_num(situation.nodes[worlds], nan=0.0, posinf=0.0, neginf=0.0))
         return Moments(
-            nodes=nodes,
-            tool_positions=workspace.to_scene(situation.tool_positions[worlds]),
+            # All nodes together are large enough for a copy of them to cost time.
+            nodes=situation.nodes if episodes.are_all(worlds) else situation.nodes[worlds],
+            tool_positions=situation.tool_positions[worlds],
             tool_orientations=situation.tool_orientations[worlds],
             tool_scales=situation.tool_scale[worlds],
             ground_heights=self._ground_heights(worlds),
             patches=episodes.patches(worlds),
+            origin=workspace.center,
+            unit=1.0 / workspace.length,
         )
 
     def _ground_heights(self, worlds: IntArray) -> FloatArray | None:

@@ -42,15 +42,20 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """The visible state of n worlds of a scene with V nodes and N tools, in the scene's frame.
+    """The visible state of n worlds of a scene with V nodes and N tools.
+
+    Nodes and positions of tools may be in a frame of another origin and another unit than the scene's: such arrays need
+    not be copied.
 
     Attributes:
-        nodes: (n, V, 3) of the organs [u].
-        tool_positions: (n, N, 3) [u].
+        nodes: (n, V, 3) of the organs; numbers that are not finite count as zero.
+        tool_positions: (n, N, 3).
         tool_orientations: (n, N, 4) quaternions xyzw.
         tool_scales: (n,) factors on the lengths of the scene's tools; None for 1.
         ground_heights: (n,) heights of the ground; None for the scene's [u].
         patches: (n, V) nodes on patches, by the patches' role; a node on several has the colour of the last.
+        origin: Origin of that frame in the scene [u].
+        unit: Unit of that frame [u].
     """
 
     nodes: FloatArray
@@ -59,3 +64,5 @@ class Moments:
     tool_scales: FloatArray | None = None
     ground_heights: FloatArray | None = None
     patches: Mapping[str, BoolArray] = field(default_factory=dict)
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unit: float = 1.0

@@ -77,8 +77,9 @@ class States(NamedTuple):
     """What n worlds look like now.
 
     Attributes:
-        nodes: (n, V, 3) of the organs [u].
-        positions: (n, N, 3) of the tools [u].
+        frame: (4,) origin of the frame of nodes and positions in the scene, and its unit [u].
+        nodes: (n, V, 3) of the organs; numbers that are not finite count as zero.
+        positions: (n, N, 3) of the tools.
         orientations: (n, N, 4) of the tools, quaternions xyzw.
         scales: (n,) factors on the lengths of the tools.
         dyes: (n, V) dye of each node, 0 for none.
@@ -86,6 +87,7 @@ class States(NamedTuple):
         backdrops: (n,) picture of ground and background of each world.
     """
 
+    frame: Floats
     nodes: Floats
     positions: Floats
     orientations: Floats
@@ -103,18 +105,19 @@ def _type_of(kind: Any, *elements: str) -> Any:
 
 
 MODEL = _type_of(Model, "i4 1", "f8 2", "i4 1", "i4 2", "f8 3", "f8 2", "f8 1", "f8 1", "f8 2", "u1 1")
-STATES = _type_of(States, "f8 3", "f8 3", "f8 3", "f8 1", "u1 2", "f8 1", "i8 1")
+STATES = _type_of(States, "f8 1", "f8 3", "f8 3", "f8 3", "f8 1", "u1 2", "f8 1", "i8 1")
 
 
 @kernel(types.void(types.int64, MODEL, STATES, types.float64[:, ::1]))
 def place_bodies(world: int, model: Model, states: States, points: Floats) -> None:
     """Write the positions (O + Q, 3) of all vertices of a world."""
     nodes, positions, orientations = states.nodes[world], states.positions[world], states.orientations[world]
-    scale = states.scales[world]
+    scale, frame = states.scales[world], states.frame
     source, local, tools = model.source, model.tool_vertices, model.tools
     for i in range(len(source)):
         for k in range(3):
-            points[i, k] = nodes[source[i], k]
+            value = nodes[source[i], k]
+            points[i, k] = frame[k] + frame[3] * (value if math.isfinite(value) else 0.0)
     rotation, at, placed = np.empty(9), np.empty(3), -1
     for i in range(len(tools)):
         if tools[i] != placed:
@@ -124,9 +127,9 @@ def place_bodies(world: int, model: Model, states: States, points: Floats) -> No
             at[k] = scale * local[i, k]
         x, y, z = turn(rotation, at)
         row = len(source) + i
-        points[row, 0] = positions[placed, 0] + x
-        points[row, 1] = positions[placed, 1] + y
-        points[row, 2] = positions[placed, 2] + z
+        points[row, 0] = frame[0] + frame[3] * positions[placed, 0] + x
+        points[row, 1] = frame[1] + frame[3] * positions[placed, 1] + y
+        points[row, 2] = frame[2] + frame[3] * positions[placed, 2] + z
 
 
 @kernel(types.void(types.int64, MODEL, STATES, *[types.float64[:, ::1]] * 2, types.float64[::1], types.float64[:, ::1]))

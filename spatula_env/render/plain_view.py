@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from spatula_env.render.moment import Moments
     from spatula_env.scenes import Scene
 
-PIECES = 4
+PIECES = 8
 """Pieces of work for each thread: worlds cost different amounts of time."""
 
 
@@ -161,6 +161,7 @@ class PlainView:
             dyes[inside] = 1 + ROLES.index(role)
         heights = _own(heights)
         return plain.States(
+            frame=np.array([*moments.origin, moments.unit]),
             nodes=nodes,
             positions=_own(moments.tool_positions),
             orientations=_own(moments.tool_orientations),
