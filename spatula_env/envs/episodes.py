@@ -242,6 +242,14 @@ class Episodes:
         memory = {name: values[row] for name, values in self._memory.items()}
         return self.task.marks(self.goals[world], situation, memory)
 
+    def patches(self, worlds: IntArray) -> dict[str, BoolArray]:
+        """Nodes of the organ that are dyed in worlds (n,), as cameras see them: (n, V) by role; see `Task.patches`."""
+        assert self.situation is not None
+        if self.are_all(worlds):
+            return self.task.patches(self.goals, self.situation, self._memory)
+        memory = {name: values[worlds] for name, values in self._memory.items()}
+        return self.task.patches(self.goals[worlds], self.situation.rows(worlds), memory)
+
     def choose(self, options: Mapping[str, Any], worlds: IntArray) -> dict[str, FloatArray]:
         """Validate the chosen beginnings of episodes in worlds (n,); see `chosen_starts`."""
         return chosen_starts(options, worlds, self.count, self.task, self.workspace)
@@ -420,7 +428,7 @@ class Episodes:
         # Restore the tools before contact, because exchanging them clears the contact memory.
         self._variation.restore(state.drawn, state.generators, worlds)
         self.worlds.restore(joined(physics), worlds)
-        every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
+        every = self.are_all(worlds)
         for mine, saved in (
             (self._counters(), state.counters),
             (self._memory, state.memory),
@@ -440,6 +448,10 @@ class Episodes:
     def close(self) -> None:
         """Close the engine. Closing twice is allowed."""
         self.worlds.close()
+
+    def are_all(self, worlds: IntArray) -> bool:
+        """Whether some worlds (n,) are all there are, in their order."""
+        return len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
 
     def _counters(self) -> dict[str, NDArray[Any]]:
         """Counters and delayed actions, arrays (W, ...) by name."""
@@ -553,7 +565,7 @@ class Episodes:
     def _show(self, situation: Situation, worlds: IntArray, *, first: bool) -> Evaluation:
         """Evaluate the situation of some worlds (n,), and update their observation and info."""
         goals = self.goals[worlds]
-        every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
+        every = self.are_all(worlds)
         memory = self._memory if every else {name: values[worlds] for name, values in self._memory.items()}
         evaluation = self.task.evaluate(situation, goals, memory)
         self.achieved[worlds] = evaluation.achieved
@@ -630,7 +642,7 @@ class Episodes:
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames = self._frames.show(worlds)
-        if len(worlds) == self.count and (worlds[1:] > worlds[:-1]).all():
+        if self.are_all(worlds):
             self._observation = frames[""] if "" in frames else frames
             return
         whole = self._seen()

@@ -40,6 +40,9 @@ RENDER_MODES = ("rgb_array", "human")
 LEAST_CONTROL_FREQUENCY = 0.5
 """Least control frequency: control steps longer than two seconds are no control, and as slow to compute [Hz]."""
 
+PICTURE_STYLES = ("plain", "full")
+"""Styles of observed pictures: fast for learners, and as `render` draws them."""
+
 LARGEST_PICTURE = 8192
 """Greatest width and height of pictures [pixels]."""
 
@@ -59,6 +62,8 @@ class ObservationSettings:
         delay: Delay of observations, rounded to control steps [s].
         history: Number of observations that are stacked, oldest first, on a leading axis if there is more than one.
         image_size: (height, width) of pictures [pixels].
+        picture_style: "plain": one sample per pixel, without shadows, highlights and textures, for learners, who need
+            many pictures. "full": as `render` draws them, at some twenty times the time.
         organ_points: Number of points of a point cloud on the organ's surface.
         tool_points: Number of points of a point cloud on the tools' surfaces.
         parts: "all"; "sensors": those that a robot knows from its own sensors or is told; "grouped": all, in two
@@ -69,6 +74,7 @@ class ObservationSettings:
     delay: float = 0.0
     history: int = 1
     image_size: tuple[int, int] = (84, 84)
+    picture_style: str = "plain"
     organ_points: int = 256
     tool_points: int = 64
     parts: str = ALL_PARTS
@@ -91,6 +97,7 @@ class ObservationSettings:
         for number in (height, width):
             check_count(number, "observation.image_size", 8, LARGEST_PICTURE)
         object.__setattr__(self, "image_size", (height, width))
+        check_choice(self.picture_style, "observation.picture_style", PICTURE_STYLES)
         check_choice(self.parts, "observation.parts", PART_CHOICES)
 
 

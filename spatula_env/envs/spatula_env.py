@@ -100,8 +100,14 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     `observation` also changes how it is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm,
     1 mm/s, 2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
-    observations are shown at once, the oldest first, on a first axis; `image_size` (height, width); `organ_points` and
-    `tool_points`. Goals are exact and never late.
+    observations are shown at once, the oldest first, on a first axis; `image_size` (height, width); `picture_style`;
+    `organ_points` and `tool_points`. Goals are exact and never late.
+
+    Pictures are those of a camera in the room: the organ, with the part of it that a task has dyed, the tools and the
+    ground, but neither goals nor pressures. With `picture_style="plain"`, the default, each pixel shows what is in its
+    middle, lit by vertex, without shadows, highlights and textures: learners need many pictures, and
+    [it is fast](../performance.md#observed-pictures). `"full"` is the style of `render`. Depth is that of the middle of
+    a pixel, and in the full style, at the outline of an object, that of the nearest object in the pixel.
 
     Names that LeRobot's datasets have for these entries; `observations.lerobot_keys(space)` gives them:
 

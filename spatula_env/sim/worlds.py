@@ -36,8 +36,8 @@ from spatula_env.sim.scene_checks import (
 )
 from spatula_env.sim.selection import check_speeds, one_each, refuse, rows_of, world_indices
 from spatula_env.sim.states import WorldMemory, WorldsState
-from spatula_env.sim.threads import share_out
 from spatula_env.sim.volumes import Volumes
+from spatula_env.threads import share_out
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
