@@ -126,7 +126,7 @@ def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
         ValueError: If it is something else, a quantity does not exist, or a range exceeds the allowed limits.
     """
     if isinstance(value, str) and value in ("none", "default"):
-        return dict(default) if value == "default" else {}
+        return _with_phases(dict(default)) if value == "default" else {}
     if not isinstance(value, Mapping):
         raise ValueError(f"randomization must be 'none', 'default' or a mapping, got {value!r}")
     unknown = sorted(str(name) for name in value if name not in NEUTRAL)
@@ -139,6 +139,11 @@ def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
         if low < LEAST[name] or high > GREATEST[name]:
             raise ValueError(f"randomization.{name} must lie in {LEAST[name]:g} to {GREATEST[name]:g}, got {given!r}")
         ranges[name] = (low, high)
+    return _with_phases(ranges)
+
+
+def _with_phases(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Add the phases of motions of which only the amplitude is given: a whole turn."""
     for name, _ in PARTS:
         if name in ranges:
             ranges.setdefault(phase_name(name), (-np.pi, np.pi))

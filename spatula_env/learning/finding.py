@@ -23,9 +23,6 @@ from spatula_env.policies import ExportedPolicy, pretrained_path, read_provenanc
 NAMES = ("expert", "proportional", "random", "pretrained")
 """Policies that have a name; any other name is a path."""
 
-SCRIPTED = ("expert", "proportional")
-"""Those that read all parts of observations, whatever a level shows to agents."""
-
 
 def find_policy(name: str, env_id: str) -> PolicySource:
     """Find the policy that a name on the command line stands for.

@@ -154,11 +154,14 @@ def interface_of(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_all_parts(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of an environment for a scripted policy, which reads all parts of observations.
+    """Options of an environment for a policy that reads all parts of observations, or says which it reads.
+
+    Scripted policies read all, and so do agents that were trained where a level showed all. What another agent reads is
+    among the options that it depends on; see `interface_of`.
 
     Args:
         env_id: Id of the environment.
-        kwargs: Options for an agent; where they choose no parts, and their level shows fewer, all are chosen.
+        kwargs: The options; where they choose no parts, and their level shows fewer, all are chosen.
     """
     implied = merged(level_options(env_id, kwargs.get("level", "easy")), kwargs).get("observation")
     chosen = kwargs.get("observation")

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
 def run(chosen: argparse.Namespace) -> dict[str, Any]:
     """Evaluate as the command line asks; return the report."""
     from spatula_env.learning.evaluation import Plan, evaluate, film, summarize
-    from spatula_env.learning.finding import SCRIPTED, find_policy
+    from spatula_env.learning.finding import find_policy
     from spatula_env.learning.policies import with_all_parts
 
     env_id = find_environment(chosen.env)
@@ -87,9 +87,7 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
     level = {name: getattr(chosen, name) for name in ("level", "split") if getattr(chosen, name) is not None}
     changes = [*(f"{name}={value}" for name, value in level.items()), *chosen.changes]
     source = find_policy(chosen.policy, env_id)
-    kwargs = with_changes(source.kwargs, changes)
-    if chosen.policy in SCRIPTED:
-        kwargs = with_all_parts(env_id, kwargs)
+    kwargs = with_all_parts(env_id, with_changes(source.kwargs, changes))
     plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)
     episodes, rate = evaluate(source, plan, processes=chosen.processes, end_at_success=chosen.horizon == "success")
     if chosen.video is not None:
