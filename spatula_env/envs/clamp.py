@@ -179,6 +179,9 @@ class ClampEnv(SpatulaEnv):
     get beside it; or if nodes are held that are nearer to the jaws than ten times the greatest lift. So most organs
     have to lie free, as the preset's does.
 
+    ## Levels
+    `randomization="default"` and the levels draw friction from 0.8 on: no grip that is allowed holds a smoother ridge.
+
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. Another default has
 

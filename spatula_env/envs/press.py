@@ -34,7 +34,7 @@ PRESS = Definition(
     # Deeper, the rim of a flat spatula exceeds the pressures that tissue bears, however careful the agent is.
     levels={
         "easy": Level(),
-        "standard": standard_level(task={"depth_range": (0.003, 0.0055), "place_radius": 0.01}),
+        "standard": standard_level(task={"depth_range": (0.003, 0.005), "place_radius": 0.01}),
         "hard": hard_level(
             task={
                 "depth_range": (0.0025, 0.006),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -176,3 +178,16 @@ def test_the_expert_does_each_level(task: str, level: str) -> None:
     # 90 % of many episodes are asked for; of 16, thirteen are exceeded by 97 % of such experts.
     assert succeeded.sum() >= 12
     envs.close()
+
+
+def test_the_page_tells_what_is_drawn() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "levels.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \| ([^|]+) \|$", page, re.MULTILINE)
+    rows = [row for row in rows if row[0] not in LEVELS]
+    assert {name for name, *_ in rows} == set(HARD_RANGES) | set(DEFAULT_RANGES) | set(HELD_OUT)
+    for name, *told in rows:
+        for text, ranges in zip(told, (DEFAULT_RANGES, HARD_RANGES, HELD_OUT), strict=True):
+            if name in ranges:
+                assert tuple(float(number) for number in text.split(" to ")) == ranges[name], name
+            else:
+                assert text in ("not varied", "as in training"), name
