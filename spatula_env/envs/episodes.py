@@ -502,10 +502,15 @@ class Episodes:
             self._bed_velocities(),
         )
 
+    @property
+    def _elapsed_times(self) -> FloatArray:
+        """(W,) time since each episode began [s]."""
+        return np.asarray(self.elapsed * self.period, dtype=np.float64)
+
     def _bed_velocities(self) -> FloatArray | None:
         """(W,) mean velocities with which the organs rise in the present control step [m/s]; None if none ever does."""
         sway = self._variation.sway
-        return sway.velocities(self.elapsed * self.period, self.period) if sway.moving else None
+        return sway.velocities(self._elapsed_times, self.period) if sway.moving else None
 
     def _in_robot_frame(self, points: FloatArray) -> FloatArray:
         """Convert present positions (W, 3) relative to the beds to positions relative to the robots [m]."""
@@ -637,7 +642,7 @@ class Episodes:
         held = np.minimum(self._held[worlds] / self._steps_to_hold, 1.0)
         limit = self.settings.damage_limit
         dose = None if limit is None else self._safety.dose_share(limit, worlds)
-        heights = self._variation.bed_heights(worlds, self.elapsed[worlds] * self.period)
+        heights = self._variation.bed_heights(worlds, self._elapsed_times[worlds])
         frames = builder.build(situation, goals, evaluation, held, noise, pictures, dose, heights)
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
