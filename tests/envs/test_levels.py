@@ -55,7 +55,6 @@ def test_easy_is_what_is_there_without_a_level(task: str) -> None:
     easy.close()
 
 
-@pytest.mark.filterwarnings("ignore:organ 'sphere' has not come to rest:spatula_env.sim.SceneWarning")
 @pytest.mark.parametrize("task", TASKS)
 def test_hard_shows_what_sensors_know_and_ends_by_harm(task: str) -> None:
     envs = worlds(task, level="hard")
@@ -117,7 +116,6 @@ def test_a_pressure_beyond_its_limit_ends_an_episode(reward: str, paid: float) -
         assert earned == paid
 
 
-@pytest.mark.filterwarnings("ignore:organ 'sphere' has not come to rest:spatula_env.sim.SceneWarning")
 def test_each_world_has_its_own_limit_of_strain() -> None:
     envs = PressVectorEnv(2, engine="tissue", strain_limit=0.1, max_episode_steps=200)
     envs.reset(seed=[0, 1], options={"tool_position": np.array([[0.0, 0.0, -0.015], [0.0, 0.0, 0.03]])})

@@ -51,7 +51,6 @@ def test_an_organ_rises_against_a_tool_that_stands_still() -> None:
     assert rises[free] == pytest.approx(heights(times[free]), abs=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore:organ 'sphere' has not come to rest:spatula_env.sim.SceneWarning")
 @pytest.mark.parametrize("engine", ["batch", "bullet", "tissue"])
 def test_it_is_the_same_as_a_tool_that_moves_over_a_resting_organ(engine: str) -> None:
     if engine == "bullet":
