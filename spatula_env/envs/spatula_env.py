@@ -197,7 +197,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     `level` is "easy", "standard" or "hard", and chooses the defaults of other options; whatever is given besides comes
     first, and `task` and `observation` are completed field by field. "standard" draws `randomization="default"`; "hard"
     draws more, breathing among it, shows what sensors know (`parts="sensors"`), and ends an episode by harm.
-    `split="test"` draws organs that are stiffer and larger than any of `split="train"`.
+    `split="test"` draws organs that are softer and larger than any of `split="train"`.
     [What each level of each task has](../levels.md).
 
     ## Info

@@ -25,6 +25,10 @@ SQUEEZE_OF_TISSUE = 0.85
 TIGHTER, SLIPPING, SLIPPED = 0.1, 0.0007, 0.0012
 """Share by which the grip narrows if the ridge slips, and the slips at which this begins and is complete [m]."""
 
+TIGHTER_ON_SOFT, WEAK, WEAKEST = 0.15, 0.13, 0.09
+"""Share by which the grip narrows on a ridge that resists little, and the forces at which this begins and is complete
+[N]."""
+
 CLOSED = 0.0004
 """Greatest excess over that width at which the lift begins [m]."""
 
@@ -107,6 +111,7 @@ class ClampExpert(Expert):
         going = np.clip(GAIN * (wanted_height - height), -FREE_SPEED, FREE_SPEED)
         lifting = np.clip(LIFT_GAIN * missing, -LIFT_SPEED, LIFT_SPEED)
         tighter = TIGHTER * np.clip((slip - SLIPPING) / (SLIPPED - SLIPPING), 0.0, 1.0) * holding
+        tighter += TIGHTER_ON_SOFT * np.clip((WEAK - force) / (WEAK - WEAKEST), 0.0, 1.0) * holding
         width = (self.squeeze - tighter) * WIDTH
         fastest = np.where(opening > TOUCHING, FREE_CLOSING_SPEED, CLOSING_SPEED)
         closing = np.clip(CLOSING_GAIN * (width - opening), -fastest, fastest)
