@@ -156,6 +156,8 @@ class ClampEnv(SpatulaEnv):
 
     `reset(options={"goal": (lift, slip), "tool_position": (x, y, z)})` replaces either of them [m].
 
+    `randomization="default"` and the levels draw friction from 0.8 on: no grip that is allowed holds a smoother ridge.
+
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.
 
@@ -178,9 +180,6 @@ class ClampEnv(SpatulaEnv):
     the jaws are open at the start, less 2 mm; if its flanks lean by more than a tenth of their height; if jaws do not
     get beside it; or if nodes are held that are nearer to the jaws than ten times the greatest lift. So most organs
     have to lie free, as the preset's does.
-
-    ## Levels
-    `randomization="default"` and the levels draw friction from 0.8 on: no grip that is allowed holds a smoother ridge.
 
     ## Arguments
     Those of `SpatulaEnv`; `task` changes fields of `ClampConfig`. Another default has

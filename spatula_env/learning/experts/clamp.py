@@ -79,10 +79,12 @@ class ClampExpert(Expert):
 
     Attributes:
         squeeze: Free width between the jaws while gripping, as a share of the ridge's width; one number, or (W,).
+        minds_force: Whether the grip widens or narrows where its force is not as it should be.
     """
 
     task = "clamp"
     squeeze: float | FloatArray
+    minds_force: bool = True
 
     def __init__(self, env: gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
         """See `Expert`; the width while gripping depends on the engine."""
@@ -101,7 +103,8 @@ class ClampExpert(Expert):
         gripping = height < AT
         forces = self.part(observation, "contact_force")
         force = np.minimum(-forces[..., 1], forces[..., 4])
-        holding = gripping & ((opening < self.squeeze * WIDTH + CLOSED) | (force > ENOUGH_FORCE))
+        enough = (force > ENOUGH_FORCE) & self.minds_force
+        holding = gripping & ((opening < self.squeeze * WIDTH + CLOSED) | enough)
         ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (opening > WIDTH + 0.5 * (OPEN - WIDTH))
         wanted_height = np.where(ready | (height < BESIDE), LOW, ABOVE)
 
@@ -111,12 +114,13 @@ class ClampExpert(Expert):
         going = np.clip(GAIN * (wanted_height - height), -FREE_SPEED, FREE_SPEED)
         lifting = np.clip(LIFT_GAIN * missing, -LIFT_SPEED, LIFT_SPEED)
         tighter = TIGHTER * np.clip((slip - SLIPPING) / (SLIPPED - SLIPPING), 0.0, 1.0) * holding
-        tighter += TIGHTER_ON_SOFT * np.clip((WEAK - force) / (WEAK - WEAKEST), 0.0, 1.0) * holding
+        weakly = np.clip((WEAK - force) / (WEAK - WEAKEST), 0.0, 1.0) * self.minds_force
+        tighter += TIGHTER_ON_SOFT * weakly * holding
         width = (self.squeeze - tighter) * WIDTH
         fastest = np.where(opening > TOUCHING, FREE_CLOSING_SPEED, CLOSING_SPEED)
         closing = np.clip(CLOSING_GAIN * (width - opening), -fastest, fastest)
         widening = np.clip(FORCE_GAIN * (force - MOST_FORCE), 0.0, FORCE_SPEED)
-        closing = np.where(force > MOST_FORCE, widening, closing)
+        closing = np.where((force > MOST_FORCE) & self.minds_force, widening, closing)
         return {
             "velocity_x": towards(along),
             "velocity_y": towards(across),
