@@ -191,7 +191,7 @@ def _drag(env: Any, generator: np.random.Generator) -> dict[str, Act]:
 def _squeeze(env: Any, generator: np.random.Generator) -> dict[str, Act]:
     """Grip as the expert does, but squeeze to a random width."""
     expert: Any = expert_of(env, "Clamp")
-    expert.squeeze = generator.uniform(0.125, 0.65, env.num_envs)
+    expert.squeeze, expert.minds_force = generator.uniform(0.125, 0.65, env.num_envs), False
     return {"squeeze": act_of(expert)}
 
 

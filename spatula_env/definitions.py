@@ -50,6 +50,12 @@ def present_options(env_id: str, number: int, kwargs: Mapping[str, Any]) -> dict
     return options
 
 
+def level_options(env_id: str, level: Any) -> Mapping[str, Any]:
+    """Options that a level of difficulty implies for an environment, by name; none if the environment is not known."""
+    levels: Mapping[Any, Any] = getattr(_definition(env_id), "levels", {})
+    return levels[level].options if level in levels else {}
+
+
 def tell_definition(what: str, env_id: str, number: int, stacklevel: int = 2) -> None:
     """Warn if something is of another definition of its task than the present one.
 

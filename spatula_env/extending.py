@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from spatula_env import scenes
+from spatula_env.envs.levels import Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.registering import register_task
 from spatula_env.tasks.base import Evaluation, Memory, PartSpec, Task, closeness, sample_disc
@@ -12,6 +13,7 @@ from spatula_env.tasks.situation import Setting, Situation, Start
 
 __all__ = [
     "Evaluation",
+    "Level",
     "Mark",
     "Memory",
     "ObservedRanges",
@@ -27,7 +29,9 @@ __all__ = [
     "TaskConfig",
     "Weights",
     "closeness",
+    "hard_level",
     "register_task",
     "sample_disc",
     "scenes",
+    "standard_level",
 ]

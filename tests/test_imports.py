@@ -31,6 +31,7 @@ LAYERS = (
         "pressure_limits",
         "printing",
         "processes",
+        "threads",
         "_bullet",
         "_kernels",
         "_warnings",

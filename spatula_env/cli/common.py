@@ -170,7 +170,7 @@ def make_environment(
 
     Args:
         chosen: Arguments of `add_environment_options`.
-        options: Options that the command line can override.
+        options: Options that the command line can override, of a policy that acts; None if none does.
         **more: Options that it cannot override, such as the render mode.
 
     Raises:
@@ -178,6 +178,10 @@ def make_environment(
     """
     env_id = resolve_env(chosen.env)
     wanted = {**engine_option(chosen), **(options or {}), **with_changes({}, chosen.changes), **more}
+    if options is not None:
+        from spatula_env.learning.policies import with_all_parts
+
+        wanted = with_all_parts(env_id, wanted)
     try:
         return gymnasium.make(env_id, **wanted)
     except (TypeError, ValueError) as error:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
+from spatula_env.envs.levels import HARD_RANGES, Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
+from spatula_env.envs.randomization import DEFAULT_RANGES
 from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.scenes.material import LENIENT_STRAIN
 from spatula_env.tasks.clamp import ClampConfig, ClampTask
 from spatula_env.tasks.clamp_anywhere import ClampAnywhereTask
 
@@ -41,6 +44,18 @@ CLAMP = Definition(
         face_count=12,
     ),
     own_organ=OwnOrgan(scenes.organ_with_ridge, ClampAnywhereTask),
+    # With less friction, no grip that is allowed holds.
+    randomization={**DEFAULT_RANGES, "friction": (0.8, 1.5)},
+    levels={
+        "easy": Level(),
+        "standard": standard_level(),
+        # Jaws that close on a ridge twice as stiff as usual press too hard on it, however they are regulated.
+        "hard": hard_level(
+            {**HARD_RANGES, "friction": (0.8, 1.8), "stiffness": (0.5, 1.6)},
+            task={"start_offset": 0.014, "start_height_range": (0.002, 0.025)},
+            strain_limit=LENIENT_STRAIN,
+        ),
+    },
 )
 """Two jaws above a ridge."""
 
@@ -140,6 +155,8 @@ class ClampEnv(SpatulaEnv):
     free width between them 20 to 30 mm, all uniformly.
 
     `reset(options={"goal": (lift, slip), "tool_position": (x, y, z)})` replaces either of them [m].
+
+    `randomization="default"` and the levels draw friction from 0.8 on: no grip that is allowed holds a smoother ridge.
 
     ## Episode End
     Success is to have been within tolerance for 10 steps (0.5 s) in a row.

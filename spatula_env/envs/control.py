@@ -201,6 +201,7 @@ class VelocityControl:
         orientations: FloatArray,
         period: float,
         tool_scale: FloatArray | None = None,
+        bed: FloatArray | None = None,
     ) -> Motion:
         """Motion of the tools in the coming control step.
 
@@ -211,6 +212,7 @@ class VelocityControl:
             orientations: (W, N, 4) orientations of the tools.
             period: Length of a control step [s].
             tool_scale: (W,) factor on the tools' lengths; ones by default.
+            bed: (W,) velocities with which the beds of the organs rise [m/s]; None if they never move.
 
         Returns:
             Constant velocities that bring the tools to their target poses at the end of the step.
@@ -241,8 +243,14 @@ class VelocityControl:
         least = np.repeat(self._low[None], count, axis=0)
         least[:, 2] = np.maximum(least[:, 2], self._stop - self._lowest(ends, turned, scale))
         fastest, slowest = (self._high - grip) / period, np.minimum((least - grip) / period, self.max_speed)
-        velocity = np.minimum(np.maximum(actions[:, :3] * self.max_speed, slowest), fastest)
+        wanted_velocity = actions[:, :3] * self.max_speed
+        if bed is not None:
+            # The robot stands still while the bed rises: relative to the bed, its tools sink.
+            wanted_velocity[:, 2] -= bed
+        velocity = np.minimum(np.maximum(wanted_velocity, slowest), fastest)
         linear = velocity[:, None] + (ends - arms) / period
+        if bed is not None:
+            velocity[:, 2] += bed
         return Motion(linear, angular, velocity, rate, coordinate_rate)
 
     def carried_out(
@@ -254,6 +262,7 @@ class VelocityControl:
         period: float,
         tool_scale: FloatArray,
         held: NDArray[np.bool_] | None = None,
+        bed: FloatArray | None = None,
     ) -> Motion:
         """The motion carried out where tools did not follow the requested motion all the time.
 
@@ -265,6 +274,7 @@ class VelocityControl:
             period: Length of a control step [s].
             tool_scale: (W,) factor on the tools' lengths.
             held: (W,) where to replace the motion; None: where too great a force kept the tools from moving on.
+            bed: As for `motion`.
 
         Returns:
             Mean velocities of the control step in these worlds; the requested motion in the others.
@@ -277,10 +287,13 @@ class VelocityControl:
         if self.layout.jaws:
             opened = self.opening(after, tool_scale) - self.opening(before, tool_scale)
             coordinate_rate[held] = opened[held] / period
+        velocity = linear.mean(axis=1)
+        if bed is not None:
+            velocity[:, 2] += bed
         return Motion(
             linear,
             motion.angular * turning[:, None, None],
-            np.where(held[:, None], linear.mean(axis=1), motion.velocity),
+            np.where(held[:, None], velocity, motion.velocity),
             motion.rate * turning[:, None],
             coordinate_rate,
         )
@@ -349,9 +362,9 @@ class Motion:
     """Motion of the tools during a control step.
 
     Attributes:
-        linear: (W, N, 3) velocities of the tools [m/s].
+        linear: (W, N, 3) velocities of the tools relative to the bed [m/s].
         angular: (W, N, 3) rates of rotation of the tools [rad/s].
-        velocity: (W, 3) velocity of the grip [m/s].
+        velocity: (W, 3) velocity of the grip, of the robot that holds it [m/s].
         rate: (W, 3) rate of rotation about the grip [rad/s].
         coordinate_rate: (W, K) rates of change of the further coordinates [m/s].
     """

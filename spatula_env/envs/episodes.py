@@ -191,15 +191,16 @@ class Episodes:
 
     @property
     def grips(self) -> FloatArray:
-        """(W, 3) present positions of the grips, workspace frames [m]."""
+        """(W, 3) present positions of the grips, workspace frames, of robots that stand still [m]."""
         positions = self.frames.points_from_scene(self.worlds.tool_positions, np.arange(self.count))
-        return np.asarray(positions.mean(axis=1))
+        return self._in_robot_frame(np.asarray(positions.mean(axis=1)))
 
     @property
     def reach(self) -> tuple[FloatArray, FloatArray]:
         """Two corners (W, 3) of the regions that the grips can reach now, workspace frames [m]."""
         positions, orientations = self._poses()
-        return self.control.reach(positions.mean(axis=1), positions, orientations, self._variation.tool_scale)
+        low, high = self.control.reach(positions.mean(axis=1), positions, orientations, self._variation.tool_scale)
+        return self._in_robot_frame(low), self._in_robot_frame(high)
 
     @property
     def pressures(self) -> tuple[FloatArray, ...]:
@@ -240,6 +241,14 @@ class Episodes:
         situation = None if self.situation is None else self.situation.rows(row)
         memory = {name: values[row] for name, values in self._memory.items()}
         return self.task.marks(self.goals[world], situation, memory)
+
+    def patches(self, worlds: IntArray) -> dict[str, BoolArray]:
+        """Nodes of the organ that are dyed in worlds (n,), as cameras see them: (n, V) by role; see `Task.patches`."""
+        assert self.situation is not None
+        if self.are_all(worlds):
+            return self.task.patches(self.goals, self.situation, self._memory)
+        memory = {name: values[worlds] for name, values in self._memory.items()}
+        return self.task.patches(self.goals[worlds], self.situation.rows(worlds), memory)
 
     def choose(self, options: Mapping[str, Any], worlds: IntArray) -> dict[str, FloatArray]:
         """Validate the chosen beginnings of episodes in worlds (n,); see `chosen_starts`."""
@@ -349,9 +358,10 @@ class Episodes:
         scale = self._variation.tool_scale
         pressure_limits = COST_PRESSURE / frames.pressure
         force_limits = None if self.settings.max_force is None else self.settings.max_force / frames.force
+        bed = self._bed_velocities()
         if pilot is None:
             motion = self.control.motion(
-                self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale
+                self._delayed(actions), positions.mean(axis=1), positions, orientations, self.period, scale, bed
             )
             steer, linear = None, frames.velocities_to_scene(motion.linear)
             angular = frames.rates_to_scene(motion.angular)
@@ -365,7 +375,8 @@ class Episodes:
             held = np.ones(self.count, dtype=np.bool_)
         if held.any():
             reached = frames.points_from_scene(worlds.tool_positions, every)
-            motion = self.control.carried_out(motion, loads.restrained, positions, reached, self.period, scale, held)
+            restrained = loads.restrained
+            motion = self.control.carried_out(motion, restrained, positions, reached, self.period, scale, held, bed)
         lost = loads.diverged
         going = np.flatnonzero(~lost)
         situation = self._situation(motion, actions, loads)
@@ -384,10 +395,15 @@ class Episodes:
         self._info["tangled"][:] = loads.tangled
         self._info["residual"][:] = np.where(lost, 0.0, loads.residuals * frames.length)
         badly = loads.tangled & self.settings.terminate_on_tangle
-        if self.settings.damage_limit is not None:
-            badly |= self._safety.damaged(self.settings.damage_limit)
+        badly |= self._damaged(every)
         reward = np.where(lost, 0.0, self.incentives.pay(reward, badly, self.horizon))
         return Outcome(reward, badly | (self._succeeded & self.settings.terminate_on_success), lost)
+
+    def _damaged(self, worlds: IntArray) -> BoolArray:
+        """(n,) whether the organs of some worlds (n,) have met more in the episode than a limit allows."""
+        limits = self.settings
+        damaged = self._safety.damaged(worlds, limits.damage_limit, limits.pressure_limit)
+        return damaged | self._strains.damaged(worlds, limits.strain_limit)
 
     def save(self, worlds: IntArray) -> tuple[Physics, EpisodesState]:
         """Copy everything that the next step depends on in some worlds (n,), in which episodes have begun."""
@@ -412,7 +428,7 @@ class Episodes:
         # Restore the tools before contact, because exchanging them clears the contact memory.
         self._variation.restore(state.drawn, state.generators, worlds)
         self.worlds.restore(joined(physics), worlds)
-        every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
+        every = self.are_all(worlds)
         for mine, saved in (
             (self._counters(), state.counters),
             (self._memory, state.memory),
@@ -432,6 +448,10 @@ class Episodes:
     def close(self) -> None:
         """Close the engine. Closing twice is allowed."""
         self.worlds.close()
+
+    def are_all(self, worlds: IntArray) -> bool:
+        """Whether some worlds (n,) are all there are, in their order."""
+        return len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
 
     def _counters(self) -> dict[str, NDArray[Any]]:
         """Counters and delayed actions, arrays (W, ...) by name."""
@@ -479,7 +499,24 @@ class Episodes:
             orientations,
             self.period / self.steps_per_action,
             self._variation.tool_scale,
+            self._bed_velocities(),
         )
+
+    @property
+    def _elapsed_times(self) -> FloatArray:
+        """(W,) time since each episode began [s]."""
+        return np.asarray(self.elapsed * self.period, dtype=np.float64)
+
+    def _bed_velocities(self) -> FloatArray | None:
+        """(W,) mean velocities with which the organs rise in the present control step [m/s]; None if none ever does."""
+        sway = self._variation.sway
+        return sway.velocities(self._elapsed_times, self.period) if sway.moving else None
+
+    def _in_robot_frame(self, points: FloatArray) -> FloatArray:
+        """Convert present positions (W, 3) relative to the beds to positions relative to the robots [m]."""
+        if self._variation.sway.moving:
+            points[:, 2] += self._variation.sway.heights(self.worlds.times_of(np.arange(self.count)))
+        return points
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
         """Poses of the tools in workspace frames: positions (W, N, 3) [m] and orientations (W, N, 4)."""
@@ -533,7 +570,7 @@ class Episodes:
     def _show(self, situation: Situation, worlds: IntArray, *, first: bool) -> Evaluation:
         """Evaluate the situation of some worlds (n,), and update their observation and info."""
         goals = self.goals[worlds]
-        every = len(worlds) == self.count and bool((worlds[1:] > worlds[:-1]).all())
+        every = self.are_all(worlds)
         memory = self._memory if every else {name: values[worlds] for name, values in self._memory.items()}
         evaluation = self.task.evaluate(situation, goals, memory)
         self.achieved[worlds] = evaluation.achieved
@@ -561,7 +598,8 @@ class Episodes:
             "peak_force": situation.peak_force,
             "peak_pressure": situation.peak_pressure,
             "mean_pressure": situation.mean_pressure,
-            **self._safety.info(worlds, self.settings.damage_limit),
+            "is_damaged": self._damaged(worlds),
+            **self._safety.info(worlds),
             **self._strains.info(worlds),
             **evaluation.measures,
             **{f"reward/{name}": values for name, values in evaluation.terms.items()},
@@ -604,11 +642,12 @@ class Episodes:
         held = np.minimum(self._held[worlds] / self._steps_to_hold, 1.0)
         limit = self.settings.damage_limit
         dose = None if limit is None else self._safety.dose_share(limit, worlds)
-        frames = builder.build(situation, goals, evaluation, held, noise, pictures, dose)
+        heights = self._variation.bed_heights(worlds, self._elapsed_times[worlds])
+        frames = builder.build(situation, goals, evaluation, held, noise, pictures, dose, heights)
         if self._frames.delay or self.settings.observation.history > 1:
             self._frames.push(frames, worlds, self.count, first=first)
             frames = self._frames.show(worlds)
-        if len(worlds) == self.count and (worlds[1:] > worlds[:-1]).all():
+        if self.are_all(worlds):
             self._observation = frames[""] if "" in frames else frames
             return
         whole = self._seen()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
+from spatula_env.envs.levels import Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
@@ -38,6 +39,11 @@ FISSURE = Definition(
         untouched={"velocity": (5,)},
         face_count=6,
     ),
+    levels={
+        "easy": Level(),
+        "standard": standard_level(),
+        "hard": hard_level(task={"start_offset": 0.015, "start_height_range": (0.004, 0.025), "start_tilt": 0.2}),
+    },
     own_organ=OwnOrgan(scenes.organ_with_fissure, FissureAnywhereTask, {"max_force": 0.6}),
 )
 """A blade on edge above a fissure."""

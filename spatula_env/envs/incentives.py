@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from spatula_env.tasks.base import Task
 
 
+LIMITS = ("damage_limit", "pressure_limit", "strain_limit")
+"""Options that let what an organ suffers end an episode."""
+
 LEAST_HORIZON = 200
 """Least number of control steps that an end by damage or by a tangle costs: enough for discounts up to 0.995."""
 
@@ -90,15 +93,16 @@ class Incentives:
             return np.zeros((), dtype=np.bool_)
         if not isinstance(info, Mapping):
             return np.array([bool(self.charged(each)) for each in info], dtype=np.bool_)
-        # Without a damage limit, "is_damaged" is never set.
+        # Without a limit, "is_damaged" is never set.
         badly = np.asarray(info.get("is_damaged", False), dtype=np.bool_)
         return badly | (np.asarray(info.get("tangled", False), dtype=np.bool_) & self._ends_by_tangle)
 
 
 def ends_badly(settings: EnvSettings) -> str:
     """Name of the option by which an episode can end badly; "" if there is none."""
-    if settings.damage_limit is not None:
-        return "damage_limit"
+    for name in LIMITS:
+        if getattr(settings, name) is not None:
+            return name
     return "terminate_on_tangle" if settings.terminate_on_tangle else ""
 
 

@@ -273,6 +273,7 @@ class ObservationBuilder:
         noise: FloatArray | None = None,
         pictures: Mapping[str, NDArray[Any]] | None = None,
         dose: FloatArray | None = None,
+        bed: FloatArray | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Build one frame of the observations of W worlds.
 
@@ -284,14 +285,18 @@ class ObservationBuilder:
             noise: (W, size of the vector) measurement errors in standard deviations; None for none.
             pictures: "image" (W, height, width, 3) and "depth" (W, height, width, 1) [m], if they are needed.
             dose: (W,) dose of the episode, relative to its limit, if it is observed.
+            bed: (W,) heights of the beds that organs and tools are placed relative to [m]; None if they never move.
 
         Returns:
             (W, ...) entries by name; a single vector has the name "". New arrays.
         """
-        moved = situation.nodes[:, self.landmarks] - self._rest_landmarks
+        rise = np.zeros((len(goal), 1, 3))
+        if bed is not None:
+            rise[:, 0, 2] = bed
+        moved = situation.nodes[:, self.landmarks] - self._rest_landmarks + rise
         count = len(goal)
         values = {
-            "tool_position": situation.tool_position,
+            "tool_position": situation.tool_position + rise[:, 0],
             "tool_velocity": situation.tool_velocity,
             **dict(zip((part.name for part in self._control.parts), self._control.observe(situation), strict=True)),
             "contact_force": situation.contact_forces.reshape(count, -1),
@@ -317,13 +322,15 @@ class ObservationBuilder:
         elif self._mode == "dict":
             result = {name: vectors[:, part].copy() for name, part in self._slices.items()}
         else:
-            result = {**self._look(situation, pictures), **self.vectors_of(vectors)}
+            result = {**self._look(situation, pictures, rise), **self.vectors_of(vectors)}
         if self._goal_interface:
             result["achieved_goal"] = evaluation.achieved.astype(np.float32)
             result["desired_goal"] = goal.astype(np.float32)
         return result
 
-    def _look(self, situation: Situation, pictures: Mapping[str, NDArray[Any]] | None) -> dict[str, NDArray[Any]]:
+    def _look(
+        self, situation: Situation, pictures: Mapping[str, NDArray[Any]] | None, rise: FloatArray
+    ) -> dict[str, NDArray[Any]]:
         if self._mode == "pointcloud":
             corners = situation.nodes[:, self._organ_corners]
             organ = np.einsum("wpka,pk->wpa", corners, self._organ_weights)
@@ -335,7 +342,9 @@ class ObservationBuilder:
                 ],
                 axis=1,
             )
-            clipped = (np.minimum(np.maximum(points, -GREATEST_PLACE), GREATEST_PLACE) for points in (organ, tool))
+            clipped = (
+                np.minimum(np.maximum(points + rise, -GREATEST_PLACE), GREATEST_PLACE) for points in (organ, tool)
+            )
             return dict(zip(("organ", "tool"), (points.astype(np.float32) for points in clipped), strict=True))
         if pictures is None:
             raise ValueError(f"pictures are needed with obs_mode={self._mode!r}")

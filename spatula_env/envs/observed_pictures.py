@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from spatula_env.envs.pictures import EpisodePictures
+from spatula_env.envs.plain_pictures import PlainPictures
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,11 +22,16 @@ def observed_pictures(episodes: Episodes) -> Pictures:
     Args:
         episodes: The episodes.
     """
-    height, width = episodes.settings.observation.image_size
-    pictures = EpisodePictures(episodes, width, height)
+    settings, depth = episodes.settings.observation, episodes.observation_builder.needs_depth
+    height, width = settings.image_size
+    plain = PlainPictures(episodes, width, height)
+    full = EpisodePictures(episodes, width, height)
 
     def draw(worlds: IntArray) -> Mapping[str, NDArray[Any]]:
-        images, depths = pictures.rgbd(worlds.tolist())
-        return {"image": images, "depth": depths[..., None]}
+        if settings.picture_style == "plain":
+            images, depths = plain.draw(worlds, depth=depth)
+        else:
+            images, depths = full.rgbd(worlds.tolist())
+        return {"image": images} if depths is None else {"image": images, "depth": depths[..., None]}
 
     return draw

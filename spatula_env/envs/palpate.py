@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
+from spatula_env.envs.levels import HARD_RANGES, Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.scenes.material import LENIENT_STRAIN
 from spatula_env.tasks.palpate import PalpateConfig, PalpateTask
 from spatula_env.tasks.palpate_anywhere import PalpateAnywhereTask
 
@@ -38,6 +40,16 @@ PALPATE = Definition(
         face_count=2,
     ),
     own_organ=OwnOrgan(scenes.organ_from_above, PalpateAnywhereTask),
+    # A force is to be kept within a few hundredths of a newton, which a millimetre of breathing changes by as much.
+    levels={
+        "easy": Level(),
+        "standard": standard_level(),
+        "hard": hard_level(
+            {**HARD_RANGES, "breathing": (0.0, 0.0008), "pulse": (0.0, 0.0001), "sensor_noise": (0.0, 1.0)},
+            task={"start_radius": 0.018, "start_height_range": (0.005, 0.03)},
+            strain_limit=LENIENT_STRAIN,
+        ),
+    },
     former_options={1: {"control": ("velocity", {"velocity": "velocity_level"})}},
 )
 """A spatula over a sphere that is held from below."""

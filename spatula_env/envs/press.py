@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from spatula_env import scenes
+from spatula_env.envs.levels import Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
 from spatula_env.envs.vector import SpatulaVectorEnv
+from spatula_env.scenes.material import LENIENT_STRAIN
 from spatula_env.tasks.press import PressConfig, PressTask
 from spatula_env.tasks.press_anywhere import PressAnywhereTask
 
@@ -29,6 +31,20 @@ PRESS = Definition(
         face_count=2,
     ),
     own_organ=OwnOrgan(scenes.organ_from_above, PressAnywhereTask, {"max_force": 3.0}),
+    # Deeper, the rim of a flat spatula exceeds the pressures that tissue bears, however careful the agent is.
+    levels={
+        "easy": Level(),
+        "standard": standard_level(task={"depth_range": (0.003, 0.005), "place_radius": 0.01}),
+        "hard": hard_level(
+            task={
+                "depth_range": (0.0025, 0.006),
+                "place_radius": 0.012,
+                "start_radius": 0.03,
+                "start_height_range": (0.005, 0.045),
+            },
+            strain_limit=LENIENT_STRAIN,
+        ),
+    },
 )
 """A spatula over a sphere."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from spatula_env.envs.sway import PARTS, Sway, phase_name
 from spatula_env.tasks.configuration import check_range
 
 if TYPE_CHECKING:
@@ -36,6 +37,10 @@ NEUTRAL: Mapping[str, float] = MappingProxyType(
         "tool_size": 1.0,
         "sensor_noise": 0.0,
         "action_delay": 0.0,
+        "breathing": 0.0,
+        "breathing_phase": 0.0,
+        "pulse": 0.0,
+        "pulse_phase": 0.0,
     }
 )
 """The quantities that can be randomised, with their values when they are not.
@@ -49,6 +54,9 @@ NEUTRAL: Mapping[str, float] = MappingProxyType(
 - tool_size: factor on the tools' lengths.
 - sensor_noise: replaces `observation.noise`.
 - action_delay: delay after which an action is carried out, a whole number of control steps [s].
+- breathing, pulse: amplitudes with which the organ rises and sinks; see `Sway` [m].
+- breathing_phase, pulse_phase: phases of these motions when episodes begin; of a whole turn, if only an amplitude is
+  given [rad].
 """
 
 LEAST: Mapping[str, float] = MappingProxyType(
@@ -62,6 +70,10 @@ LEAST: Mapping[str, float] = MappingProxyType(
         "tool_size": 0.5,
         "sensor_noise": 0.0,
         "action_delay": 0.0,
+        "breathing": 0.0,
+        "breathing_phase": -np.pi,
+        "pulse": 0.0,
+        "pulse_phase": -np.pi,
     }
 )
 """Least values allowed."""
@@ -77,6 +89,10 @@ GREATEST: Mapping[str, float] = MappingProxyType(
         "tool_size": 2.0,
         "sensor_noise": 100.0,
         "action_delay": LONGEST_DELAY,
+        "breathing": 0.01,
+        "breathing_phase": np.pi,
+        "pulse": 0.001,
+        "pulse_phase": np.pi,
     }
 )
 """Greatest values allowed."""
@@ -110,7 +126,7 @@ def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
         ValueError: If it is something else, a quantity does not exist, or a range exceeds the allowed limits.
     """
     if isinstance(value, str) and value in ("none", "default"):
-        return dict(default) if value == "default" else {}
+        return _with_phases(dict(default)) if value == "default" else {}
     if not isinstance(value, Mapping):
         raise ValueError(f"randomization must be 'none', 'default' or a mapping, got {value!r}")
     unknown = sorted(str(name) for name in value if name not in NEUTRAL)
@@ -123,6 +139,14 @@ def read_ranges(value: Any, default: Ranges) -> dict[str, tuple[float, float]]:
         if low < LEAST[name] or high > GREATEST[name]:
             raise ValueError(f"randomization.{name} must lie in {LEAST[name]:g} to {GREATEST[name]:g}, got {given!r}")
         ranges[name] = (low, high)
+    return _with_phases(ranges)
+
+
+def _with_phases(ranges: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Add the phases of motions of which only the amplitude is given: a whole turn."""
+    for name, _ in PARTS:
+        if name in ranges:
+            ranges.setdefault(phase_name(name), (-np.pi, np.pi))
     return ranges
 
 
@@ -145,6 +169,7 @@ class Variation:
         settings: Setting of each world's task.
         rest_nodes: (W, V, 3) the organs at rest, or (1, V, 3) if nothing is randomised [m].
         tool_scale: (W,) factor on the tools' lengths.
+        sway: Motion of the organs with breath and pulse.
     """
 
     def __init__(
@@ -173,6 +198,7 @@ class Variation:
         if ranges:
             self.rest_nodes = np.repeat(self.rest_nodes, count, axis=0)
         self.tool_scale: FloatArray = np.ones(count)
+        self.sway = Sway(self.drawn, moving=any(name in ranges for name, _ in PARTS))
 
     def draw(self, generators: Mapping[int, np.random.Generator]) -> None:
         """Draw the randomised quantities for new episodes.
@@ -252,6 +278,10 @@ class Variation:
     def rest_of(self, worlds: IntArray) -> FloatArray:
         """(n, V, 3) the organs of some worlds (n,) at rest, or (1, V, 3) if nothing is randomised [m]."""
         return self.rest_nodes[worlds] if self._ranges else self.rest_nodes
+
+    def bed_heights(self, worlds: IntArray, times: FloatArray) -> FloatArray | None:
+        """Heights (n,) of the organs of worlds (n,) above their mean at times (n,) [s], in [m]; None if none moves."""
+        return self.sway.heights(times, worlds) if self.sway.moving else None
 
     def sensor_noise(self, worlds: IntArray, size: int) -> FloatArray | None:
         """Measurement errors in some worlds (n,), in standard deviations: (n, size), or None if there are none."""

@@ -36,8 +36,8 @@ def register_task(
         module: Name of a module that calls this function when it is imported. By default, the module that defines the
             task; a task of this package needs ``module=__name__``.
         **fields: Fields of the `Definition`: `scene`, `config` and `workspace_height`; and, to override their defaults,
-            `stop_height`, `controls`, `defaults`, `randomization` and `observed`. Its `name` is by default the id's
-            name in lower case.
+            `stop_height`, `controls`, `defaults`, `randomization`, `levels`, `observed`. Its `name` is by default the
+            id's name in lower case.
 
     Returns:
         The environment class for one agent, and that for many.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from spatula_env import scenes
+from spatula_env.envs.levels import Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
@@ -32,6 +33,13 @@ RETRACT = Definition(
         untouched={"velocity": (5,)},
         face_count=6,
     ),
+    levels={
+        "easy": Level(),
+        "standard": standard_level(),
+        "hard": hard_level(
+            task={"place_limit": 0.01, "start_offset": (0.028, 0.015), "start_height_range": (0.006, 0.035)}
+        ),
+    },
     own_organ=OwnOrgan(scenes.organ_from_aside, RetractAnywhereTask, {"max_force": 1.0}),
 )
 """A blade over a fold."""

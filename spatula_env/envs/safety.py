@@ -97,9 +97,13 @@ class Safety:
         episode = {f"episode_{name}": values for name, values in self._episode.items()}
         return {**self._now, **episode, "violation": self._violation, "forces": self._forces}
 
-    def damaged(self, limit: float) -> BoolArray:
-        """(W,) whether the dose of the episode exceeds a limit [Pa s]."""
-        return np.asarray(self._episode["dose"] > limit)
+    def damaged(self, worlds: IntArray, dose: float | None, pressure: float | None) -> BoolArray:
+        """(n,) whether the episodes in some worlds exceed a dose [Pa s] or have met a pressure beyond a limit [Pa]."""
+        damaged = np.zeros(len(worlds), dtype=np.bool_)
+        for name, limit in (("dose", dose), ("peak_pressure", pressure)):
+            if limit is not None:
+                damaged |= self._episode[name][worlds] > limit
+        return damaged
 
     def dose_share(self, limit: float, worlds: IntArray) -> FloatArray:
         """(n,) doses of the episodes in some worlds, relative to a limit [Pa s]; 1 for any dose if that is zero."""
@@ -110,12 +114,10 @@ class Safety:
         """(n,) whether the episodes' costs are within a budget [s] in some worlds."""
         return np.asarray(self._episode["cost"][worlds] <= budget)
 
-    def info(self, worlds: IntArray, limit: float | None) -> dict[str, NDArray[Any]]:
+    def info(self, worlds: IntArray) -> dict[str, NDArray[Any]]:
         """Entries of info on some worlds (n,)."""
-        dose = self._episode["dose"][worlds]
         return {
             **{name: values[worlds] for name, values in self._now.items()},
             "violation": self._violation[worlds],
-            "is_damaged": dose > (np.inf if limit is None else limit),
             **{f"episode_{name}": values[worlds] for name, values in self._episode.items()},
         }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from spatula_env.engines import choose_engine, load_engine
 from spatula_env.envs.control import ALL_SIX, TRANSLATION, ControlLayout
+from spatula_env.envs.levels import LEVELS, SPLITS, Level, default_levels, merged
 from spatula_env.envs.observed_ranges import ALL_PARTS, PART_CHOICES, ObservedRanges, check_parts
 from spatula_env.envs.randomization import DEFAULT_RANGES, LONGEST_DELAY, Ranges, read_ranges
 from spatula_env.geometry.checks import check_boolean, check_count, check_not_negative, check_positive, is_number
@@ -39,6 +40,9 @@ RENDER_MODES = ("rgb_array", "human")
 LEAST_CONTROL_FREQUENCY = 0.5
 """Least control frequency: control steps longer than two seconds are no control, and as slow to compute [Hz]."""
 
+PICTURE_STYLES = ("plain", "full")
+"""Styles of observed pictures: fast for learners, and as `render` draws them."""
+
 LARGEST_PICTURE = 8192
 """Greatest width and height of pictures [pixels]."""
 
@@ -58,6 +62,8 @@ class ObservationSettings:
         delay: Delay of observations, rounded to control steps [s].
         history: Number of observations that are stacked, oldest first, on a leading axis if there is more than one.
         image_size: (height, width) of pictures [pixels].
+        picture_style: "plain": one sample per pixel, without shadows, highlights and textures, for learners, who need
+            many pictures. "full": as `render` draws them, at some twenty times the time.
         organ_points: Number of points of a point cloud on the organ's surface.
         tool_points: Number of points of a point cloud on the tools' surfaces.
         parts: "all"; "sensors": those that a robot knows from its own sensors or is told; "grouped": all, in two
@@ -68,6 +74,7 @@ class ObservationSettings:
     delay: float = 0.0
     history: int = 1
     image_size: tuple[int, int] = (84, 84)
+    picture_style: str = "plain"
     organ_points: int = 256
     tool_points: int = 64
     parts: str = ALL_PARTS
@@ -90,6 +97,7 @@ class ObservationSettings:
         for number in (height, width):
             check_count(number, "observation.image_size", 8, LARGEST_PICTURE)
         object.__setattr__(self, "image_size", (height, width))
+        check_choice(self.picture_style, "observation.picture_style", PICTURE_STYLES)
         check_choice(self.parts, "observation.parts", PART_CHOICES)
 
 
@@ -120,6 +128,11 @@ class EnvSettings:
         terminate_on_success: Whether success ends an episode.
         terminate_on_tangle: Whether an episode ends if organs stay crossed; see `info["tangled"]`.
         damage_limit: An episode ends when its dose exceeds this [Pa s]; None for no limit.
+        pressure_limit: An episode ends when a contact pressure exceeds this in a physics step [Pa]; None for no limit.
+        strain_limit: An episode ends when the greatest principal strain in the organ exceeds this at the end of a
+            control step, with an engine that tells strains; None for no limit.
+        level: "easy", "standard" or "hard": which defaults the other options have; see `levels`.
+        split: "train", or "test" for organs that are not drawn for training.
         randomization: "none", "default", or the range of each quantity that is randomised in each episode.
         observation: Fields of `ObservationSettings` to change, by name.
         render_mode: None, "rgb_array" or, for one agent, "human".
@@ -144,6 +157,10 @@ class EnvSettings:
     terminate_on_success: bool = False
     terminate_on_tangle: bool = False
     damage_limit: float | None = None
+    pressure_limit: float | None = None
+    strain_limit: float | None = None
+    level: str = "easy"
+    split: str = "train"
     randomization: Any = "none"
     observation: Any = None
     render_mode: str | None = None
@@ -166,6 +183,10 @@ class EnvSettings:
         for name in ("max_force", "episode_time"):
             check_positive(getattr(self, name), name, or_none=True)
         check_not_negative(self.damage_limit, "damage_limit", or_none=True)
+        check_positive(self.pressure_limit, "pressure_limit", or_none=True)
+        check_positive(self.strain_limit, "strain_limit", or_none=True)
+        check_choice(self.level, "level", LEVELS)
+        check_choice(self.split, "split", SPLITS)
         check_boolean(self.terminate_on_success, "terminate_on_success")
         check_boolean(self.terminate_on_tangle, "terminate_on_tangle")
         for name in ("width", "height"):
@@ -209,6 +230,7 @@ class Definition:
         controls: Layouts of actions, by the names that the option `control` takes.
         defaults: Defaults of options where they differ from those of `EnvSettings`, by name.
         randomization: The ranges of `randomization="default"`; see `randomization.DEFAULT_RANGES`.
+        levels: Defaults of options at each level of difficulty.
         observed: Ranges of observed measurements of contact and of the organ, and the observed faces.
         own_organ: How the task is set on an organ of one's own; None if it cannot be.
         former_options: By the number of a former definition of the task, the options whose values had another meaning
@@ -226,6 +248,7 @@ class Definition:
     )
     defaults: Mapping[str, Any] = field(default_factory=dict)
     randomization: Ranges = field(default_factory=lambda: dict(DEFAULT_RANGES))
+    levels: Mapping[str, Level] = field(default_factory=default_levels)
     observed: ObservedRanges = field(default_factory=ObservedRanges)
     own_organ: OwnOrgan | None = None
     former_options: Mapping[int, Mapping[str, tuple[Any, Mapping[Any, Any]]]] = field(default_factory=dict)
@@ -260,9 +283,14 @@ class Definition:
                     f"{owner}.__init__() got an unexpected keyword argument {name!r}{hint} are {', '.join(allowed)}"
                 )
         own = self.own_organ.defaults if self.own_organ is not None and options.get("organ") is not None else {}
-        values = {**defaults, **self.defaults, **own, **options}
+        level = self._level(options)
+        values = merged({**defaults, **self.defaults, **own, **level.options}, options)
         if values.get("engine") is None:
             values["engine"] = {**defaults, **self.defaults}.get("engine")
+        if level.material_options and values["engine"] is not None:
+            engine = choose_engine(values["engine"], values.get("contact", EnvSettings.contact))
+            if load_engine(engine).abilities.strains:
+                values = merged({**values, **level.material_options}, options)
         settings = EnvSettings(**values)
         check_choice(settings.control, "control", tuple(self.controls))
         if settings.organ is not None and self.own_organ is None:
@@ -274,14 +302,26 @@ class Definition:
             raise ValueError(
                 f"material must be None but with the engines 'tissue' and 'mujoco', got it with engine {engine!r}"
             )
+        if settings.strain_limit is not None and not load_engine(engine).abilities.strains:
+            raise ValueError(
+                f"strain_limit must be None but with an engine that tells strains, as 'tissue' does, got "
+                f"{settings.strain_limit!r} with engine {engine!r}"
+            )
+        ranges = read_ranges(settings.randomization, self.randomization if level.ranges is None else level.ranges)
+        if settings.split == "test":
+            ranges |= level.held_out
         return EnvSettings(
             **{
                 **vars(settings),
                 "engine": engine,
                 "task": config_from_mapping(self.config, settings.task, "task"),
-                "randomization": read_ranges(settings.randomization, self.randomization),
+                "randomization": ranges,
             }
         )
+
+    def _level(self, options: Mapping[str, Any]) -> Level:
+        check_choice(options.get("level", "easy"), "level", LEVELS)
+        return self.levels[options.get("level", "easy")]
 
     def signature(self, *more: inspect.Parameter, **defaults: Any) -> inspect.Signature:
         """Signature of an environment with this definition, for `inspect.signature`.

@@ -100,8 +100,14 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     `observation` also changes how it is seen: `noise`, a factor on the standard deviations of measurements (0.1 mm,
     1 mm/s, 2 mrad, 20 mN, 50 Pa; see `observations.NOISE`); `delay` [s], rounded to control steps; `history`, how many
-    observations are shown at once, the oldest first, on a first axis; `image_size` (height, width); `organ_points` and
-    `tool_points`. Goals are exact and never late.
+    observations are shown at once, the oldest first, on a first axis; `image_size` (height, width); `picture_style`;
+    `organ_points` and `tool_points`. Goals are exact and never late.
+
+    Pictures are those of a camera in the room: the organ, with the part of it that a task has dyed, the tools and the
+    ground, but neither goals nor pressures. With `picture_style="plain"`, the default, each pixel shows what is in its
+    middle, lit by vertex, without shadows, highlights and textures: learners need many pictures, and
+    [it is fast](../performance.md#observed-pictures). `"full"` is the style of `render`. Depth is that of the middle of
+    a pixel, and in the full style, at the outline of an object, that of the nearest object in the pixel.
 
     Names that LeRobot's datasets have for these entries; `observations.lerobot_keys(space)` gives them:
 
@@ -129,9 +135,10 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | Option                                | `reward="dense"`                                  | `reward="sparse"` |
     | ------------------------------------- | ------------------------------------------------- | ----------------- |
     | `terminate_on_success`                | every step pays B less, so that it pays 0 at best | as without        |
-    | `damage_limit`, `terminate_on_tangle` | the step that ends an episode so pays -B H        | that step pays -H |
+    | a limit, `terminate_on_tangle`        | the step that ends an episode so pays -B H        | that step pays -H |
 
-    `damage_limit` and `terminate_on_tangle` are refused without a time limit.
+    Limits are `damage_limit`, `pressure_limit` and `strain_limit`. They and `terminate_on_tangle` are refused without a
+    time limit.
 
     ## Safety
     What an organ suffers is a channel of its own and never a part of the reward. The *cost* of a step is the
@@ -144,7 +151,9 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     is the integral over time of what the greatest contact pressure exceeds 2.67 kPa (20 mmHg) by, and a *violation* is
     a pressure above 4.0 kPa (30 mmHg) in any physics step. Both figures come from retraction of rat brains for 15
     minutes (J. Rosenorn and N. Diemer, J Neurosurg 63:608, 1985): they are no limits for a moment. A dose grows with
-    the time that a goal is held. `damage_limit` ends an episode whose dose exceeds it. A tool that has met more than
+    the time that a goal is held. `damage_limit` ends an episode whose dose exceeds it, `pressure_limit` one in which a
+    physics step has a greater pressure, and `strain_limit`, with `"tissue"`, one in which a control step ends with a
+    greater principal strain. A tool that has met more than
     `max_force` in a physics step does not move on against that force in the next one, and does not turn: the protective
     stop that robots have. Velocities in observations are those that were reached.
 
@@ -153,7 +162,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     next reset.
 
     ### Termination
-    By success if `terminate_on_success` is set, by damage if `damage_limit` is, and by a tangle of organs if
+    By success if `terminate_on_success` is set, by damage if one of the limits is, and by a tangle of organs if
     `terminate_on_tangle` is; else never.
 
     ### Truncation
@@ -175,6 +184,21 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `tool_size`    | 0.95 to 1.05    | factor on the tools' lengths                               |
     | `sensor_noise` | 0 to 1          | replaces `observation["noise"]`                            |
     | `action_delay` | 0 to 0.05       | how late actions are, rounded to control steps [s]         |
+    | `breathing`    | not varied      | amplitude with which the organ rises and sinks, 15/min [m] |
+    | `breathing_phase` | not varied   | its phase when the episode begins [rad]                    |
+    | `pulse`        | not varied      | as `breathing`, 72/min [m]                                 |
+    | `pulse_phase`  | not varied      | its phase when the episode begins [rad]                    |
+
+    A phase is drawn from a whole turn if only the amplitude is given. The bed moves, with the organ, the ground and the
+    camera on it, and goals and the chosen place of a tool are relative to it. Actions, and the observed places of tools
+    and organ, are those of a robot that stands still.
+
+    ## Levels
+    `level` is "easy", "standard" or "hard", and chooses the defaults of other options; whatever is given besides comes
+    first, and `task` and `observation` are completed field by field. "standard" draws `randomization="default"`; "hard"
+    draws more, breathing among it, shows what sensors know (`parts="sensors"`), and ends an episode by harm.
+    `split="test"` draws organs that are softer and larger than any of `split="train"`.
+    [What each level of each task has](../levels.md).
 
     ## Info
     The same keys after `reset` and `step`:
@@ -187,7 +211,7 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `diverged`               | whether physics has broken down, which only a vector environment lives to tell      |
     | `tangled`                | whether organs have crossed themselves or each other for longer than 0.1 s          |
     | `residual`               | how deep tools and organs were left in each other in a physics step, at most [m]    |
-    | `is_damaged`             | whether the dose of the episode exceeds `damage_limit`                              |
+    | `is_damaged`             | whether the episode has exceeded `damage_limit` or another limit                    |
     | `hold_time`              | for how long the goal has been kept [s]                                             |
     | `time`                   | since the reset [s]                                                                 |
     | `force`                  | magnitude of the contact force, averaged over the step [N]                          |
@@ -243,6 +267,10 @@ class SpatulaEnv(EpisodesEnv, gymnasium.Env[Observation, NDArray[np.float32]]):
     | `terminate_on_success` | **bool**           | `False`      | Whether success ends the episode                    |
     | `terminate_on_tangle`  | **bool**           | `False`      | Whether `tangled` ends the episode                  |
     | `damage_limit`         | **float \| None**  | `None`       | Dose that ends the episode [Pa s]                   |
+    | `pressure_limit`       | **float \| None**  | `None`       | Contact pressure that does [Pa]                     |
+    | `strain_limit`         | **float \| None**  | `None`       | Greatest principal strain that does, with `"tissue"`|
+    | `level`                | **str**            | `"easy"`     | `"easy"`, `"standard"` or `"hard"`; see above       |
+    | `split`                | **str**            | `"train"`    | `"train"`, or `"test"` for organs held out          |
     | `randomization`        | **str or dict**    | `"none"`     | See above                                           |
     | `observation`          | **dict**           | `None`       | Fields of `ObservationSettings` to change           |
     | `render_mode`          | **str \| None**    | `None`       | `None`, `"rgb_array"` or `"human"`                  |

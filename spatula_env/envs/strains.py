@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from spatula_env.arrays import FloatArray, IntArray
+from spatula_env.arrays import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from spatula_env.envs.workspace_frames import Frames
@@ -63,6 +63,12 @@ class StrainCount:
         values["strain_dose"][worlds] = values["strained_share"][worlds] * period
         values["episode_strain_dose"][worlds] += values["strain_dose"][worlds]
         values["episode_peak_strain"][worlds] = np.maximum(values["episode_peak_strain"], values["peak_strain"])[worlds]
+
+    def damaged(self, worlds: IntArray, limit: float | None) -> BoolArray:
+        """(n,) whether the episodes in some worlds have met a strain beyond a limit."""
+        if limit is None:
+            return np.zeros(len(worlds), dtype=np.bool_)
+        return np.asarray(self._values["episode_peak_strain"][worlds] > limit)
 
     def info(self, worlds: IntArray) -> dict[str, FloatArray]:
         """Entries of info on some worlds (n,)."""

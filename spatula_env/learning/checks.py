@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from spatula_env.envs.incentives import LIMITS
 from spatula_env.learning.acting import acting_policy
 from spatula_env.learning.configuration import PPOConfig, SACConfig, SACHERConfig, TQCConfig, TrainingConfig
 from spatula_env.learning.demonstrations import EXPERT_MODES
 from spatula_env.learning.evaluation import Plan
 from spatula_env.learning.models import make_model
-from spatula_env.learning.policies import interface_of, make_expert
+from spatula_env.learning.policies import judged_options, make_expert
 from spatula_env.learning.saving import export_metadata
 from spatula_env.learning.worlds import base_of, make_training_env
 
@@ -73,7 +74,7 @@ def _check_hindsight(config: TrainingConfig) -> None:
     """Check that the environment has no options that make transitions wrong when replayed with other goals."""
     for name, why in (
         ("terminate_on_success", "with another goal the episode would not have ended there"),
-        ("damage_limit", "the replay buffer does not keep what tells of damage"),
+        *((name, "the replay buffer does not keep what tells of damage") for name in LIMITS),
         ("terminate_on_tangle", "the replay buffer does not keep what tells of tangles"),
     ):
         if config.environment.kwargs.get(name):
@@ -117,7 +118,7 @@ def _check_amounts(config: TrainingConfig) -> None:
             f"hyperparameters.top_quantiles_to_drop_per_net must be less than n_quantiles, {chosen.n_quantiles}, "
             f"got {chosen.top_quantiles_to_drop_per_net}"
         )
-    ends = [name for name in ("terminate_on_success", "damage_limit") if environment.kwargs.get(name)]
+    ends = [name for name in ("terminate_on_success", *LIMITS) if environment.kwargs.get(name)]
     if config.demonstrations and ends:
         raise ValueError(
             f"environment.kwargs.{ends[0]} must be left out with demonstrations, whose episodes must have one length"
@@ -150,7 +151,8 @@ def _rehearse(config: TrainingConfig, *, learns: bool = True) -> tuple[int | Non
         finally:
             env.close()
         environment, evaluation = config.environment, config.evaluation
-        plan = Plan(environment.id, interface_of(environment.kwargs), evaluation.engine, 1, evaluation.seed)
+        judged_on = judged_options(environment.id, environment.kwargs)
+        plan = Plan(environment.id, judged_on, evaluation.engine, 1, evaluation.seed)
         if learns:
             judged = plan.make(1)
             try:

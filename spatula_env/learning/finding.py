@@ -61,7 +61,7 @@ def find_policy(name: str, env_id: str) -> PolicySource:
     folder = find_saved(path)
     config = read_saved_config(folder)
     _check_env(config.environment.id, env_id, path)
-    kwargs = present_options(env_id, definition_of(folder), interface_of(config.environment.kwargs))
+    kwargs = present_options(env_id, definition_of(folder), interface_of(env_id, config.environment.kwargs))
     return PolicySource(_SavedMaker(folder), kwargs, f"saved policy {folder}")
 
 

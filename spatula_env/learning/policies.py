@@ -10,6 +10,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from spatula_env.definitions import level_options
+from spatula_env.envs.levels import merged
+from spatula_env.envs.observed_ranges import ALL_PARTS
 from spatula_env.learning.experts import (
     ClampExpert,
     FissureExpert,
@@ -136,8 +139,45 @@ def _of_its_task(env: Any, scripted: Sequence[type[Expert]]) -> Expert:
     return known[definition.name](env)
 
 
-def interface_of(kwargs: Mapping[str, Any]) -> dict[str, Any]:
-    """Select the environment options that a policy depends on."""
+def interface_of(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Select the environment options that a policy depends on, those among them that its level implies.
+
+    Args:
+        env_id: Id of the environment.
+        kwargs: Options with which it is made.
+    """
+    if "level" in kwargs:
+        kwargs = merged(level_options(env_id, kwargs["level"]), kwargs)
     # With the goal interface, the progress of holding is observed only if success ends episodes.
     names = (*INTERFACE, "terminate_on_success") if kwargs.get("reward") == "sparse" else INTERFACE
     return {name: value for name, value in kwargs.items() if name in names}
+
+
+def with_all_parts(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of an environment for a policy that reads all parts of observations, or says which it reads.
+
+    Scripted policies read all, and so do agents that were trained where a level showed all. What another agent reads is
+    among the options that it depends on; see `interface_of`.
+
+    Args:
+        env_id: Id of the environment.
+        kwargs: The options; where they choose no parts, and their level shows fewer, all are chosen.
+    """
+    implied = merged(level_options(env_id, kwargs.get("level", "easy")), kwargs).get("observation")
+    chosen = kwargs.get("observation")
+    if not isinstance(implied, Mapping) or implied.get("parts", ALL_PARTS) == ALL_PARTS:
+        return dict(kwargs)
+    if isinstance(chosen, Mapping) and "parts" in chosen:
+        return dict(kwargs)
+    return {**kwargs, "observation": {**(chosen or {}), "parts": ALL_PARTS}}
+
+
+def judged_options(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with which a policy is evaluated while it learns: those that it depends on, at the level it learns at.
+
+    Args:
+        env_id: Id of the environment.
+        kwargs: Options of the environment in which it learns.
+    """
+    level = {name: kwargs[name] for name in ("level",) if name in kwargs}
+    return {**interface_of(env_id, kwargs), **level}

@@ -25,7 +25,7 @@ from ray.tune.registry import register_env
 
 from spatula_env.learning.configuration import to_mapping
 from spatula_env.learning.evaluation import WORLDS_PER_PROCESS, Plan, run_episodes, summarize
-from spatula_env.learning.policies import interface_of
+from spatula_env.learning.policies import interface_of, judged_options
 from spatula_env.learning.rllib_configuration import RLlibConfig
 from spatula_env.learning.saving import (
     checkpoints_in,
@@ -210,7 +210,7 @@ def export_algorithm(algorithm: PPO, config: RLlibConfig) -> ExportedPolicy:
         high=space.high.astype(np.float32),
         metadata={
             "env_id": config.environment.id,
-            "env_kwargs": interface_of(config.environment.kwargs),
+            "env_kwargs": interface_of(config.environment.id, config.environment.kwargs),
             "parts": None if config.environment.parts is None else list(config.environment.parts),
         },
     )
@@ -335,7 +335,7 @@ class RLlibTrainer:
         policy = export_algorithm(self.algorithm, self.config)
         plan = Plan(
             environment.id,
-            interface_of(environment.kwargs),
+            judged_options(environment.id, environment.kwargs),
             evaluation.engine,
             evaluation.episodes,
             evaluation.seed,

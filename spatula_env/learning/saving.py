@@ -307,7 +307,7 @@ def export_metadata(config: TrainingConfig, definition: int | None = None) -> di
     parts = config.environment.parts
     return {
         "env_id": config.environment.id,
-        "env_kwargs": interface_of(config.environment.kwargs),
+        "env_kwargs": interface_of(config.environment.id, config.environment.kwargs),
         "parts": None if parts is None else list(parts),
         "definition": definition_number(config.environment.id) if definition is None else definition,
     }

@@ -30,7 +30,7 @@ from spatula_env.learning.evaluation import WORLDS_PER_PROCESS, Plan, run_episod
 from spatula_env.learning.folders import RunPlace, is_over
 from spatula_env.learning.imitation import CloneConfig, calm_down, hold_to_demonstrations, imitate
 from spatula_env.learning.models import make_model
-from spatula_env.learning.policies import interface_of
+from spatula_env.learning.policies import judged_options
 from spatula_env.learning.progress import ProgressView
 from spatula_env.learning.replay import DemonstrationReplayBuffer
 from spatula_env.learning.saving import (
@@ -97,7 +97,7 @@ class Trainer(BaseCallback):
         evaluation = config.evaluation
         self._plan = Plan(
             config.environment.id,
-            interface_of(config.environment.kwargs),
+            judged_options(config.environment.id, config.environment.kwargs),
             evaluation.engine,
             evaluation.episodes,
             evaluation.seed,

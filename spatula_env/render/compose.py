@@ -37,7 +37,7 @@ from spatula_env.render.translucent import draw_translucent
 _SHADOW_TINT = (1.0, 0.985, 0.955)
 
 # Factor on the ground's 1 / W, which puts it slightly further away, so that things lying on it are seen.
-_GROUND_BEHIND = 1.0 - 1e-4
+GROUND_BEHIND = 1.0 - 1e-4
 
 
 @inlined
@@ -323,6 +323,15 @@ def _find_ground_shadow(
 
 
 @inlined
+def fill_slope(view: Floats, slope: Floats) -> None:
+    """Write the ground's 1 / W, which is slope . (x, y, 1) at sample coordinate (x, y); zeros if it is not seen."""
+    slope[:] = 0.0
+    if view[GROUND_SEEN] != 0.0:
+        drop = view[GROUND_HEIGHT] - view[EYE + 2]
+        slope[0], slope[1], slope[2] = view[RAY_X + 2] / drop, view[RAY_Y + 2] / drop, view[RAY + 2] / drop
+
+
+@inlined
 def _clear_band(
     top: int, bottom: int, stride: int, count: int, extents: Indices, slope: Floats, view: Floats, band: Band
 ) -> None:
@@ -339,7 +348,7 @@ def _clear_band(
         start = slope[1] * (y + 0.5) + slope[2] + 0.5 * slope[0]
         row = (y - top) * stride
         for x in range(first, last):
-            value = _GROUND_BEHIND * (start + slope[0] * x)
+            value = GROUND_BEHIND * (start + slope[0] * x)
             # Ground nearer than the near plane is not drawn.
             value = 0.0 if value > nearest else value
             depth[row + x] = max(value, farthest)
@@ -403,11 +412,8 @@ def draw_picture(
     # Shadows on the ground are soft: in a large picture they vary smoothly over a few pixels.
     step = 4 if height >= 300 else (2 if height >= 150 else 1)
     blocks = np.empty(width + 2 * step)
-    # 1 / W of the ground, which is linear over the picture.
     slope = np.zeros(3)
-    if view[GROUND_SEEN] != 0.0:
-        drop = view[GROUND_HEIGHT] - view[EYE + 2]
-        slope[0], slope[1], slope[2] = view[RAY_X + 2] / drop, view[RAY_Y + 2] / drop, view[RAY + 2] / drop
+    fill_slope(view, slope)
     for first_row in range(0, height, band_height):
         last_row = min(first_row + band_height, height)
         top, bottom = first_row * supersample, last_row * supersample

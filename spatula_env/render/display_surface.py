@@ -47,6 +47,7 @@ class DisplaySurface:
     Attributes:
         triangles: (T', 3) that are drawn, counter-clockwise from outside.
         rest: (V', 3) vertices at rest [u].
+        source: (K,) node that each of the first K vertices is; all vertices, if no triangle is split.
     """
 
     def __init__(self, nodes: FloatArray, triangles: Int32Array, levels: int | None = None) -> None:
@@ -58,8 +59,8 @@ class DisplaySurface:
             levels: How many times to split each triangle in four; None: until edges are short.
         """
         nodes = np.ascontiguousarray(nodes, dtype=np.float64)
-        self._source, current = _split_at_creases(nodes, np.asarray(triangles, dtype=np.int32))
-        count = len(self._source)
+        self.source, current = _split_at_creases(nodes, np.asarray(triangles, dtype=np.int32))
+        count = len(self.source)
         if levels is None:
             corners = nodes[triangles]
             length = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
@@ -80,7 +81,7 @@ class DisplaySurface:
         The middle of an edge lies halfway from the edge to the mean of its projections onto the tangent planes of the
         edge's ends (after T. Boubekeur and M. Alexa, "Phong tessellation", 2008); on a crease, on the edge itself.
         """
-        points: FloatArray = np.asarray(nodes)[self._source]
+        points: FloatArray = np.asarray(nodes)[self.source]
         for level in self._levels:
             normals = vertex_normals(points, level.triangles)
             first, second = level.first, level.second
@@ -94,7 +95,7 @@ class DisplaySurface:
 
     def interpolate(self, values: FloatArray) -> FloatArray:
         """Interpolate values (V, ...) at the nodes to values (V', ...) at the vertices, linearly along edges."""
-        result: FloatArray = np.asarray(values, dtype=np.float64)[self._source]
+        result: FloatArray = np.asarray(values, dtype=np.float64)[self.source]
         for level in self._levels:
             result = np.concatenate([result, 0.5 * (result[level.first] + result[level.second])])
         return result

@@ -11,10 +11,10 @@ from pyglet import gl
 from pyglet.graphics.shader import Shader, ShaderProgram
 
 from spatula_env.arrays import FloatArray
+from spatula_env.render.aiming import WRAPS
 from spatula_env.render.camera import Camera
 from spatula_env.render.display_surface import vertex_normals
 from spatula_env.render.primitives import Background, GroundPlane, Lighting, Mesh, perpendicular_axes
-from spatula_env.render.renderer import WRAPS
 from spatula_env.render.scene_model import Composition
 from spatula_env.render.shaders import FRAGMENT, SHADOW_FRAGMENT, VERTEX
 

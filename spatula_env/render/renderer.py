@@ -12,21 +12,15 @@ from numpy.typing import NDArray
 from spatula_env.render import background as backgrounds
 from spatula_env.render import compose, rasterizer, shadows, vertices
 from spatula_env.render import layout as k
+from spatula_env.render.aiming import encoding_table, fill_light, fill_view, mesh_parameters
 from spatula_env.render.camera import Camera
-from spatula_env.render.palette import Color, linear_color, linear_to_srgb, srgb_to_linear, to_color
-from spatula_env.render.primitives import Background, GroundPlane, Lighting, Mesh, perpendicular_axes
+from spatula_env.render.palette import Color, linear_color, srgb_to_linear, to_color
+from spatula_env.render.primitives import Background, GroundPlane, Lighting, Mesh
 
 _STYLES = {"plain": 0.0, "grid": 1.0, "checker": 2.0}
 
 _BAND = 16384
 """Samples in a band."""
-
-_ASIDE = (1.4142e-7, 1.7321e-7)
-"""Offset of the middle of the picture, across and down, in samples. Without it a vertex at a round position would fall
-exactly on a sample, and where many edges end in a sample, rounding would assign it to two triangles or to none."""
-
-WRAPS = (0.50, 0.22, 0.16)
-"""How far red, green and blue light bleeds into the shaded side in flesh, as a cosine: red is absorbed least."""
 
 
 class Renderer:
@@ -93,8 +87,7 @@ class Renderer:
         self._view = np.zeros(k.VIEW)
         self._light = np.zeros(k.LIGHT)
         self._matrix = np.zeros((3, 4))
-        tones = linear_to_srgb(np.arange(k.TONES) / (k.TONES - 1))
-        self._tones = np.round(tones * 255.0).astype(np.uint8)
+        self._tones = encoding_table()
         self._vertex_room = self._triangle_room = self._mesh_room = 0
         self._grow(1024, 2048, 16)
 
@@ -193,36 +186,6 @@ class Renderer:
             self._ranges = np.zeros((room, 2), dtype=np.int32)
             self._others = np.zeros((room, 4))
 
-    def _aim(self, camera: Camera, ground: GroundPlane | None) -> None:
-        view = self._view
-        axes = camera.axes()
-        eye = np.asarray(camera.position)
-        focal = 0.5 * self.height * self.supersample / math.tan(math.radians(camera.vertical_field_of_view) / 2.0)
-        middle_x = 0.5 * self.width * self.supersample + _ASIDE[0]
-        middle_y = 0.5 * self.height * self.supersample + _ASIDE[1]
-        right, up, forward = axes
-        view[k.EYE : k.EYE + 3] = eye
-        view[k.RAY_X : k.RAY_X + 3] = right / focal
-        view[k.RAY_Y : k.RAY_Y + 3] = -up / focal
-        view[k.RAY : k.RAY + 3] = forward - (middle_x * right - middle_y * up) / focal
-        view[k.FOCAL] = focal
-        view[k.NEAR], view[k.FAR] = camera.near, camera.far
-        view[k.GROUND_SEEN] = float(ground is not None and eye[2] > ground.height)
-        view[k.GROUND_HEIGHT] = 0.0 if ground is None else ground.height
-        self._matrix[:, :3] = np.stack([focal * right + middle_x * forward, middle_y * forward - focal * up, forward])
-        self._matrix[:, 3] = -self._matrix[:, :3] @ eye
-
-        light, lighting = self._light, self.lighting
-        first, second, third = perpendicular_axes(lighting.key_direction)
-        light[k.KEY_DIRECTION : k.KEY_DIRECTION + 3] = third
-        light[k.AXIS_U : k.AXIS_U + 3] = first
-        light[k.AXIS_V : k.AXIS_V + 3] = second
-        light[k.FILL_DIRECTION : k.FILL_DIRECTION + 3] = lighting.fill_direction
-        light[k.KEY], light[k.FILL], light[k.AMBIENT] = lighting.key, lighting.fill, lighting.ambient
-        light[k.SHADOW], light[k.SOFTNESS] = lighting.shadow, lighting.shadow_softness
-        light[k.CLOSE] = 0.25 / max(lighting.shadow_softness, 1e-6)
-        light[k.GROUND_SHADOW] = 0.0 if ground is None else ground.shadow
-
     def _draw_background(self, background: Background, ground: GroundPlane | None) -> None:
         plane = GroundPlane() if ground is None else ground
         numbers = np.concatenate(
@@ -280,21 +243,8 @@ class Renderer:
                 flags |= k.CAPPED
             point, normal = mesh.clip_plane
             plane = (*normal, sum(x * n for x, n in zip(point, normal, strict=True)))
-        wraps = [reach * material.subsurface for reach in WRAPS]
-        # The order of the columns in `layout`.
-        self._parameters[m] = (
-            mesh.opacity,
-            *linear_color(_section_color(mesh) if mesh.rind > 0.0 else mesh.back_color or mesh.color),
-            *plane,
-            material.specular,
-            round(math.log2(material.shininess)),
-            material.metallic,
-            *wraps,
-            *(1.0 / (1.0 + wrap) for wrap in wraps),
-            material.rim,
-            material.grain,
-            material.mottle,
-        )
+        back = _section_color(mesh) if mesh.rind > 0.0 else mesh.back_color or mesh.color
+        self._parameters[m] = mesh_parameters(material, mesh.opacity, back, plane)
         if mesh.texture is not None and (material.grain > 0.0 or material.mottle > 0.0):
             flags |= k.TEXTURED
             self._texture[vertex:vertex_end] = mesh.texture
@@ -373,7 +323,8 @@ class Renderer:
             background = Background(color, color)
         wanted = (camera, background, ground, self.lighting)
         if wanted != self._drawn:
-            self._aim(camera, ground)
+            fill_view(self._view, self._matrix, camera, ground, (self.width, self.height), self.supersample)
+            fill_light(self._light, self.lighting, ground)
             self._draw_background(background, ground)
             self._drawn = wanted
 

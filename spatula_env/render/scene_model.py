@@ -83,7 +83,14 @@ class Composition:
 
 
 class SceneModel:
-    """Makes the `Composition` of a scene, moment after moment."""
+    """Makes the `Composition` of a scene, moment after moment.
+
+    Attributes:
+        surface: The organs' surface for display.
+        tissue: (V', 3) colours of its vertices, darker where little of the room is visible.
+        tools: Meshes of the tools in their own frames.
+        ground: The ground, or None.
+    """
 
     def __init__(self, scene: Scene, triangles: NDArray[np.int32], levels: int | None = None) -> None:
         """Prepare the meshes.
@@ -94,21 +101,21 @@ class SceneModel:
             levels: How many times to split the organs' triangles in four; None: until they are small.
         """
         nodes = np.concatenate([placed.vertices for placed in scene.organs])
-        self._surface = surface = DisplaySurface(nodes, triangles, levels)
+        self.surface = surface = DisplaySurface(nodes, triangles, levels)
         normals = vertex_normals(surface.rest, surface.triangles)
         light = DARKEST + (1.0 - DARKEST) * openness(surface.rest, normals, surface.triangles)
         # Colours are display values, which are approximately a root of light.
         self._gain = np.minimum(light, 1.0)[:, None] ** (1.0 / 2.2)
-        self._tissue = np.ascontiguousarray(self._gain * TISSUE)
+        self.tissue = np.ascontiguousarray(self._gain * TISSUE)
         self._organ = Mesh(
             surface.rest,
             surface.triangles,
             color=TISSUE,
-            vertex_colors=self._tissue,
+            vertex_colors=self.tissue,
             material=WET_TISSUE,
             texture=surface.rest,
         )
-        self._tools = [
+        self.tools = [
             Mesh(
                 placed.tool.vertices,
                 placed.tool.triangles,
@@ -121,10 +128,10 @@ class SceneModel:
         ]
         self._contact_nodes = [np.array(placed.tool.nodes) for placed in scene.tools]
         self._contact_normals = [np.array(placed.tool.normals) for placed in scene.tools]
-        self._ground = None
+        self.ground = None
         if scene.ground is not None:
             middle = 0.5 * (nodes.min(axis=0) + nodes.max(axis=0))
-            self._ground = GroundPlane(scene.ground.height, center=(float(middle[0]), float(middle[1])))
+            self.ground = GroundPlane(scene.ground.height, center=(float(middle[0]), float(middle[1])))
 
     def compose(self, moment: Moment, cut: tuple[Vector, Vector] | None = None) -> Composition:
         """Compose everything to draw at one moment.
@@ -136,13 +143,13 @@ class SceneModel:
         Raises:
             ValueError: If the number of tools, of forces or of pressures is not that of the scene.
         """
-        count = len(self._tools)
+        count = len(self.tools)
         positions = _rows(moment.tool_positions, "tool_positions", count, 3)
         orientations = _rows(moment.tool_orientations, "tool_orientations", count, 4)
         rotations = [rotation_matrix(orientation) for orientation in orientations]
         nodes = np.asarray(moment.nodes, dtype=np.float64)
-        points = self._surface.place(nodes)
-        colors = self._tissue
+        points = self.surface.place(nodes)
+        colors = self.tissue
         patches = [mark for mark in moment.marks if isinstance(mark, Patch)]
         if patches:
             colors = self._patched(colors, patches, len(nodes))
@@ -157,7 +164,7 @@ class SceneModel:
         if cut is not None:
             organ = replace(organ, clip_plane=cut, capped=True, back_color=TISSUE_INSIDE)
         meshes = [organ]
-        for tool, position, rotation in zip(self._tools, positions, rotations, strict=True):
+        for tool, position, rotation in zip(self.tools, positions, rotations, strict=True):
             meshes.append(replace(tool, vertices=position + moment.tool_scale * tool.vertices @ rotation.T))
         if moment.forces is not None:
             for position, force in zip(positions, _rows(moment.forces, "forces", count, 3), strict=True):
@@ -177,23 +184,34 @@ class SceneModel:
             elif isinstance(mark, Points):
                 signs.append(sphere_mesh(mark.points, 2.0 * LINE_WIDTH, casts_shadow=False))
                 curves += [_circle(point, 2.0 * LINE_WIDTH) for point in mark.points]
-        ground = self._ground
+        ground = self.ground
         if ground is not None and moment.ground_height is not None:
             ground = replace(ground, height=moment.ground_height)
         return Composition(meshes, signs, ground, curves)
 
     def _patched(self, colors: FloatArray, patches: Sequence[Patch], count: int) -> FloatArray:
         """Colours (V', 3) with some patches of the organ's `count` nodes coloured."""
-        colors = colors.copy()
         for patch in patches:
             inside = np.zeros((count, 1))
             inside[patch.nodes] = 1.0
             # The colour extends to the middle of the edges that leave the patch, if the surface is split that far.
-            share = np.clip(2.0 * self._surface.interpolate(inside) - 1.0, 0.0, 1.0)
-            # The dye is darkened less than the tissue, so that a patch at the bottom of a fissure is visible.
-            dye = np.sqrt(self._gain) * ROLE_COLORS[patch.role]
-            colors += 0.8 * share * (dye - colors)
+            share = np.clip(2.0 * self.surface.interpolate(inside) - 1.0, 0.0, 1.0)
+            colors = self.dyed(patch.role, colors, share)
         return colors
+
+    def dyed(self, role: str, colors: FloatArray | None = None, share: ArrayLike = 1.0) -> FloatArray:
+        """Colours (V', 3) of the organs' vertices where a patch dyes them.
+
+        Args:
+            role: Role of the patch.
+            colors: (V', 3) colours without it; None for those of the tissue.
+            share: (V', 1) how much each vertex belongs to the patch, 0..1.
+        """
+        bare = self.tissue if colors is None else colors
+        # The dye is darkened less than the tissue, so that a patch at the bottom of a fissure is visible.
+        dye = np.sqrt(self._gain) * ROLE_COLORS[role]
+        dyed: FloatArray = bare + 0.8 * np.asarray(share) * (dye - bare)
+        return dyed
 
     def _pressed(
         self, colors: FloatArray, points: FloatArray, places: FloatArray, out: FloatArray, pressure: FloatArray
@@ -213,7 +231,7 @@ class SceneModel:
         near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         if not len(near):
             return colors
-        normals = vertex_normals(points, self._surface.triangles)[near]
+        normals = vertex_normals(points, self.surface.triangles)[near]
         away = ((points[near, None] - places) ** 2).sum(axis=2) / PRESSURE_REACH**2
         # The surface that a face presses faces it; another surface close by does not.
         facing = np.clip(0.3 - 2.0 * (normals @ out.T), 0.0, 1.0)

@@ -228,6 +228,65 @@ def _highlight(n_l: float, n_v: float, l_v: float, squarings: int) -> float:
     return shine + 0.10 * sheen
 
 
+@inlined
+def body_light(
+    light: Floats,
+    view: Floats,
+    parameters: Floats,
+    m: int,
+    normal: tuple[float, float, float],
+    eye: tuple[float, float, float],
+    height: float,
+    lit: float,
+    streak: float,
+) -> tuple[float, float, float]:
+    """Light that a surface with the material of mesh m sends back, for each channel of its colour.
+
+    Args:
+        light: the light array.
+        view: the view array.
+        parameters: of the meshes (M, PARAMETERS).
+        m: the mesh.
+        normal: of the surface, of unit length.
+        eye: unit vector towards the eye.
+        height: z of the point.
+        lit: share of the key light that reaches it, 0..1.
+        streak: brightness of brush marks, see `_streaks`.
+    """
+    nx, ny, nz = normal
+    vx, vy, vz = eye
+    lx, ly, lz = light[KEY_DIRECTION], light[KEY_DIRECTION + 1], light[KEY_DIRECTION + 2]
+    n_l = nx * lx + ny * ly + nz * lz
+    key = light[KEY] * lit
+    # In flesh, light bleeds across the border into the shaded side.
+    key_red = key * max(n_l + parameters[m, WRAP], 0.0) * parameters[m, UNWRAP]
+    key_green = key * max(n_l + parameters[m, WRAP + 1], 0.0) * parameters[m, UNWRAP + 1]
+    key_blue = key * max(n_l + parameters[m, WRAP + 2], 0.0) * parameters[m, UNWRAP + 2]
+    fill = _fill_light(light, nx, ny, nz)
+    up = 0.5 + 0.5 * nz
+    ambient = _ambient_light(light, view, up, height)
+    sky_red = ambient * (_BOUNCE[0] + up * (_SKY[0] - _BOUNCE[0]))
+    sky_green = ambient * (_BOUNCE[1] + up * (_SKY[1] - _BOUNCE[1]))
+    sky_blue = ambient * (_BOUNCE[2] + up * (_SKY[2] - _BOUNCE[2]))
+    metal = parameters[m, METALLIC]
+    if metal > 0.0:
+        n_v = nx * vx + ny * vy + nz * vz
+        l_v = lx * vx + ly * vy + lz * vz
+        room = _room(2.0 * n_v * nz - vz + 0.35 * streak, 2.0 * n_v * n_l - l_v + 0.25 * streak, lit)
+        room *= 2.0 * ambient * (1.0 + 0.35 * streak)
+        key_red *= 1.0 - 0.75 * metal
+        key_green *= 1.0 - 0.75 * metal
+        key_blue *= 1.0 - 0.75 * metal
+        sky_red += metal * (room - sky_red)
+        sky_green += metal * (room - sky_green)
+        sky_blue += metal * (room * 1.02 - sky_blue)
+    return (
+        _KEY_COLOR[0] * key_red + _FILL_COLOR[0] * fill + sky_red,
+        _KEY_COLOR[1] * key_green + _FILL_COLOR[1] * fill + sky_green,
+        _KEY_COLOR[2] * key_blue + _FILL_COLOR[2] * fill + sky_blue,
+    )
+
+
 @kernel("void(i8, i4[:,::1], f8[:,::1], f4[:,::1]," + SCENE + ")")
 def shade(
     count: int,
@@ -290,19 +349,12 @@ def shade(
         lit = 1.0
         if has_shadows and kind & RECEIVES:
             lit = _key_light_share(light, map_depth, map_mesh, others, m, px, py, pz)
+        light_red, light_green, light_blue = body_light(
+            light, view, parameters, m, (nx, ny, nz), (vx, vy, vz), pz, lit, streak
+        )
         key = light[KEY] * lit
-
-        # In flesh, light bleeds across the border into the shaded side.
-        key_red = key * max(n_l + parameters[m, WRAP], 0.0) * parameters[m, UNWRAP]
-        key_green = key * max(n_l + parameters[m, WRAP + 1], 0.0) * parameters[m, UNWRAP + 1]
-        key_blue = key * max(n_l + parameters[m, WRAP + 2], 0.0) * parameters[m, UNWRAP + 2]
-        fill = _fill_light(light, nx, ny, nz)
         up = 0.5 + 0.5 * nz
         ambient = _ambient_light(light, view, up, pz)
-        sky_red = ambient * (_BOUNCE[0] + up * (_SKY[0] - _BOUNCE[0]))
-        sky_green = ambient * (_BOUNCE[1] + up * (_SKY[1] - _BOUNCE[1]))
-        sky_blue = ambient * (_BOUNCE[2] + up * (_SKY[2] - _BOUNCE[2]))
-
         l_v = lx * vx + ly * vy + lz * vz
         shine = 0.0
         if parameters[m, SPECULAR] > 0.0 and n_l > 0.0:
@@ -310,21 +362,8 @@ def shade(
             shine *= (0.6 + 0.4 * fresnel) * min(4.0 * n_l, 1.0)
         edge = parameters[m, RIM] * fresnel * ambient * (0.7 + 1.3 * up)
 
-        metal = parameters[m, METALLIC]
-        if metal > 0.0:
-            room = _room(2.0 * n_v * nz - vz + 0.35 * streak, 2.0 * n_v * n_l - l_v + 0.25 * streak, lit)
-            room *= 2.0 * ambient * (1.0 + 0.35 * streak)
-            key_red *= 1.0 - 0.75 * metal
-            key_green *= 1.0 - 0.75 * metal
-            key_blue *= 1.0 - 0.75 * metal
-            sky_red += metal * (room - sky_red)
-            sky_green += metal * (room - sky_green)
-            sky_blue += metal * (room * 1.02 - sky_blue)
-
         # Values brighter than white are clipped before samples are mixed: otherwise a highlight's border is jagged.
-        red = red * (_KEY_COLOR[0] * key_red + _FILL_COLOR[0] * fill + sky_red) + _KEY_COLOR[0] * shine + edge
-        green = green * (_KEY_COLOR[1] * key_green + _FILL_COLOR[1] * fill + sky_green)
-        green += _KEY_COLOR[1] * shine + edge
-        blue = blue * (_KEY_COLOR[2] * key_blue + _FILL_COLOR[2] * fill + sky_blue)
-        blue += _KEY_COLOR[2] * shine + edge
+        red = red * light_red + _KEY_COLOR[0] * shine + edge
+        green = green * light_green + (_KEY_COLOR[1] * shine + edge)
+        blue = blue * light_blue + (_KEY_COLOR[2] * shine + edge)
         _add_light(total, pixel, weight, min(red, 1.0), min(green, 1.0), min(blue, 1.0))

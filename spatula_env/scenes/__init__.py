@@ -14,6 +14,7 @@ from spatula_env.scenes.base import (
     Scale,
     ScaleName,
     Scene,
+    lying_as_material,
     with_material,
 )
 from spatula_env.scenes.clamp import JAW_CLEARANCE, clamp
@@ -23,7 +24,7 @@ from spatula_env.scenes.own_lines import organ_with_fissure, organ_with_ridge
 from spatula_env.scenes.own_organ import organ_from_above, organ_from_aside, own_organ
 from spatula_env.scenes.palpate import palpate
 from spatula_env.scenes.retract import BLADE_CLEARANCE, QUARTER_TURN, UPRIGHT, retract
-from spatula_env.scenes.seed import RESTING_SPHERE, seed
+from spatula_env.scenes.seed import RESTING_SPHERE, RESTING_TISSUE, seed
 
 __all__ = [
     "BLADE_CLEARANCE",
@@ -32,6 +33,7 @@ __all__ = [
     "ON_EDGE",
     "QUARTER_TURN",
     "RESTING_SPHERE",
+    "RESTING_TISSUE",
     "STANDARD_DENSITY",
     "TISSUE_MODULUS",
     "UPRIGHT",
@@ -47,6 +49,7 @@ __all__ = [
     "as_material",
     "clamp",
     "fissure",
+    "lying_as_material",
     "organ_from_above",
     "organ_from_aside",
     "organ_with_fissure",

@@ -102,6 +102,8 @@ class PlacedOrgan:
         fixed_nodes: Nodes that do not move.
         material: What it is made of, for an engine that uses materials; None: `Material()`. The engine "tissue" takes
             the mass from its density.
+        material_orientation: Orientation instead of `orientation` with such an engine, for an organ of which nothing is
+            fixed: its weight flattens it, so that it lies at rest in another orientation. None: the same.
     """
 
     organ: Organ
@@ -110,6 +112,7 @@ class PlacedOrgan:
     orientation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     fixed_nodes: tuple[int, ...] = ()
     material: Material | None = None
+    material_orientation: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -119,6 +122,9 @@ class PlacedOrgan:
         for node in self.fixed_nodes:
             if not isinstance(node, int | np.integer) or not 0 <= node < len(self.organ.vertices):
                 raise ValueError(f"fixed_nodes must be integers in 0..{len(self.organ.vertices) - 1}, got {node!r}")
+        if self.material_orientation is not None:
+            turned = as_quaternion(self.material_orientation, "material_orientation")
+            object.__setattr__(self, "material_orientation", tuple(turned.tolist()))
         if not isinstance(self.material, Material | None):
             raise ValueError(f"material must be a Material or None, got {self.material!r}")
 
@@ -241,6 +247,17 @@ def with_material(scene: Scene, material: Material) -> Scene:
     volume, mass = sum(placed.organ.volume for placed in organs), sum(placed.mass for placed in organs)
     length = scene.scale.length
     return replace(scene, organs=organs, scale=Scale(length=length, mass=material.density * volume * length**3 / mass))
+
+
+def lying_as_material(scene: Scene) -> Scene:
+    """The scene for an engine that uses materials: organs that lie free in their `material_orientation`."""
+    organs = tuple(
+        placed
+        if placed.material_orientation is None or placed.fixed_nodes
+        else replace(placed, orientation=placed.material_orientation)
+        for placed in scene.organs
+    )
+    return scene if organs == scene.organs else replace(scene, organs=organs)
 
 
 def _set_pose(placed: PlacedOrgan | PlacedTool) -> None:

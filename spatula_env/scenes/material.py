@@ -25,6 +25,9 @@ damaged from undamaged nerve fibres in guinea pigs' optic nerves, 0.14 being the
 system white matter injury, Journal of Biomechanical Engineering 122, 2000). The nerves were stretched along their
 fibres within some tens of milliseconds, as in an accident: the threshold says little about slow retraction."""
 
+LENIENT_STRAIN = 0.34
+"""The lenient threshold of the same source."""
+
 BRAIN = {
     "cortex": (1330.4, -3.275, 1.566),
     "corona_radiata": (737.1, -4.176, 1.699),

@@ -38,7 +38,7 @@ from spatula_env.geometry.checks import check_positive
 from spatula_env.sim.lanes import NARROW, WIDE, aligned_zeros, tell_finite
 from spatula_env.sim.selection import one_each, refuse, world_indices
 from spatula_env.sim.soft_body import SWEEPS
-from spatula_env.sim.threads import share_out
+from spatula_env.threads import share_out
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray

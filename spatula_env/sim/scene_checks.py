@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from spatula_env.geometry.meshes import Organ
     from spatula_env.scenes import PlacedOrgan, PlacedTool, Scene
 
+    BoolArray = NDArray[np.bool_]
     FloatArray = NDArray[np.float64]
 
 LARGEST_ORGAN = 1.0
@@ -35,6 +36,10 @@ not bear its own weight either."""
 
 BURIED = 0.01
 """An organ is below the ground if a free node is deeper in the ground than this share of the organ's extent."""
+
+GREATEST_CREEP = 0.01
+"""Greatest speed of nodes when settling was ended, in extents of the organ per second: slower, it sways in its place
+for a while, which is not worth a warning."""
 
 LONGEST_PASSAGE = 0.5
 """Longest way of a shear wave in a step, by the mean edge of a surface. Contact is resolved once in a step: at 0.25 the
@@ -220,7 +225,7 @@ def warn_of_rest(
             f"(its top has sunk by {sag:.2g} of {np.ptp(shape[:, 2]):.3g} u, it has {100.0 * share:.3g} % of its "
             f"volume, and its nodes are {deformation:.2g} u from their places in it)"
         )
-        if speeds is not None and speeds[own].max() > 0.0:
+        if speeds is not None and speeds[own].max() > GREATEST_CREEP * extent:
             warn(
                 f"organ {placed.organ.name!r} has not come to rest: it still moved at {speeds[own].max():.2g} u/s when "
                 f"settling was ended {told}. It rolls or sags on; hold some of its nodes, put it on more of them, or "
@@ -231,6 +236,16 @@ def warn_of_rest(
                 f"organ {placed.organ.name!r} does not keep its shape under its own weight {told}. With less "
                 "gravity, a smaller dt or a coarser surface it bears more of it"
             )
+
+
+def is_creeping(scene: Scene, speeds: FloatArray) -> BoolArray:
+    """(n,) whether any organ of worlds moves faster than `GREATEST_CREEP`, given speeds (n, V) of its nodes [u/s]."""
+    creeping, start = np.zeros(len(speeds), dtype=np.bool_), 0
+    for placed in scene.organs:
+        own = slice(start, start + len(placed.vertices))
+        start = own.stop
+        creeping |= speeds[:, own].max(axis=1) > GREATEST_CREEP * np.ptp(placed.vertices, axis=0).max()
+    return creeping
 
 
 def deformation_of(before: FloatArray, after: FloatArray) -> float:

@@ -100,7 +100,7 @@ class Simulation:
         """The scene, with the present tools."""
         tools = self.worlds.tools_of(0)
         if tools is not self._scene.tools:
-            self._scene = replace(self.worlds.scene, tools=tools)
+            self._scene = replace(self._scene, tools=tools)
         return self._scene
 
     def reset(self, seed: int | None = None) -> None:

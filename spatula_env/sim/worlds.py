@@ -20,7 +20,7 @@ from spatula_env.engines import choose_engine, load_engine
 from spatula_env.geometry import Tool
 from spatula_env.geometry.checks import as_tuple_of, check_count, check_kind
 from spatula_env.geometry.transforms import as_quaternion
-from spatula_env.scenes import Scene
+from spatula_env.scenes import Scene, lying_as_material
 from spatula_env.scenes.material import INJURY_STRAIN
 from spatula_env.sim import step
 from spatula_env.sim.clock import later
@@ -29,6 +29,7 @@ from spatula_env.sim.engine import OWN_CONTACTS, PRECISIONS, BlockEngine, Contac
 from spatula_env.sim.report import LONGEST_CROSSED
 from spatula_env.sim.scene_checks import (
     check_surfaces,
+    is_creeping,
     organs_below_ground,
     tools_in_organs,
     warn_of_rest,
@@ -36,8 +37,8 @@ from spatula_env.sim.scene_checks import (
 )
 from spatula_env.sim.selection import check_speeds, one_each, refuse, rows_of, world_indices
 from spatula_env.sim.states import WorldMemory, WorldsState
-from spatula_env.sim.threads import share_out
 from spatula_env.sim.volumes import Volumes
+from spatula_env.threads import share_out
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -181,6 +182,8 @@ class Worlds:
         if contact not in kind.abilities.contacts:
             had = " or ".join(map(repr, kind.abilities.contacts))
             raise ValueError(f"contact must be {had} with engine {name!r}, got {contact!r}")
+        if kind.abilities.materials:
+            scene = lying_as_material(scene)
         check_surfaces(scene)
         warn_of_scene(scene, kind.abilities.sweeps)
         self._scene, self.contact, self._first_step = scene, contact, first_step
@@ -452,6 +455,7 @@ class Worlds:
         finally:
             self.restore(before)
         self.reset(indices)
+        moving &= is_creeping(self._scene, speeds)
         if moving.any():
             warn(
                 f"the organs of {moving.sum()} of {len(indices)} worlds, world {indices[moving][0]} the first, have "

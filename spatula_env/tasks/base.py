@@ -17,7 +17,7 @@ from spatula_env.arrays import BoolArray, FloatArray, IntArray
 from spatula_env.pressure_limits import COST_PRESSURE
 from spatula_env.tasks.configuration import TaskConfig
 from spatula_env.tasks.criteria import Criterion
-from spatula_env.tasks.marks import Mark
+from spatula_env.tasks.marks import Mark, Patch
 from spatula_env.tasks.situation import Setting, Situation, Start
 
 Memory = dict[str, NDArray[Any]]
@@ -294,6 +294,29 @@ class Task(ABC):
             memory: Memory of that world; None if it is unknown.
         """
         return ()
+
+    def patches(self, goals: FloatArray, situation: Situation, memory: Memory) -> dict[str, BoolArray]:
+        """Parts of the organ that are dyed in W worlds, which cameras see: the patches among the `marks`.
+
+        This asks for the marks of each world; a task that knows its patches without them saves that time.
+
+        Args:
+            goals: (W, G) the goals.
+            situation: Situation of the worlds.
+            memory: Memory of the worlds.
+
+        Returns:
+            (W, V) whether each node of the organ is on a patch, by the patch's role.
+        """
+        dyed: dict[str, BoolArray] = {}
+        for world, goal in enumerate(goals):
+            row = np.array([world])
+            rows = {name: values[row] for name, values in memory.items()}
+            for mark in self.marks(goal, situation.rows(row), rows):
+                if isinstance(mark, Patch):
+                    whole = dyed.setdefault(mark.role, np.zeros(situation.nodes.shape[:2], dtype=np.bool_))
+                    whole[world, mark.nodes] = True
+        return dyed
 
 
 def as_seen(goal: ArrayLike) -> FloatArray:

@@ -259,6 +259,12 @@ class ClampTask(Task):
         ends[:, 2] = rest[:, 2].max() + goal[0]
         return Patch(self._crest), Path(ends)
 
+    def patches(self, goals: FloatArray, situation: Situation, memory: Memory) -> dict[str, BoolArray]:
+        """The ridge's crest."""
+        dyed = np.zeros(situation.nodes.shape[:2], dtype=np.bool_)
+        dyed[:, self._crest] = True
+        return {"target": dyed}
+
     def _read_ridge(self) -> tuple[IntArray, IntArray]:
         """Nodes of the ridge's crest, and those of its flanks.
 

@@ -304,6 +304,10 @@ class FissureTask(Task):
         outline = [target + 0.5 * (x * length * along[0] + y * width * across) for x, y in _ROUND]
         return Path(np.array(outline)), Path(np.array([target, target + SIGHT_LENGTH * sight(goal[None, 1])[0]]))
 
+    def patches(self, goals: FloatArray, situation: Situation, memory: Memory) -> dict[str, BoolArray]:
+        """None: nothing of the organ is dyed."""
+        return {}
+
     def _read_ends(self) -> tuple[int, int]:
         """The nodes at the two ends of the floor.
 

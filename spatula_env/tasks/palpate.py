@@ -332,6 +332,10 @@ class PalpateTask(Task):
         path = path + np.array([0.0, 0.0, MARK_HEIGHT])
         return Path(path), Ring(path[-1], self.config.end_tolerance)
 
+    def patches(self, goals: FloatArray, situation: Situation, memory: Memory) -> dict[str, BoolArray]:
+        """None: nothing of the organ is dyed."""
+        return {}
+
     def _check_share_and_force(self, goal: FloatArray) -> None:
         """Raise ValueError if the share or the force of a goal (4,) is out of its range."""
         for value, (least, greatest), what in (

@@ -278,6 +278,10 @@ class PressTask(Task):
         radius = RING_RATIO * float(self.setting.tool_high[0])
         return Ring(points[0], radius), Ring(points[1], radius), Path(points)
 
+    def patches(self, goals: FloatArray, situation: Situation, memory: Memory) -> dict[str, BoolArray]:
+        """None: nothing of the organ is dyed."""
+        return {}
+
     def _view(self, situation: Situation, memory: Memory) -> PressView:
         """What is measured, in frames in which presses go straight down."""
         return PressView(

@@ -276,6 +276,10 @@ class RetractTask(Task):
             Points(end[None]),
         )
 
+    def patches(self, goals: FloatArray, situation: Situation, memory: Memory) -> dict[str, BoolArray]:
+        """The patch of each world."""
+        return {"target": memory["weights"] > 0.0}
+
     def _pushes(self, situation: Situation, patch: FloatArray, inwards: FloatArray) -> BoolArray:
         """(W,) whether blades push against the flanks beside patches with middles (W, 3).
 

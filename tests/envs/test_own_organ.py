@@ -73,8 +73,9 @@ def test_experts_do_the_tasks_on_it(task: str, least: int, kidney: str) -> None:
 
 
 @pytest.mark.parametrize("task", EXPERTS)
-def test_tools_start_outside_the_organ_and_within_the_workspace(task: str, kidney: str) -> None:
-    envs: Any = gym.make_vec(f"Spatula/{task}-v0", num_envs=64, engine="batch", organ=kidney, randomization="default")
+@pytest.mark.parametrize("level", ["standard", "hard"])
+def test_tools_start_outside_the_organ_and_within_the_workspace(task: str, level: str, kidney: str) -> None:
+    envs: Any = gym.make_vec(f"Spatula/{task}-v0", num_envs=64, engine="batch", organ=kidney, level=level)
     envs.reset(seed=5)
     episodes = envs.unwrapped._episodes
     situation = episodes.situation

@@ -332,7 +332,7 @@ def test_only_the_goal_interface_has_compute_reward(env: PressEnv, sparse_env: P
         ({"damage_limit": -1.0}, "damage_limit must be None, or zero or more and finite, got -1.0"),
         ({"observation": {"blur": 1}}, "observation has no blur; allowed are delay, history, image_size"),
         ({"randomization": "some"}, "randomization must be 'none', 'default' or a mapping, got 'some'"),
-        ({"randomization": {"colour": (0, 1)}}, "randomization has no colour; allowed are action_delay, friction"),
+        ({"randomization": {"colour": (0, 1)}}, "randomization has no colour; allowed are action_delay, breathing"),
         ({"randomization": {"stiffness": (0, 1)}}, r"randomization.stiffness must lie in 0.05 to 20, got \(0, 1\)"),
         ({"randomization": {"friction": (2, 1)}}, "randomization.friction must be two finite numbers in ascending"),
         ({"randomization": {"action_delay": 2}}, "randomization.action_delay must lie in 0 to 0.5, got 2"),

@@ -58,6 +58,7 @@ def test_a_blade_that_is_merely_in_the_fissure_shows_nothing() -> None:
 
 def test_a_light_grip_lets_the_ridge_slip(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("spatula_env.learning.experts.clamp.SQUEEZE", 0.93)
+    monkeypatch.setattr("spatula_env.learning.experts.clamp.ClampExpert.minds_force", False)
     success, info = run("Clamp", [0, 1, 2, 3], 70)
     assert not success.any()
     # The jaws go up, and the ridge stays behind.

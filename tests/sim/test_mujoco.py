@@ -353,7 +353,6 @@ def test_an_engines_own_contact_chooses_the_engine() -> None:
 
 
 @needs_mujoco
-@pytest.mark.filterwarnings("ignore:organ 'sphere' has not come to rest:spatula_env.sim.SceneWarning")
 def test_the_press_is_an_environment_that_the_expert_succeeds_in() -> None:
     env = gym.make("Spatula/Press-v0", engine="mujoco")
     assert env.spec is not None and env.spec.kwargs["engine"] == "mujoco"

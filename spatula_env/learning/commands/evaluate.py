@@ -10,6 +10,7 @@ from typing import Any
 
 from spatula_env.changes import with_changes
 from spatula_env.definitions import definition_number
+from spatula_env.envs.levels import LEVELS, SPLITS
 from spatula_env.files import check_can_write, check_free
 from spatula_env.learning.commands.common import add_overwrite_option, run_command
 from spatula_env.learning.configuration import ENGINES
@@ -40,6 +41,8 @@ def main(arguments: Sequence[str] | None = None, program: str = PROGRAM) -> int:
         help="expert, proportional, random, pretrained, or the path of a run or of exported weights",
     )
     parser.add_argument("--engine", choices=ENGINES, default="batch", help="default: %(default)s")
+    parser.add_argument("--level", choices=LEVELS, help="of difficulty; default: easy")
+    parser.add_argument("--split", choices=SPLITS, help="test: on organs that are not drawn for training")
     parser.add_argument("--episodes", type=int, default=100, help="default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of the first episode; default: %(default)s")
     parser.add_argument(
@@ -74,14 +77,17 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
     """Evaluate as the command line asks; return the report."""
     from spatula_env.learning.evaluation import Plan, evaluate, film, summarize
     from spatula_env.learning.finding import find_policy
+    from spatula_env.learning.policies import with_all_parts
 
     env_id = find_environment(chosen.env)
     if chosen.video is not None:
         check_free(chosen.video, chosen.overwrite)
         check_film(chosen.video)
         check_can_write(chosen.video.parent)
+    level = {name: getattr(chosen, name) for name in ("level", "split") if getattr(chosen, name) is not None}
+    changes = [*(f"{name}={value}" for name, value in level.items()), *chosen.changes]
     source = find_policy(chosen.policy, env_id)
-    kwargs = with_changes(source.kwargs, chosen.changes)
+    kwargs = with_all_parts(env_id, with_changes(source.kwargs, changes))
     plan = Plan(env_id, kwargs, chosen.engine, chosen.episodes, chosen.seed)
     episodes, rate = evaluate(source, plan, processes=chosen.processes, end_at_success=chosen.horizon == "success")
     if chosen.video is not None:
@@ -90,6 +96,8 @@ def run(chosen: argparse.Namespace) -> dict[str, Any]:
         "env": env_id,
         "policy": chosen.policy,
         "engine": chosen.engine,
+        "level": kwargs.get("level", LEVELS[0]),
+        "split": kwargs.get("split", SPLITS[0]),
         "seed": chosen.seed,
         "kwargs": kwargs,
         "definition": definition_number(env_id),

@@ -25,6 +25,7 @@ class Expert(ABC):
         max_rotation_rate: Greatest rate of rotation of the tools about each axis [rad/s].
         max_jaw_speed: Greatest speed of the jaws [m/s].
         names: Names of the action's components.
+        late: Whether actions or observations may be late, so that quick regulation would overshoot.
     """
 
     task: ClassVar[str]
@@ -49,6 +50,8 @@ class Expert(ABC):
             raise ValueError(f"env must have observation.parts 'all', got {made.settings.observation.parts!r}")
         self._slices = made.observation_builder.slices
         self._stacked = made.settings.observation.history > 1
+        greatest_delay = made.settings.randomization.get("action_delay", (0.0, 0.0))[1]
+        self.late: bool = max(greatest_delay, made.settings.observation.delay) > 0.0
         control = made.control
         self.max_speed, self.max_rotation_rate = control.max_speed, control.max_rotation_rate
         self.max_jaw_speed, self.names = control.max_jaw_speed, control.names

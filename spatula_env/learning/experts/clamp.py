@@ -25,6 +25,10 @@ SQUEEZE_OF_TISSUE = 0.85
 TIGHTER, SLIPPING, SLIPPED = 0.1, 0.0007, 0.0012
 """Share by which the grip narrows if the ridge slips, and the slips at which this begins and is complete [m]."""
 
+TIGHTER_ON_SOFT, WEAK, WEAKEST = 0.15, 0.13, 0.09
+"""Share by which the grip narrows on a ridge that resists little, and the forces at which this begins and is complete
+[N]."""
+
 CLOSED = 0.0004
 """Greatest excess over that width at which the lift begins [m]."""
 
@@ -62,6 +66,10 @@ AIM, LEAST_AIM, FORCE_GAIN, FORCE_SPEED = 0.19, 0.15, 0.08, 0.008
 """On a ridge of an organ of one's own: force of the jaw that presses less that is aimed at, and from which on it lifts
 [N]; speed of the jaws per force [m/(N s)], and greatest speed [m/s]."""
 
+MOST_FORCE, ENOUGH_FORCE = 0.21, 0.17
+"""Force of the jaw that presses less beyond which the grip widens, and from which on it lifts whatever its width: a
+ridge may be stiffer or wider than usual [N]."""
+
 IN_LINE, IN_PLACE = 0.0012, 0.002
 """Greatest misalignment with which the grip goes down: across and along the ridge [m]."""
 
@@ -71,10 +79,12 @@ class ClampExpert(Expert):
 
     Attributes:
         squeeze: Free width between the jaws while gripping, as a share of the ridge's width; one number, or (W,).
+        minds_force: Whether the grip widens or narrows where its force is not as it should be.
     """
 
     task = "clamp"
     squeeze: float | FloatArray
+    minds_force: bool = True
 
     def __init__(self, env: gymnasium.Env[Any, Any] | gymnasium.vector.VectorEnv[Any, Any, Any]) -> None:
         """See `Expert`; the width while gripping depends on the engine."""
@@ -91,7 +101,10 @@ class ClampExpert(Expert):
         error, height = self.error(observation), -down
         missing, slip = error[..., 0], self.goal(observation)[..., 1] - error[..., 1]
         gripping = height < AT
-        holding = gripping & (opening < self.squeeze * WIDTH + CLOSED)
+        forces = self.part(observation, "contact_force")
+        force = np.minimum(-forces[..., 1], forces[..., 4])
+        enough = (force > ENOUGH_FORCE) & self.minds_force
+        holding = gripping & ((opening < self.squeeze * WIDTH + CLOSED) | enough)
         ready = (np.abs(across) < IN_LINE) & (np.abs(along) < IN_PLACE) & (opening > WIDTH + 0.5 * (OPEN - WIDTH))
         wanted_height = np.where(ready | (height < BESIDE), LOW, ABOVE)
 
@@ -101,9 +114,13 @@ class ClampExpert(Expert):
         going = np.clip(GAIN * (wanted_height - height), -FREE_SPEED, FREE_SPEED)
         lifting = np.clip(LIFT_GAIN * missing, -LIFT_SPEED, LIFT_SPEED)
         tighter = TIGHTER * np.clip((slip - SLIPPING) / (SLIPPED - SLIPPING), 0.0, 1.0) * holding
+        weakly = np.clip((WEAK - force) / (WEAK - WEAKEST), 0.0, 1.0) * self.minds_force
+        tighter += TIGHTER_ON_SOFT * weakly * holding
         width = (self.squeeze - tighter) * WIDTH
         fastest = np.where(opening > TOUCHING, FREE_CLOSING_SPEED, CLOSING_SPEED)
         closing = np.clip(CLOSING_GAIN * (width - opening), -fastest, fastest)
+        widening = np.clip(FORCE_GAIN * (force - MOST_FORCE), 0.0, FORCE_SPEED)
+        closing = np.where((force > MOST_FORCE) & self.minds_force, widening, closing)
         return {
             "velocity_x": towards(along),
             "velocity_y": towards(across),

@@ -22,8 +22,9 @@ PLACE_GAIN = 10.0
 TURN_GAIN = 8.0
 """Rate of rotation per angle [1/s]."""
 
-STEER = 1.5
-"""Rate of tilting for an offset centre of pressure, per tilt that a round organ requires for that offset [1/s]."""
+STEER, LATE_STEER = 1.5, 0.75
+"""Rate of tilting for an offset centre of pressure, per tilt that a round organ requires for that offset [1/s]; and the
+same where actions or observations are late."""
 
 APPROACH_GAIN = 10.0
 """Speed of the descent per height above the path [1/s]."""
@@ -34,8 +35,8 @@ APPROACH_SPEEDS = (0.01, 0.05)
 TOUCH = 0.01
 """Force from which on the spatula counts as touching the organ [N]."""
 
-FORCE_GAIN = 0.12
-"""Speed per force error [m/(s N)]."""
+FORCE_GAIN, LATE_FORCE_GAIN = 0.12, 0.06
+"""Speed per force error, and the same where actions or observations are late [m/(s N)]."""
 
 FORCE_SPEED = 0.02
 """Greatest speed from the force error [m/s]."""
@@ -46,9 +47,9 @@ SAFE_ERROR = 0.025
 SAFE_PLACE = 0.003
 """Distance of the centre of pressure from the current point of the path above which it does not advance [m]."""
 
-AHEAD, OWN_AHEAD = 0.0035, 0.002
-"""Distance by which the centre of pressure leads the part of the path felt so far, and the same on an organ of one's
-own [m]."""
+AHEAD, LATE_AHEAD, OWN_AHEAD = 0.0035, 0.0025, 0.002
+"""Distance by which the centre of pressure leads the part of the path felt so far, and the same where actions or
+observations are late, and on an organ of one's own [m]."""
 
 
 class PalpateExpert(Expert):
@@ -79,7 +80,7 @@ class PalpateExpert(Expert):
             & (np.hypot(pressed[..., 0], pressed[..., 1]) < SAFE_PLACE)
             & (length[..., 0] > 1e-4)
         )
-        lead = OWN_AHEAD if self.has_part("path_normals") else AHEAD
+        lead = OWN_AHEAD if self.has_part("path_normals") else LATE_AHEAD if self.late else AHEAD
         feed = np.where(sliding, np.minimum(lead, length[..., 0]), 0.0)[..., None] * direction
         way = here + feed
         off = feed[..., :2] - pressed
@@ -88,14 +89,15 @@ class PalpateExpert(Expert):
         wanted, bending = self._steepness(observation, middle + way, feed, length)
         steeper = np.where(
             touching[..., None],
-            PLACE_GAIN * bending + STEER / RADIUS * off,
+            PLACE_GAIN * bending + (LATE_STEER if self.late else STEER) / RADIUS * off,
             TURN_GAIN * (wanted - steep),
         )
         rates = np.stack([-steeper[..., 1], steeper[..., 0]], axis=-1)
 
         near = np.hypot(here[..., 0], here[..., 1]) < NEAR
         down = np.clip(-APPROACH_GAIN * here[..., 2], *APPROACH_SPEEDS)
-        pressing = np.clip(FORCE_GAIN * error[..., 3], -FORCE_SPEED, FORCE_SPEED)
+        gain = LATE_FORCE_GAIN if self.late else FORCE_GAIN
+        pressing = np.clip(gain * error[..., 3], -FORCE_SPEED, FORCE_SPEED)
         # In contact, keep regulating the force even if the spatula has left the path.
         inwards = np.where(touching, pressing, np.where(near, down, 0.0))
         along = PLACE_GAIN * way

@@ -11,7 +11,7 @@ import pytest
 
 from spatula_env import scenes
 from spatula_env.sim.batch import BatchSimulation
-from spatula_env.sim.threads import share_out
+from spatula_env.threads import share_out
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 9])
