@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from spatula_env import scenes
 from spatula_env.envs.control import ControlLayout
-from spatula_env.envs.levels import Level, hard_level, standard_level
+from spatula_env.envs.levels import HARD_RANGES, Level, hard_level, standard_level
 from spatula_env.envs.observed_ranges import ObservedRanges
 from spatula_env.envs.settings import Definition, OwnOrgan
 from spatula_env.envs.spatula_env import SpatulaEnv
@@ -42,7 +42,11 @@ FISSURE = Definition(
     levels={
         "easy": Level(),
         "standard": standard_level(),
-        "hard": hard_level(task={"start_offset": 0.015, "start_height_range": (0.004, 0.025), "start_tilt": 0.2}),
+        # A wall twice as stiff as usual cannot be moved aside with the greatest force.
+        "hard": hard_level(
+            {**HARD_RANGES, "stiffness": (0.5, 1.5)},
+            task={"start_offset": 0.015, "start_height_range": (0.004, 0.025), "start_tilt": 0.2},
+        ),
     },
     own_organ=OwnOrgan(scenes.organ_with_fissure, FissureAnywhereTask, {"max_force": 0.6}),
 )

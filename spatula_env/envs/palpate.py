@@ -45,7 +45,13 @@ PALPATE = Definition(
         "easy": Level(),
         "standard": standard_level(),
         "hard": hard_level(
-            {**HARD_RANGES, "breathing": (0.0, 0.0008), "pulse": (0.0, 0.0001), "sensor_noise": (0.0, 1.0)},
+            {
+                **HARD_RANGES,
+                "stiffness": (0.6, 1.5),
+                "breathing": (0.0, 0.0004),
+                "pulse": (0.0, 0.0001),
+                "sensor_noise": (0.0, 1.0),
+            },
             task={"start_radius": 0.018, "start_height_range": (0.005, 0.03)},
             strain_limit=LENIENT_STRAIN,
         ),
