@@ -83,5 +83,5 @@ def test_one_that_fails(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_an_unknown_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "weight"]) == 1
-    assert "there is no benchmark 'weight'; there are detector" in capsys.readouterr().err
+    assert "there is no benchmark 'weight'; there are cameras, detector" in capsys.readouterr().err
     assert cli.main(["bench", "--core", "step"]) == 1
