@@ -290,13 +290,13 @@ class ObservationBuilder:
         Returns:
             (W, ...) entries by name; a single vector has the name "". New arrays.
         """
-        rise = np.zeros((len(goal), 1, 3))
+        moved, position = situation.nodes[:, self.landmarks] - self._rest_landmarks, situation.tool_position
         if bed is not None:
-            rise[:, 0, 2] = bed
-        moved = situation.nodes[:, self.landmarks] - self._rest_landmarks + rise
+            moved[..., 2] += bed[:, None]
+            position = position + bed[:, None] * (0.0, 0.0, 1.0)
         count = len(goal)
         values = {
-            "tool_position": situation.tool_position + rise[:, 0],
+            "tool_position": position,
             "tool_velocity": situation.tool_velocity,
             **dict(zip((part.name for part in self._control.parts), self._control.observe(situation), strict=True)),
             "contact_force": situation.contact_forces.reshape(count, -1),
@@ -322,14 +322,14 @@ class ObservationBuilder:
         elif self._mode == "dict":
             result = {name: vectors[:, part].copy() for name, part in self._slices.items()}
         else:
-            result = {**self._look(situation, pictures, rise), **self.vectors_of(vectors)}
+            result = {**self._look(situation, pictures, bed), **self.vectors_of(vectors)}
         if self._goal_interface:
             result["achieved_goal"] = evaluation.achieved.astype(np.float32)
             result["desired_goal"] = goal.astype(np.float32)
         return result
 
     def _look(
-        self, situation: Situation, pictures: Mapping[str, NDArray[Any]] | None, rise: FloatArray
+        self, situation: Situation, pictures: Mapping[str, NDArray[Any]] | None, bed: FloatArray | None
     ) -> dict[str, NDArray[Any]]:
         if self._mode == "pointcloud":
             corners = situation.nodes[:, self._organ_corners]
@@ -342,9 +342,10 @@ class ObservationBuilder:
                 ],
                 axis=1,
             )
-            clipped = (
-                np.minimum(np.maximum(points + rise, -GREATEST_PLACE), GREATEST_PLACE) for points in (organ, tool)
-            )
+            if bed is not None:
+                for points in (organ, tool):
+                    points[..., 2] += bed[:, None]
+            clipped = (np.minimum(np.maximum(points, -GREATEST_PLACE), GREATEST_PLACE) for points in (organ, tool))
             return dict(zip(("organ", "tool"), (points.astype(np.float32) for points in clipped), strict=True))
         if pictures is None:
             raise ValueError(f"pictures are needed with obs_mode={self._mode!r}")

@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from spatula_env.definitions import level_options
 from spatula_env.envs.incentives import LIMITS
+from spatula_env.envs.levels import merged
 from spatula_env.learning.acting import acting_policy
 from spatula_env.learning.configuration import PPOConfig, SACConfig, SACHERConfig, TQCConfig, TrainingConfig
 from spatula_env.learning.demonstrations import EXPERT_MODES
@@ -77,8 +79,22 @@ def _check_hindsight(config: TrainingConfig) -> None:
         *((name, "the replay buffer does not keep what tells of damage") for name in LIMITS),
         ("terminate_on_tangle", "the replay buffer does not keep what tells of tangles"),
     ):
-        if config.environment.kwargs.get(name):
-            raise ValueError(f"environment.kwargs.{name} must be left out with algorithm 'sac_her': {why}")
+        if _options(config).get(name):
+            raise ValueError(
+                f"environment.kwargs.{name} must be {_absent(config, name)} with algorithm 'sac_her': {why}"
+            )
+
+
+def _options(config: TrainingConfig) -> dict[str, Any]:
+    """The environment's options, with those that its level implies."""
+    environment = config.environment
+    return merged(level_options(environment.id, environment.kwargs.get("level", "easy")), environment.kwargs)
+
+
+def _absent(config: TrainingConfig, name: str) -> str:
+    """How to do without an option of the environment."""
+    kwargs = config.environment.kwargs
+    return "left out" if name in kwargs else f"None, as level {kwargs['level']!r} sets it,"
 
 
 def rehearse_clone(config: TrainingConfig) -> None:
@@ -118,10 +134,11 @@ def _check_amounts(config: TrainingConfig) -> None:
             f"hyperparameters.top_quantiles_to_drop_per_net must be less than n_quantiles, {chosen.n_quantiles}, "
             f"got {chosen.top_quantiles_to_drop_per_net}"
         )
-    ends = [name for name in ("terminate_on_success", *LIMITS) if environment.kwargs.get(name)]
+    ends = [name for name in ("terminate_on_success", *LIMITS) if _options(config).get(name)]
     if config.demonstrations and ends:
         raise ValueError(
-            f"environment.kwargs.{ends[0]} must be left out with demonstrations, whose episodes must have one length"
+            f"environment.kwargs.{ends[0]} must be {_absent(config, ends[0])} with demonstrations, whose episodes must "
+            "have one length"
         )
 
 

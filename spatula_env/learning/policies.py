@@ -179,5 +179,7 @@ def judged_options(env_id: str, kwargs: Mapping[str, Any]) -> dict[str, Any]:
         env_id: Id of the environment.
         kwargs: Options of the environment in which it learns.
     """
-    level = {name: kwargs[name] for name in ("level",) if name in kwargs}
-    return {**interface_of(env_id, kwargs), **level}
+    judged = interface_of(env_id, kwargs)
+    if "level" in kwargs:
+        judged["level"] = kwargs["level"]
+    return judged

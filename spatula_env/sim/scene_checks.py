@@ -225,7 +225,7 @@ def warn_of_rest(
             f"(its top has sunk by {sag:.2g} of {np.ptp(shape[:, 2]):.3g} u, it has {100.0 * share:.3g} % of its "
             f"volume, and its nodes are {deformation:.2g} u from their places in it)"
         )
-        if speeds is not None and speeds[own].max() > GREATEST_CREEP * extent:
+        if speeds is not None and speeds[own].max() > _greatest_creep(placed):
             warn(
                 f"organ {placed.organ.name!r} has not come to rest: it still moved at {speeds[own].max():.2g} u/s when "
                 f"settling was ended {told}. It rolls or sags on; hold some of its nodes, put it on more of them, or "
@@ -238,13 +238,18 @@ def warn_of_rest(
             )
 
 
+def _greatest_creep(placed: PlacedOrgan) -> float:
+    """Greatest speed of an organ's nodes that is no motion worth a warning [u/s]."""
+    return GREATEST_CREEP * float(np.ptp(placed.vertices, axis=0).max())
+
+
 def is_creeping(scene: Scene, speeds: FloatArray) -> BoolArray:
     """(n,) whether any organ of worlds moves faster than `GREATEST_CREEP`, given speeds (n, V) of its nodes [u/s]."""
     creeping, start = np.zeros(len(speeds), dtype=np.bool_), 0
     for placed in scene.organs:
         own = slice(start, start + len(placed.vertices))
         start = own.stop
-        creeping |= speeds[:, own].max(axis=1) > GREATEST_CREEP * np.ptp(placed.vertices, axis=0).max()
+        creeping |= speeds[:, own].max(axis=1) > _greatest_creep(placed)
     return creeping
 
 

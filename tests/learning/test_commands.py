@@ -66,6 +66,11 @@ REFUSED = [
     ("sac_her", "environment.kwargs.terminate_on_success=true", "terminate_on_success must be left out with algorithm"),
     ("sac_her", "environment.id=Spatula/Palpate-v0", "algorithm must not be 'sac_her' with Spatula/Palpate-v0"),
     ("sac_her", "environment.kwargs.damage_limit=10.0", "damage_limit must be left out with algorithm 'sac_her'"),
+    (
+        "sac_her",
+        "environment.kwargs.level=hard",
+        "pressure_limit must be None, as level 'hard' sets it, with algorithm",
+    ),
     ("sac", "environment.id=Spatula/Knead-v0", "there is no environment 'Spatula/Knead-v0'"),
     ("sac", "environment.id=CartPole-v1", "must be an environment of this package or built on it"),
 ]

@@ -22,8 +22,8 @@ LABELS: Mapping[str, str] = {
     "damage": "is_damaged",
 }
 """The labels, and for each the entry of info that must not be zero: contact is any force, cost a force that grows too
-fast or a pressure beyond what the goal requires, dose a pressure above 2.67 kPa, violation one above 4.0 kPa, damage a
-dose of the episode above `damage_limit`."""
+fast or a pressure beyond what the goal requires, dose a pressure above 2.67 kPa, violation one above 4.0 kPa, damage
+that the episode has exceeded `damage_limit` or another limit."""
 
 
 def labels_of(info: Mapping[str, Any]) -> set[str]:
